@@ -1,0 +1,63 @@
+"""One simulator and one driver.
+
+ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|donkey|module:Class] [namespace:=ds1]
+                                       [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition, UnlessCondition
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe two nodes in one namespace."""
+    driver = LaunchConfiguration("driver")
+    namespace = LaunchConfiguration("namespace")
+    wants_autopilot = EqualsSubstitution(driver, "autopilot")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "sim", default_value="bullet", description="known simulator, or module:Class"
+            ),
+            DeclareLaunchArgument(
+                "driver", default_value="dave2", description="shipped network, file, or autopilot"
+            ),
+            DeclareLaunchArgument("namespace", default_value="ds1", description="namespace of both nodes"),
+            DeclareLaunchArgument(
+                "sync", default_value="lockstep", description="lockstep, first or realtime"
+            ),
+            Node(
+                package="ds_sim",
+                executable="simulator",
+                name="simulator",
+                namespace=namespace,
+                parameters=[
+                    {
+                        "simulator": ParameterValue(LaunchConfiguration("sim"), value_type=str),
+                        "sync": ParameterValue(LaunchConfiguration("sync"), value_type=str),
+                    }
+                ],
+                output="screen",
+            ),
+            Node(
+                package="ds_driver",
+                executable="driver",
+                name="driver",
+                namespace=namespace,
+                parameters=[{"network": ParameterValue(driver, value_type=str)}],
+                condition=UnlessCondition(wants_autopilot),
+                output="screen",
+            ),
+            Node(
+                package="ds_driver",
+                executable="autopilot",
+                name="autopilot",
+                namespace=namespace,
+                condition=IfCondition(wants_autopilot),
+                output="screen",
+            ),
+        ]
+    )

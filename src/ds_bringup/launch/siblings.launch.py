@@ -1,0 +1,67 @@
+"""Both digital siblings and the twin, each in its own namespace with its own driver.
+
+ros2 launch ds_bringup siblings.launch.py [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition, UnlessCondition
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+SIMULATORS = {"ds1": "ds_sim_bullet", "ds2": "ds_sim_softbody", "twin": "ds_twin_donkey"}
+"""Namespace -> package whose executable `simulator` runs there."""
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe six nodes: a simulator and a driver in each namespace."""
+    driver = LaunchConfiguration("driver")
+    wants_autopilot = EqualsSubstitution(driver, "autopilot")
+    parameters = PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "simulators.yaml"])
+    sync = {"sync": ParameterValue(LaunchConfiguration("sync"), value_type=str)}
+    network = {"network": ParameterValue(driver, value_type=str)}
+    description = LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "driver", default_value="dave2", description="shipped network, file, or autopilot"
+            ),
+            DeclareLaunchArgument(
+                "sync", default_value="lockstep", description="lockstep, first or realtime"
+            ),
+        ]
+    )
+    for namespace, package in SIMULATORS.items():
+        description.add_action(
+            Node(
+                package=package,
+                executable="simulator",
+                name="simulator",
+                namespace=namespace,
+                parameters=[parameters, sync],
+                output="screen",
+            )
+        )
+        description.add_action(
+            Node(
+                package="ds_driver",
+                executable="driver",
+                name="driver",
+                namespace=namespace,
+                parameters=[parameters, network],
+                condition=UnlessCondition(wants_autopilot),
+                output="screen",
+            )
+        )
+        description.add_action(
+            Node(
+                package="ds_driver",
+                executable="autopilot",
+                name="autopilot",
+                namespace=namespace,
+                condition=IfCondition(wants_autopilot),
+                output="screen",
+            )
+        )
+    return description

@@ -1,0 +1,57 @@
+"""The driver node: images in, the network's commands out, for one simulator or several."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+
+from ds_driver.eyes import Answer, Eyes
+from ds_driver.network_driver import NetworkDriver
+from ds_driver.preprocessing import Crop
+from ds_interfaces.msg import VehicleState
+from ds_sim.ros_runtime import run_node
+from ds_sim.simulator import Command
+
+
+class DriverNode(Node):
+    """Runs a network; it sees images and speed, never the road, and knows of a simulator only its crop.
+
+    Parameters: `network` (shipped name or weights file), `namespaces` (of the simulators; [""] for its own),
+    `crop_top` and `crop_bottom` (rows, one number per namespace).
+    """
+
+    def __init__(self) -> None:
+        super().__init__("driver")
+        network = self.declare_parameter("network", "dave2").value
+        namespaces = self.declare_parameter("namespaces", [""]).value
+        tops = self.declare_parameter("crop_top", [0] * len(namespaces)).value
+        bottoms = self.declare_parameter("crop_bottom", [0] * len(namespaces)).value
+        if not len(namespaces) == len(tops) == len(bottoms):
+            raise ValueError(
+                f"parameters namespaces, crop_top and crop_bottom have {len(namespaces)}, {len(tops)} and "
+                f"{len(bottoms)} entries: give one crop per namespace"
+            )
+        self._driver = NetworkDriver(network)
+        self._eyes = [
+            Eyes(self, namespace, self._answer_with(Crop(top, bottom)))
+            for namespace, top, bottom in zip(namespaces, tops, bottoms, strict=True)
+        ]
+        self.get_logger().info(f"{network} drives {', '.join(namespaces) or 'its own namespace'}")
+
+    def _answer_with(self, crop: Crop) -> Answer:
+        def answer(image: NDArray[np.uint8], state: VehicleState) -> Command:
+            return self._driver.command(image, state.speed, crop)
+
+        return answer
+
+
+def main() -> None:
+    """Run the driver until it is told to stop."""
+    sys.exit(run_node(DriverNode))
+
+
+if __name__ == "__main__":
+    main()

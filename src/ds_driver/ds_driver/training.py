@@ -1,0 +1,232 @@
+"""Hybrid training: one network for all simulators, each equally represented (paper 3.2.2, 4.2.2)."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages: training on a CPU runs up to twice as fast
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ds_driver.augmentation import augment
+from ds_driver.dataset import DatasetError, Sample, balance, decode, read_samples
+from ds_driver.networks import make_network
+from ds_driver.preprocessing import Crop, prepare
+from ds_driver.weights import save_weights
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingPlan:
+    """How to train.
+
+    Attributes:
+        network: architecture.
+        seed: of the weights, the split, the order and the augmentation.
+        epochs: at most (paper 4.2.2: 50 for Dave-2; on two CPU cores fewer do, see the card).
+        patience: epochs without a better validation loss before stopping (paper 4.2.2: 10).
+        batch_size: images (paper 4.2.2: 128).
+        learning_rate: of Adam (paper 4.2.2: 1e-4).
+        validation: share of the roads held out (paper 3.2.2: 20 %).
+        images_per_simulator: at most, None for all.
+        threads: of the mathematics.
+    """
+
+    network: str = "dave2"
+    seed: int = 1
+    epochs: int = 12
+    patience: int = 10
+    batch_size: int = 128
+    learning_rate: float = 1e-4
+    validation: float = 0.2
+    images_per_simulator: int | None = None
+    threads: int = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Epoch:
+    """Mean squared errors of one pass over the data."""
+
+    epoch: int
+    training_loss: float
+    validation_loss: float
+    seconds: float
+
+
+def train(
+    data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], report: Report
+) -> list[Epoch]:
+    """Train a network; stopped at any time it goes on after the last whole epoch.
+
+    Args:
+        data: folder of a data set.
+        out: folder for `<network>.safetensors` (the best epoch), the checkpoint and `history.json`.
+        plan: how to train.
+        crops: rows cut off per simulator.
+        report: takes a line now and then.
+
+    Raises:
+        DatasetError: the data set cannot be used, or a simulator has no crop.
+    """
+    torch.set_num_threads(plan.threads)
+    out.mkdir(parents=True, exist_ok=True)
+    training, validation = split(read_samples(data), plan)
+    missing = {s.simulator for s in training} - set(crops)
+    if missing:
+        raise DatasetError(f"no crop is known for {', '.join(sorted(missing))}: name the simulators of the data set")
+    torch.manual_seed(plan.seed)
+    network = make_network(plan.network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = torch.optim.Adam(network.parameters(), lr=plan.learning_rate)
+    history = _resume(out / "checkpoint.pt", network, optimizer, plan)
+    report(f"{len(training)} images to train on, {len(validation)} to validate, {len(history)} epochs done before")
+    while len(history) < plan.epochs and not _stalled(history, plan.patience):
+        number = len(history) + 1
+        started = time.monotonic()
+        torch.manual_seed(plan.seed * 1000 + number)
+        training_loss = _train_epoch(network, optimizer, training, crops, plan, number, report)
+        validation_loss = _validate(network, validation, crops, plan)
+        history.append(
+            Epoch(
+                epoch=number,
+                training_loss=training_loss,
+                validation_loss=validation_loss,
+                seconds=round(time.monotonic() - started, 1),
+            )
+        )
+        left = (plan.epochs - number) * history[-1].seconds / 60
+        report(f"epoch {number}: training {training_loss:.5f}, validation {validation_loss:.5f}, {left:.0f} min left")
+        if validation_loss == min(e.validation_loss for e in history):
+            save_weights(network, out / f"{plan.network}.safetensors", architecture=plan.network)
+        _save(out / "checkpoint.pt", network, optimizer, plan, history)
+        (out / "history.json").write_text(json.dumps([asdict(e) for e in history], indent=1) + "\n")
+    return history
+
+
+def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list[Sample]]:
+    """Training and validation samples: equal shares of every simulator, and no road in both."""
+    rng = np.random.default_rng(plan.seed)
+    roads = sorted({sample.road_id for sample in samples})
+    held_out = set(rng.permutation(roads)[: max(1, round(plan.validation * len(roads)))].tolist())
+    if len(held_out) == len(roads):
+        raise DatasetError("all samples come from one road: collect at least two roads")
+    limit = plan.images_per_simulator
+    parts = []
+    for held in (False, True):
+        part = [sample for sample in samples if (sample.road_id in held_out) is held]
+        share = plan.validation if held else 1.0 - plan.validation
+        parts.append(balance(part, rng, limit=round(limit * share) if limit else None))
+    return parts[0], parts[1]
+
+
+def _train_epoch(
+    network: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    samples: list[Sample],
+    crops: dict[str, Crop],
+    plan: TrainingPlan,
+    number: int,
+    report: Report,
+) -> float:
+    network.train()
+    rng = np.random.default_rng([plan.seed, number])
+    order = rng.permutation(len(samples))
+    batches = [order[i : i + plan.batch_size] for i in range(0, len(order) - plan.batch_size + 1, plan.batch_size)]
+    losses = []
+    started = time.monotonic()
+    for index, (images, labels) in enumerate(_loaded(samples, batches, crops, (plan.seed, number)), start=1):
+        optimizer.zero_grad(set_to_none=True)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            predicted = network(images.float())
+        loss = nn.functional.mse_loss(predicted.float()[:, 0], labels)
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+        if index % 50 == 0:
+            speed = index * plan.batch_size / (time.monotonic() - started)
+            report(f"epoch {number}: {index}/{len(batches)} batches, loss {np.mean(losses[-50:]):.5f}, {speed:.0f}/s")
+    return float(np.mean(losses))
+
+
+@torch.inference_mode()
+def _validate(network: nn.Module, samples: list[Sample], crops: dict[str, Crop], plan: TrainingPlan) -> float:
+    network.eval()
+    batches = [np.arange(i, min(i + plan.batch_size, len(samples))) for i in range(0, len(samples), plan.batch_size)]
+    total = 0.0
+    for images, labels in _loaded(samples, batches, crops, None):
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            predicted = network(images.float())
+        total += float(nn.functional.mse_loss(predicted.float()[:, 0], labels, reduction="sum"))
+    return total / len(samples)
+
+
+def _loaded(
+    samples: list[Sample], batches: list[np.ndarray], crops: dict[str, Crop], seed: tuple[int, int] | None
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Batches of images and labels, the next one decoded while one is in use; augmented if there is a seed."""
+
+    def load(index: int) -> tuple[Tensor, Tensor]:
+        rng = np.random.default_rng([*seed, index]) if seed else None
+        chosen = [samples[i] for i in batches[index]]
+        images = [
+            prepare(augment(decode(s.jpeg), rng) if rng else decode(s.jpeg), crops[s.simulator]) for s in chosen
+        ]
+        pixels = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
+        return pixels, torch.tensor([s.steering for s in chosen], dtype=torch.float32)
+
+    with ThreadPoolExecutor(1) as pool:
+        pending = pool.submit(load, 0)
+        for index in range(len(batches)):
+            batch = pending.result()
+            if index + 1 < len(batches):
+                pending = pool.submit(load, index + 1)
+            yield batch
+
+
+def _stalled(history: list[Epoch], patience: int) -> bool:
+    if not history:
+        return False
+    best = min(history, key=lambda e: e.validation_loss)
+    return len(history) - best.epoch >= patience
+
+
+def _save(
+    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, plan: TrainingPlan, history: list[Epoch]
+) -> None:
+    partial = path.with_suffix(".partial")
+    state = {
+        "network": network.state_dict(),
+        "optimizer": optimizer.state_dict(),
+        "plan": _identity(plan),
+        "history": [asdict(e) for e in history],
+    }
+    torch.save(state, partial)
+    partial.replace(path)
+
+
+def _resume(
+    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, plan: TrainingPlan
+) -> list[Epoch]:
+    """Take up a checkpoint of the same plan; read as plain tensors, never as code."""
+    if not path.exists():
+        return []
+    state = torch.load(path, weights_only=True)
+    if state["plan"] != _identity(plan):
+        raise DatasetError(f"{path.parent} holds a training with another plan: choose another folder or delete it")
+    network.load_state_dict(state["network"])
+    optimizer.load_state_dict(state["optimizer"])
+    return [Epoch(**entry) for entry in state["history"]]
+
+
+def _identity(plan: TrainingPlan) -> dict[str, object]:
+    """What must be equal for a training to go on; more epochs or threads are welcome."""
+    return {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience")}

@@ -1,0 +1,1 @@
+"""Search, campaign, store, bags, feature maps, evaluation, report and command line."""

@@ -1,0 +1,148 @@
+"""One rosbag2 folder per run: metadata version 9, MCAP storage, as ROS 2 Jazzy writes it, and without a ROS install."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Observation
+
+_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
+_NEVER = QosTime(sec=9223372036, nsec=854775807)
+
+
+class BagError(ValueError):
+    """A bag that cannot be written."""
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """Jazzy's standard messages and ours, the latter from their installed definitions.
+
+    Raises:
+        BagError: the workspace's messages are not on AMENT_PREFIX_PATH.
+    """
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        folder = Path(prefix) / "share" / "ds_interfaces" / "msg"
+        if (folder / "Road.msg").exists():
+            types: dict[str, Any] = {}
+            for name in _MESSAGES:
+                types.update(get_types_from_msg((folder / f"{name}.msg").read_text(), f"ds_interfaces/msg/{name}"))
+            store.register(types)
+            return store
+    raise BagError("ds_interfaces is not on AMENT_PREFIX_PATH: build the workspace and source its setup file")
+
+
+def write_bag(folder: Path, namespace: str, run: RunRecord, about: dict[str, str]) -> None:
+    """Write one run at level `telemetry`: road, states, commands, outcome; stamps count from the start of the run.
+
+    Args:
+        folder: the bag; it appears whole or not at all, and replaces one that is there.
+        namespace: of the simulator, such as `/ds1`.
+        run: what happened.
+        about: facts for the bag's custom data, beside road, seed and outcome, which are always there.
+
+    Raises:
+        BagError: the folder cannot be written.
+    """
+    partial = folder.parent / ".partial" / folder.name
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        _write(partial, namespace, run, about)
+        shutil.rmtree(folder, ignore_errors=True)
+        partial.rename(folder)
+    except OSError as error:
+        raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
+
+
+def _write(path: Path, namespace: str, run: RunRecord, about: dict[str, str]) -> None:
+    store = typestore()
+    types = store.types
+    outcome = types["ds_interfaces/msg/Outcome"]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        facts = {
+            "road": json.dumps(run.road.control_points),
+            "road_id": run.road.road_id,
+            "seed": str(run.seed),
+            "outcome": run.outcome.name,
+            **about,
+        }
+        for key, value in facts.items():
+            writer.set_custom_data(key, value)
+
+        def channel(topic: str, name: str, qos: Qos) -> Any:
+            return writer.add_connection(
+                f"{namespace}/{topic}", f"ds_interfaces/msg/{name}", typestore=store, offered_qos_profiles=[qos]
+            )
+
+        channels = {
+            "Road": channel("road", "Road", _qos(1, QosDurability.TRANSIENT_LOCAL)),
+            "VehicleState": channel("state", "VehicleState", _qos(50, QosDurability.VOLATILE)),
+            "DriveCommand": channel("drive", "DriveCommand", _qos(10, QosDurability.VOLATILE)),
+            "Outcome": channel("outcome", "Outcome", _qos(1, QosDurability.TRANSIENT_LOCAL)),
+        }
+
+        def put(name: str, time: float, **fields: Any) -> None:
+            message = types[f"ds_interfaces/msg/{name}"](**fields)
+            data = store.serialize_cdr(message, f"ds_interfaces/msg/{name}")
+            writer.write(channels[name], round(time * 1e9), data)
+
+        point = types["geometry_msgs/msg/Point"]
+        points = [point(x=x, y=y, z=0.0) for x, y in run.road.control_points]
+        put("Road", 0.0, road_id=run.road.road_id, control_points=points)
+        for index, observation in enumerate(run.observations):
+            header = _header(types, observation.time)
+            state = _state_fields(observation)
+            value = outcome(value=int(observation.outcome))
+            put("VehicleState", observation.time, header=header, road_id=run.road.road_id, outcome=value, **state)
+            if index < len(run.commands):
+                command = run.commands[index]
+                put(
+                    "DriveCommand",
+                    observation.time,
+                    header=header,
+                    steering=command.steering,
+                    throttle=command.throttle,
+                )
+        put("Outcome", run.simulated_seconds, value=int(run.outcome))
+
+
+def _header(types: Any, time: float) -> Any:
+    nanoseconds = round(time * 1e9)
+    stamp = types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+    return types["std_msgs/msg/Header"](stamp=stamp, frame_id="road")
+
+
+def _state_fields(observation: Observation) -> dict[str, Any]:
+    vehicle, lane = observation.vehicle, observation.lane
+    return {
+        "step": observation.step,
+        "simulated_time": observation.time,
+        **{name: getattr(vehicle, name) for name in vehicle.__dataclass_fields__},
+        **{name: getattr(lane, name) for name in lane.__dataclass_fields__},
+    }
+
+
+def _qos(depth: int, durability: QosDurability) -> Qos:
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=depth,
+        reliability=QosReliability.RELIABLE,
+        durability=durability,
+        deadline=_NEVER,
+        lifespan=_NEVER,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_NEVER,
+        avoid_ros_namespace_conventions=False,
+    )

@@ -1,0 +1,271 @@
+"""Looks at what the project needs, and says what is missing and what to type. It changes nothing.
+
+Standard library only, so that it runs before anything is installed: `python3 -m ds_orchestrator.doctor`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+SUPPORTED_PYTHONS = ((3, 11), (3, 12))
+"""Versions for which the pinned requirements exist."""
+SHARED_MEMORY_NEEDED = 64 * 2**20
+"""Free bytes wanted in /dev/shm (chosen: 16 participants with a segment of 4 MB each)."""
+SMALLEST_WEIGHTS = 2**20
+"""Bytes; a smaller weights file is a torn copy or a pointer to one (chosen: Dave-2 as float16 has 5.8 MB)."""
+
+_SET_UP = "make setup"
+_MODULES = {"opencv-python-headless": "cv2", "pyyaml": "yaml"}
+"""Distributions whose module has another name."""
+_TRY_IMPORTS = """
+import importlib, importlib.metadata as metadata, json, sys
+found = {}
+for distribution, module in json.loads(sys.argv[1]).items():
+    try:
+        importlib.import_module(module)
+        found[distribution] = [metadata.version(distribution), ""]
+    except Exception as error:
+        found[distribution] = ["", (str(error) or repr(error)).splitlines()[0]]
+print()
+print(json.dumps(found))
+"""
+
+
+class Check(NamedTuple):
+    """One thing that was looked at.
+
+    Attributes:
+        name: what it is.
+        ok: true when it is as it should be.
+        detail: what was found, one line.
+        fix: the command to type; "" when all is well.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    fix: str
+
+
+def diagnose(root: Path | None = None) -> list[Check]:
+    """Look at everything, in the order in which it would be mended.
+
+    Args:
+        root: the repository; found from this file's place when left out.
+    """
+    root = root or repository()
+    python = root / ".venv/bin/python"
+    checks = [*check_system(), check_shared_memory()]
+    if not python.is_file():
+        return [*checks, Check("environment", False, ".venv is not there yet", _SET_UP)]
+    pins = read_pins(root / "requirements/project.txt")
+    if uses_sourced_ros(root):
+        del pins["numpy"]  # that ROS brings the NumPy that its modules were built for
+    modules = {name: _MODULES.get(name, name) for name in pins}
+    wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg"}
+    found = try_imports(python, wanted)
+    return [
+        *checks,
+        Check("environment", True, str(python.parent.parent), ""),
+        *check_ros(root, found),
+        *check_libraries(pins, found),
+        check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
+    ]
+
+
+def repository() -> Path:
+    """The repository that this file belongs to, also when the package is a link to it."""
+    for folder in Path(__file__).resolve().parents:
+        if (folder / "requirements/project.txt").is_file():
+            return folder
+    return Path(os.environ.get("DS_ROOT", Path.cwd()))
+
+
+def uses_sourced_ros(root: Path) -> bool:
+    """True when set-up has found a real ROS 2 and built upon it."""
+    note = root / ".venv/.setup/ros-prefix"
+    return note.is_file() and bool(note.read_text())
+
+
+def check_system(
+    version: tuple[int, int] = sys.version_info[:2],
+    which: Callable[[str], str | None] = shutil.which,
+) -> list[Check]:
+    """Check what must come from the operating system.
+
+    Args:
+        version: of the interpreter, major and minor.
+        which: finds a program by its name.
+    """
+    series = "python3" if Path("/usr/bin/python3").exists() else f"python{version[0]}.{version[1]}"
+    compiler = next((path for name in ("c++", "g++", "clang++") if (path := which(name))), None)
+    header = Path(sysconfig.get_paths()["include"]) / "Python.h"
+    has_venv = importlib.util.find_spec("ensurepip") is not None
+    shown = ".".join(map(str, version))
+    return [
+        _check(
+            "Python", version in SUPPORTED_PYTHONS, shown, f"{shown}: 3.11 or 3.12 is needed", _apt("python3")
+        ),
+        _check("C++ compiler", compiler is not None, compiler or "", "none found", _apt("g++")),
+        _check(
+            "Python headers", header.is_file(), str(header), f"{header} is missing", _apt(f"{series}-dev")
+        ),
+        _check("venv module", has_venv, "there", "ensurepip is missing", _apt(f"{series}-venv")),
+    ]
+
+
+def check_shared_memory(folder: Path = Path("/dev/shm")) -> Check:
+    """Check that images fit into the memory through which nodes of one machine talk."""
+    free = shutil.disk_usage(folder).free if folder.is_dir() else 0
+    found = f"{free / 2**20:.0f} MB free"
+    return _check(
+        "shared memory",
+        free >= SHARED_MEMORY_NEEDED,
+        found,
+        f"{found} in {folder}, {SHARED_MEMORY_NEEDED / 2**20:.0f} MB are needed",
+        ".venv/bin/fastdds shm clean (in a container: start it with --shm-size=256m)",
+    )
+
+
+def check_ros(root: Path, found: Mapping[str, tuple[str, str]]) -> list[Check]:
+    """Check ROS and the workspace.
+
+    Args:
+        root: the repository.
+        found: what `try_imports` found, with `rclpy` and `ds-interfaces` in it.
+    """
+    version, problem = found["rclpy"]
+    own_interfaces, reason = found["ds-interfaces"]
+    built = (root / "ros_ws/install/setup.bash").is_file()
+    advice = f"{_SET_UP}; then use ./ds, or: source ros_ws/install/setup.bash"
+    return [
+        _check("ROS 2", not problem, f"rclpy {version}", problem, advice),
+        _check("workspace", built and not reason, own_interfaces or "built", reason or "not built", advice),
+    ]
+
+
+def check_libraries(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) -> list[Check]:
+    """Check that each library can be imported and has the pinned version.
+
+    Args:
+        pins: distribution and version, as pinned.
+        found: distribution, and its version or why it cannot be imported.
+    """
+    checks = []
+    for name, pinned in pins.items():
+        version, problem = found[name]
+        if not problem and version.partition("+")[0] != pinned:
+            problem = f"{version} is installed, {pinned} is pinned"
+        fix = f"rm -rf .venv && {_SET_UP}"
+        checks.append(_check(name, not problem, version, problem, fix))
+    return checks
+
+
+def check_weights(file: Path) -> Check:
+    """Check that the shipped network is there, and whole as far as its size tells."""
+    size = file.stat().st_size if file.is_file() else 0
+    found = f"{file.name}, {size / 2**20:.1f} MB"
+    problem = f"{found}: torn or not fetched" if size else f"{file.name} is missing"
+    return _check(
+        "network weights",
+        size >= SMALLEST_WEIGHTS,
+        found,
+        problem,
+        "git checkout -- src/ds_driver, or ./ds train",
+    )
+
+
+def read_pins(requirements: Path) -> dict[str, str]:
+    """Distribution (lower case) and version of what is imported directly: the part above the dependencies."""
+    pins = {}
+    for line in requirements.read_text().splitlines():
+        if line.startswith("# their dependencies"):
+            break
+        name, separator, version = line.partition("#")[0].strip().partition("==")
+        if separator:
+            pins[name.lower()] = version
+    return pins
+
+
+def try_imports(python: Path, modules: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Import modules in a process of their own, because some print when they are imported.
+
+    Args:
+        python: the interpreter.
+        modules: distribution and the name of its module.
+
+    Returns:
+        For each distribution its version and "", or "" and why it cannot be imported.
+    """
+    command = [str(python), "-c", _TRY_IMPORTS, json.dumps(dict(modules))]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        found = json.loads(answer.stdout.splitlines()[-1])
+    except (IndexError, ValueError):
+        reason = f"the interpreter ended with status {answer.returncode} while importing"
+        return dict.fromkeys(modules, ("", reason))
+    return {name: (version, problem) for name, (version, problem) in found.items()}
+
+
+def to_json(checks: Iterable[Check]) -> str:
+    """One JSON document: `ok`, and the list of all checks."""
+    listed = [check._asdict() for check in checks]
+    return json.dumps({"ok": all(check["ok"] for check in listed), "checks": listed}, indent=2)
+
+
+def show(checks: Sequence[Check]) -> None:
+    """Print a table, or plain lines where rich is not installed yet."""
+    try:
+        from rich.console import Console
+        from rich.table import Table
+    except ImportError:
+        for check in checks:
+            print(f"{'ok     ' if check.ok else 'MISSING'} {check.name}: {check.detail}")
+            if check.fix:
+                print(f"        type: {check.fix}")
+        return
+    table = Table("", "what")
+    for heading in ("found", "what to type"):
+        table.add_column(heading, overflow="fold")
+    for check in checks:
+        table.add_row("[green]ok[/]" if check.ok else "[red]no[/]", check.name, check.detail, check.fix)
+    Console().print(table)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Diagnose and print, with `--json` as JSON.
+
+    Returns:
+        Exit status: 0 all is well, 1 something is missing, 2 an unknown argument.
+    """
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    if any(argument != "--json" for argument in given):
+        print(f"unknown argument {' '.join(given)}: expected --json or nothing", file=sys.stderr)
+        return 2
+    checks = diagnose()
+    if given:
+        print(to_json(checks))
+    else:
+        show(checks)
+    return 0 if all(check.ok for check in checks) else 1
+
+
+def _check(name: str, ok: bool, found: str, problem: str, fix: str) -> Check:
+    return Check(name, ok, found if ok else problem, "" if ok else fix)
+
+
+def _apt(package: str) -> str:
+    return f"{'' if os.geteuid() == 0 else 'sudo '}apt-get install -y {package}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

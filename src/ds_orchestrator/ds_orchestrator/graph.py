@@ -1,0 +1,209 @@
+"""The orchestrator's ROS side: finds the simulators of a graph and drives roads on them, with a limit on every wait."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import rclpy
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
+from ds_orchestrator.supervisor import Supervisor
+from ds_road import Road
+from ds_sim import messages
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Observation, Outcome
+
+SERVICE_TIME = 20.0
+"""Seconds that a simulator gets to answer a service or a goal."""
+START_TIME = 90.0
+"""Seconds that a graph gets to come up, importing its libraries on a busy machine included."""
+_NO_IMAGE = np.empty((0, 0, 3), np.uint8)
+
+
+class GraphError(RuntimeError):
+    """A graph that does not come up."""
+
+
+class GraphExecutor:
+    """Drives roads through the graph; satisfies `ds_orchestrator.campaign.Executor`.
+
+    Args:
+        namespaces: simulator name -> its namespace.
+        domain: ROS domain; None for the environment's.
+        command_timeout: s that a simulator waits for its driver.
+        supervisor: of the processes, if they are ours; a dead one is started again before the next run.
+    """
+
+    def __init__(
+        self,
+        namespaces: dict[str, str],
+        *,
+        domain: int | None,
+        command_timeout: float,
+        supervisor: Supervisor | None = None,
+    ) -> None:
+        self._namespaces = namespaces
+        self._timeout = command_timeout
+        self._supervisor = supervisor
+        self._revival = threading.Lock()
+        self._stopped = threading.Event()
+        rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("orchestrator")
+        self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
+        self._spinner = threading.Thread(target=self._spin, name="spinner", daemon=True)
+        self._spinner.start()
+
+    def wait_until_ready(self, limit: float = START_TIME) -> None:
+        """Wait until every simulator answers and has a driver.
+
+        Raises:
+            GraphError: the time is up; says what is missing.
+            ds_orchestrator.supervisor.ProcessError: one of our processes ended.
+        """
+        deadline = time.monotonic() + limit
+        while missing := [m for s in self._simulators.values() if (m := s.missing())]:
+            if self._supervisor is not None:
+                self._supervisor.check()
+            if time.monotonic() > deadline:
+                raise GraphError(f"after {limit:.0f} s {missing[0]}: start it, in the same ROS domain")
+            if self._stopped.wait(0.05):
+                return
+
+    def info(self, simulator: str) -> GetSimulatorInfo.Response:
+        """What a simulator tells about itself.
+
+        Raises:
+            GraphError: it does not answer.
+        """
+        response = self._wait(self._simulators[simulator].info.call_async(GetSimulatorInfo.Request()), SERVICE_TIME)
+        if response is None:
+            raise GraphError(f"{simulator} does not answer get_info within {SERVICE_TIME:.0f} s: is its node alive?")
+        return response
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        """Drive a road on a simulator; always ends, and never raises for what goes wrong in another process."""
+        record = RunRecord(road=road, seed=seed)
+        outcome, message = self._execute(self._simulators[simulator], record)
+        record.outcome, record.message = outcome, message
+        if self._stopped.is_set() and outcome.is_error:
+            record.outcome = Outcome.CANCELLED
+        return record
+
+    def stop(self) -> None:
+        """Let every wait return now; runs under way end as CANCELLED."""
+        self._stopped.set()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.stop()
+        rclpy.try_shutdown()
+        self._spinner.join(2.0)
+
+    def _execute(self, simulator: _Simulator, record: RunRecord) -> tuple[Outcome, str]:
+        if self._supervisor is not None:
+            with self._revival:
+                self._supervisor.revive()
+        try:
+            self.wait_until_ready(START_TIME)
+        except (GraphError, RuntimeError) as error:
+            return Outcome.SIM_ERROR, str(error)
+        request = LoadRoad.Request(road=messages.road_to_message(record.road), seed=record.seed)
+        loaded = self._wait(simulator.load.call_async(request), SERVICE_TIME)
+        if loaded is None:
+            return Outcome.SIM_ERROR, f"load_road was not answered within {SERVICE_TIME:.0f} s"
+        if not loaded.accepted:
+            return Outcome.SIM_ERROR, f"road refused: {loaded.reason}"
+        simulator.alive = time.monotonic()
+        goal = DriveRoad.Goal(command_timeout=self._timeout)
+        handle = self._wait(simulator.drive.send_goal_async(goal, simulator.heard), SERVICE_TIME)
+        if handle is None or not handle.accepted:
+            return Outcome.SIM_ERROR, "the goal was not accepted: is another run under way?"
+        result = self._await_result(simulator, handle)
+        if result is None:
+            if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
+                self._wait(handle.cancel_goal_async(), 1.0)
+            return Outcome.SIM_ERROR, "the simulator fell silent during the run"
+        _fill(record, result.result)
+        return Outcome(result.result.outcome.value), result.result.message
+
+    def _await_result(self, simulator: _Simulator, handle: Any) -> Any:
+        """Wait for a result for as long as the simulator shows signs of life."""
+        future = handle.get_result_async()
+        silence = self._timeout + SERVICE_TIME
+        while not future.done():
+            if self._stopped.is_set() or time.monotonic() - simulator.alive > silence:
+                return None
+            if self._supervisor is not None and self._supervisor.dead():
+                return None
+            self._wait(future, 0.5)
+        return future.result()
+
+    def _wait(self, future: Future, limit: float) -> Any:
+        """A future's result, or None when the time is up or we were stopped."""
+        ready = threading.Event()
+        future.add_done_callback(lambda _future: ready.set())
+        deadline = time.monotonic() + limit
+        while not ready.wait(min(0.1, max(0.0, deadline - time.monotonic()))):
+            if self._stopped.is_set() or time.monotonic() >= deadline:
+                return None
+        return future.result()
+
+    def _spin(self) -> None:
+        executor = SingleThreadedExecutor()
+        executor.add_node(self._node)
+        try:
+            while rclpy.ok():
+                executor.spin_once(timeout_sec=0.2)
+        except ExternalShutdownException:
+            pass
+
+
+class _Simulator:
+    """The clients of one simulator's node."""
+
+    def __init__(self, node: Node, namespace: str) -> None:
+        self._node = node
+        self._namespace = namespace
+        self.load = node.create_client(LoadRoad, f"{namespace}/load_road")
+        self.info = node.create_client(GetSimulatorInfo, f"{namespace}/get_info")
+        self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
+        self.alive = 0.0
+
+    def heard(self, _feedback: Any) -> None:
+        """The simulator shows a sign of life."""
+        self.alive = time.monotonic()
+
+    def missing(self) -> str:
+        """What is not there yet, or ""."""
+        if not (self.load.service_is_ready() and self.info.service_is_ready() and self.drive.server_is_ready()):
+            return f"there is no simulator in {self._namespace}"
+        if not self._node.count_publishers(f"{self._namespace}/drive"):
+            return f"there is no driver for {self._namespace}"
+        return ""
+
+
+def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
+    """Take over what a simulator reports of a run."""
+    for state in result.states:
+        vehicle, lane, outcome = messages.state_from_message(state)
+        record.observations.append(
+            Observation(
+                image=_NO_IMAGE,
+                step=state.step,
+                time=state.simulated_time,
+                vehicle=vehicle,
+                lane=lane,
+                outcome=outcome,
+            )
+        )
+    record.commands.extend(messages.command_from_message(command) for command in result.commands)

@@ -1,0 +1,48 @@
+"""Which processes make up a graph: one node per simulator under its own namespace, and one driver for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from ds_orchestrator.supervisor import ProcessSpec
+from ds_sim.registry import make_simulator
+
+AUTOPILOT = "autopilot"
+
+
+def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
+    """Simulator name -> namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
+    spaces = {name: f"/ds{index}" for index, name in enumerate(siblings, start=1)}
+    if twin:
+        spaces[twin] = "/twin"
+    return spaces
+
+
+def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
+    """One process per simulator."""
+    return [
+        ProcessSpec(
+            name=f"simulator_{namespace.strip('/')}",
+            module="ds_sim.node",
+            namespace=namespace,
+            parameters={"simulator": name, "command_timeout": command_timeout},
+        )
+        for name, namespace in namespaces.items()
+    ]
+
+
+def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
+    """The driver of all simulators: the autopilot with each vehicle's gains, or a network with each camera's crop."""
+    specs = [make_simulator(name).spec for name in namespaces]
+    parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
+    if driver == AUTOPILOT:
+        gains = [asdict(spec.autopilot) for spec in specs]
+        parameters |= {key: [float(g[key]) for g in gains] for key in gains[0]}
+        return ProcessSpec(name="driver", module="ds_driver.autopilot_node", parameters=parameters)
+    parameters |= {
+        "network": driver,
+        "crop_top": [spec.crop_top for spec in specs],
+        "crop_bottom": [spec.crop_bottom for spec in specs],
+    }
+    return ProcessSpec(name="driver", module="ds_driver.node", parameters=parameters)

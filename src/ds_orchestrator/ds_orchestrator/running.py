@@ -1,0 +1,51 @@
+"""Brings a graph up, gives it to whoever drives with it, and takes it down again whatever happens."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from ds_orchestrator.domain import Domain
+from ds_orchestrator.graph import GraphExecutor
+from ds_orchestrator.graph_plan import driver_process, simulator_processes
+from ds_orchestrator.supervisor import Supervisor
+
+
+@contextmanager
+def running_graph(
+    namespaces: dict[str, str], driver: str, *, command_timeout: float, logs: Path, attach: bool = False
+) -> Iterator[GraphExecutor]:
+    """A graph that is ready to drive.
+
+    Args:
+        namespaces: simulator name -> namespace.
+        driver: `autopilot`, a shipped network, or a weights file.
+        command_timeout: s that a simulator waits for its driver.
+        logs: folder for the processes' logs.
+        attach: start nothing, use the nodes that run already in this environment's ROS domain.
+
+    Raises:
+        ds_orchestrator.graph.GraphError: it does not come up.
+        ds_orchestrator.supervisor.ProcessError: one of its processes ended.
+    """
+    with ExitStack() as stack:
+        # On the way out nothing may interrupt the cleaning up, however often Ctrl-C is pressed.
+        stack.callback(lambda: signal.signal(signal.SIGINT, signal.default_int_handler))
+        supervisor = None
+        domain = None
+        if not attach:
+            held = Domain()
+            stack.callback(held.close)
+            domain = held.number
+            specs = [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
+            supervisor = Supervisor(specs, domain=domain, logs=logs)
+            stack.callback(supervisor.close)
+        executor = GraphExecutor(
+            namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor
+        )
+        stack.callback(executor.close)
+        stack.callback(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+        executor.wait_until_ready()
+        yield executor

@@ -1,0 +1,137 @@
+"""Starts the processes of a graph, watches them, starts a dead one again, and leaves none behind."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+STOP_TIME = 3.0
+"""Seconds that a process gets to obey SIGINT, then SIGTERM, before it is killed."""
+
+
+class ProcessError(RuntimeError):
+    """A process that ended when it should not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessSpec:
+    """One node in a process of its own.
+
+    Attributes:
+        name: for messages and for the log's name.
+        module: Python module that is run.
+        namespace: ROS namespace.
+        parameters: ROS parameters; lists are written as YAML lists.
+    """
+
+    name: str
+    module: str
+    namespace: str = "/"
+    parameters: dict[str, object]
+
+    def command(self) -> list[str]:
+        """The command line."""
+        arguments = [sys.executable, "-m", self.module, "--ros-args", "-r", f"__ns:={self.namespace}"]
+        for key, value in self.parameters.items():
+            arguments += ["-p", f"{key}:={_yaml(value)}"]
+        return arguments
+
+
+class Supervisor:
+    """Runs processes for as long as it is open.
+
+    Args:
+        specs: what to run.
+        domain: ROS domain of all of them.
+        logs: folder for one log per process.
+    """
+
+    def __init__(self, specs: Sequence[ProcessSpec], *, domain: int, logs: Path) -> None:
+        logs.mkdir(parents=True, exist_ok=True)
+        self._specs = {spec.name: spec for spec in specs}
+        self._logs = logs
+        self._environment = os.environ | {
+            "ROS_DOMAIN_ID": str(domain),
+            "OMP_NUM_THREADS": "1",
+            "PYTHONUNBUFFERED": "1",
+            "RCUTILS_COLORIZED_OUTPUT": "0",
+        }
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        # Children die with the thread that made them (see _die_with_parent), so one thread makes all and stays.
+        self._spawner = ThreadPoolExecutor(1, thread_name_prefix="spawner")
+        for name in self._specs:
+            self._start(name)
+
+    def dead(self) -> list[str]:
+        """Names of processes that ended."""
+        return [name for name, process in self._processes.items() if process.poll() is not None]
+
+    def check(self) -> None:
+        """Raises ProcessError if a process ended, with the last line of its log."""
+        for name in self.dead():
+            raise ProcessError(f"{name} ended with status {self._processes[name].returncode}: {self.last_line(name)}")
+
+    def revive(self) -> list[str]:
+        """Start every dead process again; their names."""
+        names = self.dead()
+        for name in names:
+            self._start(name)
+        return names
+
+    def last_line(self, name: str) -> str:
+        """The last line that a process wrote."""
+        lines = self._log(name).read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "(it wrote nothing)"
+
+    def close(self) -> None:
+        """Stop every process: SIGINT, then SIGTERM, then SIGKILL."""
+        for stop in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            running = [p for p in self._processes.values() if p.poll() is None]
+            for process in running:
+                process.send_signal(stop)
+            deadline = time.monotonic() + STOP_TIME
+            for process in running:
+                try:
+                    process.wait(max(0.0, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    continue
+        self._spawner.shutdown()
+
+    def _log(self, name: str) -> Path:
+        return self._logs / f"{name}.log"
+
+    def _start(self, name: str) -> None:
+        def spawn() -> subprocess.Popen[bytes]:
+            with self._log(name).open("ab") as log:
+                return subprocess.Popen(
+                    self._specs[name].command(),
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env=self._environment,
+                    start_new_session=True,  # a Ctrl-C in the terminal goes to us alone; we tell the children
+                    preexec_fn=_die_with_parent,
+                )
+
+        self._processes[name] = self._spawner.submit(spawn).result()
+
+
+def _die_with_parent() -> None:
+    """Let the kernel end this process when its parent is gone, even by SIGKILL."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(_yaml(v) for v in value) + "]"
+    return f'"{value}"' if isinstance(value, str) else str(value)

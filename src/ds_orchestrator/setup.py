@@ -1,0 +1,27 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "ds_orchestrator"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Search, campaign, store, bags, feature maps, evaluation, report and command line.",
+    license="Apache-2.0",
+    maintainer="Digital Siblings maintainers",
+    maintainer_email="maintainers@digital-siblings.invalid",
+    packages=find_packages(exclude=["test"]),
+    package_data={PACKAGE: ["templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "ds = ds_orchestrator.cli:main",
+            "campaign = ds_orchestrator.executables:campaign",
+            "drive = ds_orchestrator.executables:drive",
+            "demo = ds_orchestrator.executables:demo",
+        ],
+    },
+)

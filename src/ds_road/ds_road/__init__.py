@@ -1,0 +1,22 @@
+"""Roads: spline, lanes, validity, generation, mutation, features, JSON."""
+
+from ds_road.files import check, parse_roads, read_raw_roads, read_roads, write_roads
+from ds_road.generation import MutationError, generate, mutate
+from ds_road.picture import draw
+from ds_road.road import Road, RoadError
+from ds_road.validity import Validity
+
+__all__ = [
+    "MutationError",
+    "Road",
+    "RoadError",
+    "Validity",
+    "check",
+    "draw",
+    "generate",
+    "mutate",
+    "parse_roads",
+    "read_raw_roads",
+    "read_roads",
+    "write_roads",
+]

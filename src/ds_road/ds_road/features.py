@@ -1,0 +1,75 @@
+"""Structural features of a road: curvature and turns count (paper 3.3; rules of DeepHyperion as maxitwo has them)."""
+
+from __future__ import annotations
+
+import math
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+STRAIGHT = 0.005
+"""Radians of heading change per sample that still count as straight (maxitwo)."""
+SHORT_STRAIGHT, SHORT_RUN = 10, 15
+"""Samples below which a straight, and any run, is too short to stand on its own (maxitwo)."""
+WINDOW = 5
+"""Samples that a circle of the curvature spans: its first, middle and last point (maxitwo)."""
+
+
+def curvature(points: NDArray[np.float64]) -> float:
+    """Largest curvature of the circles through samples i, i + 2, i + 4, in 1/m; 0 for a straight road.
+
+    The last window is left out, as in maxitwo and DeepHyperion.
+    """
+    last = len(points) - WINDOW
+    if last < 1:
+        return 0.0
+    p, q, r = (points[k : k + last] for k in (0, 2, 4))
+    temp = q[:, 0] ** 2 + q[:, 1] ** 2
+    bc = (p[:, 0] ** 2 + p[:, 1] ** 2 - temp) / 2
+    cd = (temp - r[:, 0] ** 2 - r[:, 1] ** 2) / 2
+    det = (p[:, 0] - q[:, 0]) * (q[:, 1] - r[:, 1]) - (q[:, 0] - r[:, 0]) * (p[:, 1] - q[:, 1])
+    bent = np.abs(det) >= 1e-6
+    if not bent.any():
+        return 0.0
+    p, q, r, bc, cd, det = p[bent], q[bent], r[bent], bc[bent], cd[bent], det[bent]
+    x = (bc * (q[:, 1] - r[:, 1]) - cd * (p[:, 1] - q[:, 1])) / det
+    y = ((p[:, 0] - q[:, 0]) * cd - (q[:, 0] - r[:, 0]) * bc) / det
+    return float(1.0 / np.min(np.hypot(x - p[:, 0], y - p[:, 1])))
+
+
+def turns_count(points: NDArray[np.float64], *, published: bool = False) -> int:
+    """Number of turns.
+
+    Args:
+        points: (n, 2) samples of the centre line.
+        published: wrap heading changes as maxitwo does, with degree constants on radians, so that a jump of a full
+            turn stays in and counts as a bend; the default wraps at pi.
+    """
+    steps = np.diff(points, axis=0)
+    heading = np.arctan2(steps[:, 1], steps[:, 0])
+    change = np.concatenate(([0.0], np.diff(heading)))
+    half = 180.0 if published else math.pi
+    change = (change + half) % (2 * half) - half
+    labels = ["s" if abs(d) <= STRAIGHT else "l" if d > 0 else "r" for d in change]
+    runs = [(label, len(list(group))) for label, group in groupby(labels)]
+    runs = _absorb(runs, _joins_a_straight_or_the_same)
+    runs = _absorb(runs, lambda label, length, previous: length < SHORT_RUN)
+    return sum(label != "s" for label, _ in runs)
+
+
+def _joins_a_straight_or_the_same(label: str, length: int, previous: str) -> bool:
+    if label == "s":
+        return length < SHORT_STRAIGHT
+    return length < SHORT_RUN and label == previous
+
+
+def _absorb(runs: list[tuple[str, int]], joins: object) -> list[tuple[str, int]]:
+    """Let runs that are too short become part of the run before them."""
+    kept: list[tuple[str, int]] = []
+    for label, length in runs:
+        if kept and joins(label, length, kept[-1][0]):  # type: ignore[operator]
+            kept[-1] = (kept[-1][0], kept[-1][1] + length)
+        else:
+            kept.append((label, length))
+    return kept

@@ -1,0 +1,116 @@
+"""Random roads and their mutants (paper 3.3; rules of maxitwo, corrected where its code and its intent differ)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ds_road.road import LANE_WIDTH, Road, RoadError
+from ds_road.validity import BOX, check_surface
+
+SEGMENT_LENGTH = 25.0
+"""m between two control points (maxitwo)."""
+NODES = 8
+"""Control points after the first one (maxitwo)."""
+START = ((125.0, -25.0), (125.0, 0.0))
+"""The point behind the first control point, and that point (maxitwo)."""
+MAX_ATTEMPTS = 20
+"""Headings tried before a road is begun again (maxitwo)."""
+MAX_RESTARTS = 2000
+"""Roads begun before giving up; chosen: one in about three succeeds at a maximum angle of 270 degrees."""
+GENES = (4, 5, 6)
+"""Control points that mutation may move (maxitwo)."""
+TRIES_PER_GENE = 11
+"""Moves tried before another control point is taken (maxitwo)."""
+
+
+class MutationError(RoadError):
+    """A road of which no valid mutant was found."""
+
+
+def generate(rng: np.random.Generator, *, max_angle: int = 270) -> Road:
+    """A random valid road of nine control points, 25 m apart, that starts at (125, 25) and heads north.
+
+    Args:
+        rng: source of every choice.
+        max_angle: degrees by which the heading may change from one segment to the next, 1 to 360.
+
+    Raises:
+        RoadError: the angle is out of range, or no valid road was found.
+    """
+    if not 1 <= max_angle <= 360:
+        raise RoadError(f"maximum angle is {max_angle}, expected 1 to 360 degrees")
+    for _ in range(MAX_RESTARTS):
+        nodes = _random_nodes(rng, max_angle)
+        if nodes is not None:
+            road = Road(nodes[1:])
+            if road.validity.valid:
+                return road
+    raise RoadError(f"no valid road found in {MAX_RESTARTS} attempts: choose a smaller maximum angle")
+
+
+def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6) -> Road:
+    """A valid road that differs in one coordinate of one of the control points 4, 5 and 6.
+
+    Args:
+        road: of at least seven control points; it stays as it is.
+        rng: source of every choice.
+        extent: m, largest move; moves are whole metres.
+
+    Raises:
+        MutationError: no valid mutant was found.
+    """
+    genes = [gene for gene in GENES if gene < len(road.control_points)]
+    for gene in rng.permutation(genes)[: len(genes) - 1]:
+        for _ in range(TRIES_PER_GENE):
+            axis = int(rng.integers(2))
+            delta = int(rng.integers(-extent, extent + 1)) or 1
+            points = [list(point) for point in road.control_points]
+            points[gene][axis] += delta
+            try:
+                mutant = Road(points)
+            except RoadError:
+                continue
+            if mutant.validity.valid:
+                return mutant
+    raise MutationError(f"no valid mutant of road {road.road_id} found: choose another road or a smaller extent")
+
+
+def _random_nodes(rng: np.random.Generator, max_angle: int) -> list[tuple[float, float]] | None:
+    """Nodes of a road whose straight pieces are valid, or None when the attempts are used up."""
+    nodes = list(START)
+    attempt = 0
+    while len(nodes) - 2 < NODES and attempt <= MAX_ATTEMPTS:
+        accepted = len(nodes) - 2
+        for proposal in range(1 + NODES - accepted):
+            attempt += proposal > 0
+            nodes.append(_next_node(rng, nodes, max_angle if accepted not in (0, 1, NODES - 1) else 0))
+            if _piece_is_valid(nodes, first=accepted == 0):
+                break
+            nodes.pop()
+        else:
+            attempt += 1
+            if len(nodes) > 2:
+                nodes.pop()
+    return nodes if len(nodes) - 2 == NODES else None
+
+
+def _next_node(rng: np.random.Generator, nodes: list[tuple[float, float]], angle: int) -> tuple[float, float]:
+    """One segment on, turned by up to `angle` degrees; the heading is not truncated to whole degrees as in maxitwo."""
+    (x0, y0), (x1, y1) = nodes[-2:]
+    heading = math.atan2(y1 - y0, x1 - x0) + math.radians(int(rng.integers(-angle, angle + 1)))
+    return x1 + SEGMENT_LENGTH * math.cos(heading), y1 + SEGMENT_LENGTH * math.sin(heading)
+
+
+def _piece_is_valid(nodes: list[tuple[float, float]], *, first: bool) -> bool:
+    """The straight pieces so far do not meet each other, and the newest one is in the box (the first one enters it)."""
+    points = np.array(nodes)
+    steps = np.diff(points, axis=0)
+    steps = np.vstack((steps, steps[-1:])) / SEGMENT_LENGTH
+    across = LANE_WIDTH * np.stack((steps[:, 1], -steps[:, 0]), axis=1)
+    left, right = points - across, points + across
+    newest = np.vstack((left[-2:], right[-2:]))
+    if not first and (newest.min() < 0.0 or newest.max() > BOX):
+        return False
+    return check_surface(left, right, inside=None).valid

@@ -1,0 +1,18 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "ds_road"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Roads: spline, lanes, validity, generation, mutation, features, JSON.",
+    license="Apache-2.0",
+    maintainer="Digital Siblings maintainers",
+    maintainer_email="maintainers@digital-siblings.invalid",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    zip_safe=False,
+)

@@ -1,0 +1,40 @@
+"""How a world looks: the colours and grain of a simulator, within the paper's harmonised scene (section 3.1.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """Palette of asphalt, two solid white edge lines, one solid yellow centre line, grass and sky; RGB, 0 to 255.
+
+    Attributes:
+        asphalt: colour of the road.
+        grass: colour of the plane beside it.
+        edge_line: colour of the two edge lines.
+        centre_line: colour of the centre line.
+        sky_top: colour at the top of the image.
+        horizon: colour of sky and far ground at the horizon.
+        line_width: m (chosen per simulator, about the 0.10 to 0.15 m of road markings).
+        asphalt_grain: standard deviation of the asphalt's texture, grey levels.
+        grass_grain: standard deviation of the grass's texture, grey levels.
+        grain_seed: which texture; part of the look, the same in every run.
+        hills: height of a far skyline above the horizon, degrees; 0 for none. Only ever above the horizon.
+        hill_colour: colour of that skyline.
+    """
+
+    asphalt: Colour
+    grass: Colour
+    edge_line: Colour = (235, 235, 235)
+    centre_line: Colour = (225, 190, 40)
+    sky_top: Colour = (120, 170, 230)
+    horizon: Colour = (200, 215, 230)
+    line_width: float = 0.15
+    asphalt_grain: float = 6.0
+    grass_grain: float = 14.0
+    grain_seed: int = 1
+    hills: float = 0.0
+    hill_colour: Colour = (110, 130, 120)

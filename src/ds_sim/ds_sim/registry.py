@@ -1,0 +1,37 @@
+"""Finds a simulator by its name; a new simulator is one line here, or `module:Class` wherever a name is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from ds_sim.simulator import Simulator
+
+SIMULATORS = {
+    "bullet": "ds_sim_bullet.simulator:BulletSimulator",
+    "softbody": "ds_sim_softbody.simulator:SoftbodySimulator",
+    "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
+}
+"""Name on the command line -> `module:Class`, a class without constructor arguments."""
+
+
+class UnknownSimulatorError(ValueError):
+    """A name that stands for no simulator."""
+
+
+def make_simulator(name: str) -> Simulator:
+    """Make the simulator with a known name, or any other one given as `module:Class`.
+
+    Raises:
+        UnknownSimulatorError: no simulator has this name, or its class cannot be imported.
+    """
+    target = SIMULATORS.get(name, name)
+    module, _, attribute = target.partition(":")
+    if not attribute:
+        raise UnknownSimulatorError(
+            f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
+        )
+    try:
+        simulator: Simulator = getattr(import_module(module), attribute)()
+    except (ImportError, AttributeError) as error:
+        raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}): check module:Class") from None
+    return simulator

@@ -1,0 +1,129 @@
+"""A simulator made of a vehicle, a camera and a look: all that a new simulator has to bring."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ds_road import Road, RoadError
+from ds_sim.camera import Camera, Sensor
+from ds_sim.ground import Ground, paint_ground
+from ds_sim.lane import LaneTracker
+from ds_sim.oracle import Oracle, OracleLimits
+from ds_sim.simulator import (
+    FRAME_TIME,
+    Command,
+    LaneState,
+    Observation,
+    Outcome,
+    SimulatorError,
+    SimulatorSpec,
+)
+from ds_sim.vehicle import Vehicle
+
+
+class RoadSimulator:
+    """Satisfies `ds_sim.simulator.Simulator` for any vehicle model.
+
+    Args:
+        spec: what the simulator is.
+        vehicle: its physics.
+        limits: when a run ends.
+    """
+
+    def __init__(
+        self,
+        spec: SimulatorSpec,
+        vehicle: Vehicle,
+        *,
+        limits: OracleLimits | None = None,
+    ) -> None:
+        self._spec = spec
+        self._vehicle = vehicle
+        self._camera = Camera(spec.camera, spec.look)
+        self._limits = limits or OracleLimits()
+        self._run: _Run | None = None
+
+    @property
+    def spec(self) -> SimulatorSpec:
+        """What this simulator is."""
+        return self._spec
+
+    def load(self, road: Road, *, seed: int) -> Observation:
+        """Build the world anew; see `Simulator.load`."""
+        self._run = None
+        if not road.validity.valid:
+            raise RoadError(f"road {road.road_id} is not valid: {road.validity.reason}")
+        vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+        lane = road.right_lane_centre
+        ahead = lane[1] - lane[0]
+        self._vehicle.reset(
+            float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(vehicle_seed)
+        )
+        tracker = LaneTracker(lane)
+        run = _Run(
+            ground=paint_ground(road, self._spec.look),
+            tracker=tracker,
+            oracle=Oracle(tracker.length, self._limits),
+            sensor=Sensor(self._spec.camera, np.random.default_rng(sensor_seed)),
+            half_lane=road.lane_width / 2,
+        )
+        self._run = run
+        return self._observe(run)
+
+    def step(self, command: Command) -> Observation:
+        """Advance one frame; see `Simulator.step`."""
+        run = self._run
+        if run is None:
+            raise SimulatorError(f"{self._spec.name}: no road is loaded: load one before stepping")
+        if run.outcome is not Outcome.RUNNING:
+            raise SimulatorError(f"{self._spec.name}: the run has ended ({run.outcome.name}): load a road again")
+        self._vehicle.advance(command)
+        run.step += 1
+        return self._observe(run)
+
+    def close(self) -> None:
+        """Give back what the simulator holds."""
+        self._run = None
+        self._vehicle.close()
+
+    def _observe(self, run: _Run) -> Observation:
+        state = self._vehicle.state()
+        if not all(math.isfinite(v) for v in (state.x, state.y, state.yaw, state.speed)):
+            self._run = None
+            raise SimulatorError(f"{self._spec.name}: the physics broke at step {run.step}: a state is not finite")
+        lateral, arc = run.tracker.update(state.x, state.y)
+        ahead = self._spec.preview_distance
+        preview = run.tracker.lateral_position(
+            state.x + ahead * math.cos(state.yaw), state.y + ahead * math.sin(state.yaw)
+        )
+        lane = LaneState(
+            lateral_position=lateral,
+            lateral_distance=run.half_lane - abs(lateral),
+            preview_lateral_position=preview,
+            arc_length=arc,
+        )
+        run.outcome = run.oracle.judge(step=run.step, lateral_distance=lane.lateral_distance, arc_length=arc)
+        return Observation(
+            image=run.sensor.deliver(self._camera.render(run.ground, state)),
+            step=run.step,
+            time=run.step * FRAME_TIME,
+            vehicle=state,
+            lane=lane,
+            outcome=run.outcome,
+        )
+
+
+@dataclass(kw_only=True)
+class _Run:
+    """What belongs to one run on one road."""
+
+    ground: Ground
+    tracker: LaneTracker
+    oracle: Oracle
+    sensor: Sensor
+    half_lane: float
+    step: int = 0
+    outcome: Outcome = Outcome.RUNNING

@@ -1,0 +1,236 @@
+"""The contract between a simulator and everything else: what goes in, what comes out, what a run may end with.
+
+Frames and units: metres, seconds, radians; road frame with x and y in the plane, z up, yaw counter-clockwise
+from +x (REP-103). Steering is the one exception, as in the paper (section 3.2.1): -1 full left, +1 full right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.camera_spec import CameraSpec
+from ds_sim.look import Look
+
+FRAME_RATE = 20.0
+"""Camera frames per simulated second (paper 3.2.1: all simulators aligned at 20 fps)."""
+FRAME_TIME = 1.0 / FRAME_RATE
+MAX_SPEED = 30.0 / 3.6
+"""Speed limit in m/s (paper 4.2.4: 30 km/h in all simulators)."""
+HALF_LANE = 2.0
+"""Half the width of a lane in metres (maxitwo: road of 8 m with two lanes)."""
+
+
+class CommandError(ValueError):
+    """A driving command that no vehicle can execute."""
+
+
+class SimulatorError(RuntimeError):
+    """A simulator that cannot go on; the run ends as an error, never as a failure of the driver."""
+
+
+class Outcome(IntEnum):
+    """How a run ended. The values are those of ds_interfaces/msg/Outcome."""
+
+    RUNNING = 0
+    COMPLETED = 1
+    OUT_OF_BOUNDS = 2
+    STUCK = 3
+    TIMEOUT = 4
+    DRIVER_SILENT = 5
+    SIM_ERROR = 6
+    CANCELLED = 7
+
+    @property
+    def is_verdict(self) -> bool:
+        """True when the run says something about the driver, and so may enter a feature map."""
+        return Outcome.COMPLETED <= self <= Outcome.TIMEOUT
+
+    @property
+    def is_failure(self) -> bool:
+        """True when the driver failed the test: out of bounds, stuck or too slow."""
+        return self in (Outcome.OUT_OF_BOUNDS, Outcome.STUCK, Outcome.TIMEOUT)
+
+    @property
+    def is_error(self) -> bool:
+        """True when the run must be repeated: nothing was learnt about the driver."""
+        return self > Outcome.TIMEOUT
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a driver asks for during one frame.
+
+    Attributes:
+        steering: -1 full left to +1 full right (paper 3.2.1).
+        throttle: 0 none to 1 full (paper, equation 2).
+
+    Raises:
+        CommandError: a value is not a finite number, or out of its range.
+    """
+
+    steering: float
+    throttle: float
+
+    def __post_init__(self) -> None:
+        for name, value, low in (("steering", self.steering, -1.0), ("throttle", self.throttle, 0.0)):
+            if not (math.isfinite(value) and low <= value <= 1.0):
+                raise CommandError(f"{name} is {value}, expected a number from {low:g} to 1: clip it in the driver")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleState:
+    """Where the vehicle is and how it moves, in the road frame and in road metres whatever the vehicle's scale.
+
+    Attributes:
+        x: position of the vehicle's centre, m.
+        y: position of the vehicle's centre, m.
+        yaw: heading, rad, counter-clockwise from +x.
+        speed: along the heading, m/s.
+        lateral_speed: to the left of the heading, m/s.
+        yaw_rate: rad/s.
+        steering_angle: mean angle of the front wheels, rad, left positive (REP-103).
+        roll: of the body about its forward axis, rad, right side down positive (REP-103).
+        pitch: of the body about its left axis, rad, nose down positive (REP-103).
+        heave: of the body above its rest height, m.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    speed: float
+    yaw_rate: float
+    steering_angle: float
+    lateral_speed: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    heave: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneState:
+    """Where the vehicle is in its lane (paper 3.3, 4.2.4).
+
+    Attributes:
+        lateral_position: signed distance of the vehicle's centre from the right lane's centre line, m, right positive.
+        lateral_distance: half a lane minus |lateral_position|, m; negative out of bounds.
+        preview_lateral_position: lateral position of the point ahead of the vehicle that the autopilot watches, m.
+        arc_length: distance driven along the lane's centre line, m.
+    """
+
+    lateral_position: float
+    lateral_distance: float
+    preview_lateral_position: float
+    arc_length: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """One frame: what the driver sees, and what only the test knows.
+
+    Attributes:
+        image: (160, 320, 3) uint8 RGB, read-only.
+        step: frames since the start of the run.
+        time: simulated seconds since the start of the run.
+        vehicle: the vehicle's state at this time.
+        lane: the vehicle's place in its lane at this time.
+        outcome: RUNNING until the run ends.
+    """
+
+    image: NDArray[np.uint8]
+    step: int
+    time: float
+    vehicle: VehicleState
+    lane: LaneState
+    outcome: Outcome
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorSpec:
+    """What a user may ask of a simulator before driving in it; lengths in road metres.
+
+    Attributes:
+        name: short name, as on the command line.
+        physics: one line on the physics model.
+        vehicle_length: m.
+        vehicle_width: m.
+        wheelbase: m.
+        max_steering_angle: at the wheels for |steering| = 1, rad.
+        camera: the camera and where it sits.
+        look: colours of the world.
+        crop_top: image rows above the horizon that a network need not see (paper 3.2.2).
+        crop_bottom: image rows at the bottom that a network need not see.
+        autopilot: gains of the reference driver (paper, equation 1).
+        preview_distance: m ahead of the vehicle's centre where the autopilot watches its lateral position.
+        engine: name and version of what computes the physics.
+        extra: anything else worth telling, by name.
+    """
+
+    name: str
+    physics: str
+    vehicle_length: float
+    vehicle_width: float
+    wheelbase: float
+    max_steering_angle: float
+    camera: CameraSpec
+    look: Look
+    crop_top: int
+    crop_bottom: int
+    autopilot: AutopilotGains
+    preview_distance: float
+    engine: str = ""
+    extra: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutopilotGains:
+    """Constants of the paper's equations 1 and 2 for one vehicle.
+
+    Attributes:
+        proportional: on the lateral position, 1/m (K_P).
+        derivative: on the difference of two consecutive lateral positions, 1/m (K_D).
+        integral: on their running sum, 1/m (K_I).
+        max_speed: speed threshold and high value K = H of equation 2, km/h.
+        min_speed: low value K = L of equation 2, km/h (maxitwo: 15 for every simulator).
+    """
+
+    proportional: float
+    derivative: float = 0.0
+    integral: float = 0.0
+    max_speed: float = 30.0
+    min_speed: float = 15.0
+
+
+class Simulator(Protocol):
+    """A road, a vehicle and its camera. A run depends on (road, seed, commands) alone."""
+
+    @property
+    def spec(self) -> SimulatorSpec:
+        """What this simulator is."""
+        ...
+
+    def load(self, road: Road, *, seed: int) -> Observation:
+        """Build the world anew and put the vehicle at rest at the start of the right lane.
+
+        Raises:
+            ds_road.RoadError: the road is not valid.
+        """
+        ...
+
+    def step(self, command: Command) -> Observation:
+        """Hold a command for one frame, 1/20 s of simulated time.
+
+        Raises:
+            SimulatorError: no road is loaded, the run has ended, or the physics broke.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give back what the simulator holds; it may be loaded again."""
+        ...

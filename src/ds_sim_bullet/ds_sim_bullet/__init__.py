@@ -1,0 +1,1 @@
+"""First digital sibling: a rigid-body car on PyBullet."""

@@ -1,0 +1,1 @@
+"""Second digital sibling: a car of nodes and damped beams on pymunk."""

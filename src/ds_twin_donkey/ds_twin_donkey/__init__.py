@@ -1,0 +1,1 @@
+"""The digital twin: a 1:16 Donkey Car with its actuators, camera and delays."""

@@ -1,0 +1,176 @@
+"""Every constant of the 1:16 car, in SI units of the model car, open to a fit to recorded drives.
+
+Sources that recur below:
+
+* *chassis*: nominal values of the chassis class of the Donkey Car guide (HSP 94186, Exceed Magnet: 1:16,
+  shaft drive on all wheels, brushed motor). Nominal, not measured on one car.
+* *template*: the configuration that Donkey Car's `createcar` writes for that chassis.
+* *F1TENTH*: the default parameters of the F1TENTH simulator for a 1:10 car with the same kind of tyre.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+SCALE = 16.0
+"""Road metres per model metre: a 1:16 car on a 1:16 road. Time is not scaled."""
+GRAVITY = 9.81
+"""m/s^2."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DonkeyParameters:
+    """The car, its tyres, its steering servo and its motor; model metres.
+
+    Attributes:
+        wheelbase: m; chassis (0.174), 2.78 road metres.
+        track: between the wheels of an axle, m; chassis (0.13 to 0.14).
+        mass: of the whole car, kg; chosen: chassis 0.9, computer, its power bank, plate and cage 0.5.
+        front_share: of the static load on the front axle, 0 to 1; chosen: the battery and the plate sit in
+            the middle.
+        yaw_inertia: kg m^2; a uniform box of 0.28 x 0.18 m with this mass.
+        centre_of_mass_height: m; F1TENTH has 0.074 at 1:10, 0.046 at 1:16; chosen 0.05 for the plate and
+            the cage.
+        roll_inertia: about the roll axis on the ground, kg m^2; box of 0.18 x 0.10 m at that height.
+        pitch_inertia: about the pitch axis on the ground, kg m^2; box of 0.28 x 0.10 m at that height.
+        roll_frequency: undamped, Hz; chosen: short stiff springs under a small car.
+        pitch_frequency: undamped, Hz; chosen as above.
+        body_damping: ratio of the roll and pitch modes; chosen: oil dampers of the chassis.
+        roll_front_share: of the roll stiffness on the front axle, 0 to 1; chosen: equal springs.
+
+        friction: peak tyre force over load; chosen: rubber on smooth floor 0.8 to 0.9 (F1TENTH 1.05 on
+            asphalt).
+        shape: C of the Magic Formula for lateral force; Pacejka, Tire and Vehicle Dynamics, ch. 4: 1.3.
+        front_stiffness: slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 4.718.
+        rear_stiffness: slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 5.4562.
+        load_sensitivity: relative loss of friction per relative gain of load; chosen: low end of road tyres
+            (0.05 to 0.2).
+        relaxation_length: m; Pacejka ch. 7: of the order of the wheel's radius (0.0315), less for a stiff
+            carcass.
+        carcass_damping: time constant of the carcass as spring and damper, s; chosen: it then comes to rest
+            in about two swings, as rubber does.
+        rolling_resistance: force over load, of tyres and gears with the motor off; chosen: 2.4 road m/s^2
+            of slowing down, the upper end of tyres on a hard floor (0.01 to 0.015).
+        ackermann: share of the exact Ackermann geometry, 0 parallel to 1 exact; chosen: typical linkage of
+            the chassis.
+
+        max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; 35 degrees: the stock
+            linkage gives 25 to 30 and a longer servo horn 35 to 38 (template's own model: 45).
+        steering_trim: angle of the wheels with the servo centred, rad, left positive; 0: trimmed with
+            `calibrate`.
+        steering_pulse_steps: pulse counts from centre to lock; template, (460 - 290) / 2.
+        servo_rate: of the wheels, rad/s; Hitec HS-311 data sheet: 60 degrees of horn in 0.15 to 0.19 s
+            without load (5.5 to 7 rad/s), times about 0.8 of linkage.
+        servo_lag: time constant of the servo's position loop, s; chosen, one pulse period of 60 Hz and a
+            half.
+        servo_backlash: play of gears, saver and linkage, lock to lock at the wheels, rad; chosen: 1 degree.
+        command_delay: from command to pulse, s; chosen: half a 50 ms drive loop and one 16.7 ms pulse
+            period.
+
+        throttle_pulse_steps: pulse counts from stop to full; template, 500 - 370.
+        throttle_dead_band: throttle below which the speed controller gives nothing; template's
+            MIN_THROTTLE.
+        start_duty: duty just above the dead band; chosen: the car then runs at the template's MIN_SPEED,
+            0.1 m/s.
+        full_duty: duty at throttle 1; chosen: calibrated so that full throttle suits a 30 km/h road at
+            1:16.
+        free_speed: of the car at duty 1 without friction, m/s; chassis (25 to 30 km/h).
+        stall_force: at the tyres at duty 1 and rest, N; chosen: 380-size motor, 0.07 N m, 6.6 to 1, on 31.5
+            mm wheels (template's WHEEL_RADIUS) with 0.7 efficiency.
+        drag_brake: share of the shorted motor's braking while throttle is in the dead band; chosen: the
+            lowest setting of speed controllers, 5 to 10 %.
+        motor_lag: time constant from pulse to motor voltage, s; chosen: the speed controller's soft start.
+        rotating_mass: wheels, gears and rotor as mass at the tyres, kg; a 380-size rotor of 18 g cm^2
+            geared as above (0.08) and four wheels of 35 g (0.07).
+        drive_front_share: of the drive force on the front axle, 0 to 1; chassis: shaft drive, equal
+            differentials.
+    """
+
+    wheelbase: float = 0.174
+    track: float = 0.135
+    mass: float = 1.4
+    front_share: float = 0.5
+    yaw_inertia: float = 0.0129
+    centre_of_mass_height: float = 0.05
+    roll_inertia: float = 0.0084
+    pitch_inertia: float = 0.0138
+    roll_frequency: float = 5.0
+    pitch_frequency: float = 5.0
+    body_damping: float = 0.35
+    roll_front_share: float = 0.5
+
+    friction: float = 0.85
+    shape: float = 1.3
+    front_stiffness: float = 4.95
+    rear_stiffness: float = 5.72
+    load_sensitivity: float = 0.05
+    relaxation_length: float = 0.02
+    carcass_damping: float = 0.012
+    rolling_resistance: float = 0.015
+    ackermann: float = 0.6
+
+    max_steering_angle: float = math.radians(35.0)
+    steering_trim: float = 0.0
+    steering_pulse_steps: int = 85
+    servo_rate: float = 4.8
+    servo_lag: float = 0.025
+    servo_backlash: float = math.radians(1.0)
+    command_delay: float = 0.042
+
+    throttle_pulse_steps: int = 130
+    throttle_dead_band: float = 0.1
+    start_duty: float = 0.0325
+    full_duty: float = 0.19
+    free_speed: float = 8.0
+    stall_force: float = 10.3
+    drag_brake: float = 0.05
+    motor_lag: float = 0.12
+    rotating_mass: float = 0.15
+    drive_front_share: float = 0.5
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            low, high = _LIMITS.get(field.name, (0.0, math.inf))
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError(
+                    f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it"
+                )
+
+    def changed(self, **values: float) -> DonkeyParameters:
+        """A copy with some values changed; the others stay.
+
+        Raises:
+            ValueError: no such parameter, or a value out of its range.
+        """
+        names = {field.name for field in dataclasses.fields(self)}
+        for name in values:
+            if name not in names:
+                raise ValueError(
+                    f"{name} is no parameter of the car: expected one of {', '.join(sorted(names))}"
+                )
+        return dataclasses.replace(self, **values)  # type: ignore[arg-type]
+
+
+_TINY = 1e-6
+_LIMITS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(
+        (
+            "wheelbase", "track", "mass", "yaw_inertia", "roll_inertia", "pitch_inertia", "roll_frequency",
+            "pitch_frequency", "front_stiffness", "rear_stiffness", "relaxation_length", "servo_rate",
+            "servo_lag", "free_speed", "stall_force", "motor_lag", "friction",
+        ),
+        (_TINY, math.inf),
+    ),
+    **dict.fromkeys(
+        ("front_share", "roll_front_share", "ackermann", "drive_front_share", "drag_brake"), (0.0, 1.0)
+    ),
+    **dict.fromkeys(("throttle_dead_band", "start_duty", "full_duty"), (0.0, 0.99)),
+    **dict.fromkeys(("steering_pulse_steps", "throttle_pulse_steps"), (1.0, 2048.0)),
+    "shape": (1.0, 2.0),
+    "max_steering_angle": (_TINY, 1.2),
+    "steering_trim": (-0.3, 0.3),
+}  # fmt: skip
+"""Range of each value where it is not just from 0 up."""

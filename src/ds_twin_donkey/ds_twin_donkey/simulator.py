@@ -1,0 +1,78 @@
+"""The digital twin as a simulator: the 1:16 car, its wide-angle camera and the look of a taped floor."""
+
+from __future__ import annotations
+
+import math
+
+from ds_sim.camera_spec import CameraSpec
+from ds_sim.look import Look
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import AutopilotGains, SimulatorSpec
+from ds_twin_donkey.parameters import SCALE, DonkeyParameters
+from ds_twin_donkey.vehicle import DonkeyVehicle
+
+PREVIEW_DISTANCE = 4.0
+"""Road metres; chosen: about 0.6 s at 25 km/h, which bridges servo, delay and play."""
+GAINS = AutopilotGains(proportional=0.4)
+"""Chosen by driving random roads; preview stands in for the derivative."""
+CAMERA = CameraSpec(
+    # The Donkey Car's wide-angle Pi camera: sold as 160 degrees over the diagonal, about 120 across.
+    horizontal_fov=math.radians(120.0),
+    # On the cage of the car, 0.12 m above the floor and 0.04 m before the middle of the car.
+    height=0.12 * SCALE,
+    forward=0.04 * SCALE,
+    pitch=math.radians(15.0),
+    # Chosen: strong barrel distortion that stays monotonic into the corners.
+    distortion=(-0.10, 0.008),
+    # Chosen: automatic exposure indoors, and the noise of a small sensor at short exposure.
+    gain=0.92,
+    gamma=0.90,
+    noise=4.0,
+    # One 50 ms frame: exposure, readout and transfer of a Pi camera take 40 to 100 ms.
+    latency=1,
+)
+LOOK = Look(
+    asphalt=(84, 84, 92),
+    grass=(86, 116, 62),
+    edge_line=(238, 238, 232),
+    centre_line=(232, 182, 28),
+    sky_top=(176, 182, 190),
+    horizon=(214, 212, 206),
+    # Tape 12 mm wide.
+    line_width=0.012 * SCALE,
+    asphalt_grain=4.0,
+    grass_grain=10.0,
+    grain_seed=16,
+)
+
+
+class DonkeySimulator(RoadSimulator):
+    """The 1:16 Donkey Car on a 1:16 road, told in road metres.
+
+    Args:
+        parameters: of the car; the nominal ones if left out.
+    """
+
+    def __init__(self, parameters: DonkeyParameters | None = None) -> None:
+        parameters = parameters or DonkeyParameters()
+        spec = SimulatorSpec(
+            name="donkey",
+            physics="1:16 car on four slipping tyres, with its servo, speed controller, motor and delays",
+            # The chassis is 0.28 m long and 0.18 m wide.
+            vehicle_length=0.28 * SCALE,
+            vehicle_width=0.18 * SCALE,
+            wheelbase=parameters.wheelbase * SCALE,
+            max_steering_angle=parameters.max_steering_angle,
+            camera=CAMERA,
+            look=LOOK,
+            crop_top=44,
+            crop_bottom=0,
+            autopilot=GAINS,
+            preview_distance=PREVIEW_DISTANCE,
+            extra={
+                "scale": f"1:{SCALE:g}",
+                "command_delay": f"{1000 * parameters.command_delay:.0f} ms",
+                "camera_latency": f"{CAMERA.latency} frame",
+            },
+        )
+        super().__init__(spec, DonkeyVehicle(parameters))

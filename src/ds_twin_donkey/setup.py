@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "ds_twin_donkey"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="The digital twin: a 1:16 Donkey Car with its actuators, camera and delays.",
+    license="Apache-2.0",
+    maintainer="Digital Siblings maintainers",
+    maintainer_email="maintainers@digital-siblings.invalid",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    zip_safe=False,
+    entry_points={"console_scripts": ["simulator = ds_twin_donkey.main:main"]},
+)

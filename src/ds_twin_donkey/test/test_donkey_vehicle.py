@@ -1,0 +1,273 @@
+"""The 1:16 car against textbooks, hand-worked numbers and itself."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ds_sim.simulator import FRAME_TIME, Command, CommandError, VehicleState
+from ds_twin_donkey import dynamics
+from ds_twin_donkey.dynamics import CarModel, CarState, rollout
+from ds_twin_donkey.parameters import GRAVITY, SCALE, DonkeyParameters
+from ds_twin_donkey.vehicle import DonkeyVehicle
+
+P = DonkeyParameters()
+X, Y, YAW, SPEED, YAW_RATE = (CarState._fields.index(n) for n in ("x", "y", "yaw", "speed", "yaw_rate"))
+
+
+def standing(parameters: DonkeyParameters = P) -> DonkeyVehicle:
+    car = DonkeyVehicle(parameters)
+    car.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
+    return car
+
+
+def drive(car: DonkeyVehicle, frames: int, steering: float, throttle: float) -> Iterator[VehicleState]:
+    for _ in range(frames):
+        car.advance(Command(steering, throttle))
+        yield car.state()
+
+
+def zigzag(frames: int) -> NDArray[np.float64]:
+    time = np.arange(frames) * FRAME_TIME
+    return np.column_stack((0.8 * np.sin(2.0 * time), 0.3 + 0.2 * np.cos(0.7 * time)))
+
+
+def test_the_same_commands_give_the_same_bytes_in_a_fresh_process() -> None:
+    code = (
+        f"import sys; sys.path[:0] = {sys.path!r}\n"
+        "import hashlib, numpy as np\n"
+        "from ds_twin_donkey.dynamics import rollout\n"
+        "from ds_twin_donkey.parameters import DonkeyParameters\n"
+        "t = np.arange(200) * 0.05\n"
+        "commands = np.column_stack((0.8 * np.sin(2.0 * t), 0.3 + 0.2 * np.cos(0.7 * t)))\n"
+        "print(hashlib.sha256(rollout(DonkeyParameters(), commands).tobytes()).hexdigest())\n"
+    )
+    runs = {
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    }
+    assert runs == {hashlib.sha256(rollout(P, zigzag(200)).tobytes()).hexdigest() + "\n"}
+
+
+def test_the_vehicle_is_the_rollout_in_road_metres() -> None:
+    car, commands = standing(), zigzag(100)
+    states = []
+    for steering, throttle in commands.tolist():
+        car.advance(Command(steering, throttle))
+        s = car.state()
+        states.append((s.x / SCALE, s.y / SCALE, s.yaw, s.speed / SCALE))
+    np.testing.assert_allclose(states, rollout(P, commands)[1:, [X, Y, YAW, SPEED]], rtol=0, atol=1e-12)
+
+
+def test_a_reset_forgets_what_was_before() -> None:
+    used = standing()
+    list(drive(used, 80, -1.0, 0.8))
+    used.reset(3.0, -2.0, 0.7, np.random.default_rng(5))
+    fresh = DonkeyVehicle()
+    fresh.reset(3.0, -2.0, 0.7, np.random.default_rng(9))
+    assert used.state() == fresh.state()
+    assert list(drive(used, 60, 0.4, 0.5)) == list(drive(fresh, 60, 0.4, 0.5))
+
+
+@pytest.mark.parametrize("share", [0.5, 0.6])
+def test_a_car_is_put_down_by_its_centre(share: float) -> None:
+    car = DonkeyVehicle(P.changed(front_share=share))
+    car.reset(7.0, 5.0, 2.0, np.random.default_rng(0))
+    state = car.state()
+    assert (state.x, state.y, state.yaw) == pytest.approx((7.0, 5.0, 2.0))
+    assert (state.speed, state.yaw_rate, state.lateral_speed, state.roll, state.pitch) == (0.0,) * 5
+
+
+def test_minus_one_is_left() -> None:
+    *_, left = drive(standing(), 60, -1.0, 0.3)
+    *_, right = drive(standing(), 60, 1.0, 0.3)
+    assert left.yaw > 0.3
+    assert left.y > 0.5
+    assert left.steering_angle > 0.5
+    assert right.yaw == pytest.approx(-left.yaw, abs=1e-9)
+    assert right.y == pytest.approx(-left.y, abs=1e-9)
+
+
+def test_straight_ahead_stays_straight_over_100_metres() -> None:
+    *_, last = drive(standing(), 320, 0.0, 0.4)
+    assert last.x > 100.0
+    assert abs(last.y) < 0.05
+
+
+def test_speed_is_distance_over_time() -> None:
+    states = list(drive(standing(), 200, 0.2, 0.35))[100:]
+    path = sum(math.hypot(b.x - a.x, b.y - a.y) for a, b in zip(states[:-1], states[1:], strict=True))
+    seconds = (len(states) - 1) * FRAME_TIME
+    mean = np.mean([math.hypot(s.speed, s.lateral_speed) for s in states])
+    assert path / seconds == pytest.approx(mean, rel=1e-3)
+
+
+@pytest.mark.parametrize("throttle", [0.0, 0.09])
+def test_at_rest_it_stays_at_rest(throttle: float) -> None:
+    *_, last = drive(standing(), 200, 0.7, throttle)
+    assert (last.x, last.y, last.yaw, last.speed) == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("steering", [-1.0, 0.0, 1.0])
+def test_the_least_throttle_that_passes_the_dead_band_moves_it_even_at_full_lock(steering: float) -> None:
+    states = list(drive(standing(), 200, steering, P.throttle_dead_band))
+    assert math.hypot(states[-1].speed, states[-1].lateral_speed) > 0.3
+
+
+def test_it_coasts_to_a_standstill_as_rolling_resistance_and_the_shorted_motor_say() -> None:
+    """m dv/dt = -c m g - k v, by hand: from v0 to rest in (m/k) ln(1 + k v0 / (c m g))."""
+    car = standing()
+    *_, moving = drive(car, 200, 0.0, 0.4)
+    states = list(drive(car, 120, 0.0, 0.0))
+    at = next(i for i, s in enumerate(states) if s.speed == 0.0)
+    weight = P.rolling_resistance * P.mass * GRAVITY
+    k = P.stall_force * P.drag_brake / P.free_speed
+    mass = P.mass + P.rotating_mass
+    by_hand = mass / k * math.log1p(k * moving.speed / SCALE / weight)
+    # Until the command arrives, and while the motor's voltage decays, the motor still helps.
+    assert by_hand < (at + 1) * FRAME_TIME < by_hand + P.command_delay + 2.0 * P.motor_lag
+    assert all(s.speed == 0.0 for s in states[at:])
+    assert 2.0 < moving.speed / by_hand < 2.5
+
+
+def test_speed_settles_where_the_motor_meets_the_friction() -> None:
+    """stall (duty - v / free) = c m g."""
+    throttle = 0.4
+    *_, last = drive(standing(), 200, 0.0, throttle)
+    above = (throttle - P.throttle_dead_band) / (1.0 - P.throttle_dead_band)
+    duty = P.start_duty + (P.full_duty - P.start_duty) * above
+    speed = P.free_speed * (duty - P.rolling_resistance * P.mass * GRAVITY / P.stall_force)
+    assert last.speed == pytest.approx(SCALE * speed, rel=1e-3)
+
+
+@pytest.mark.parametrize("steering", [0.2, 0.5, 1.0])
+def test_a_slow_circle_is_the_kinematic_one(steering: float) -> None:
+    """Ackermann: the rear axle at L / tan(angle), the centre half a wheelbase ahead of it."""
+    parameters = P.changed(ackermann=1.0, servo_backlash=0.0)
+    *_, last = drive(standing(parameters), 400, steering, 0.12)
+    angle = P.max_steering_angle * round(85 * steering) / 85
+    length = P.wheelbase * SCALE
+    radius = math.hypot(length / math.tan(angle), length / 2.0)
+    assert -math.hypot(last.speed, last.lateral_speed) / last.yaw_rate == pytest.approx(radius, rel=0.06)
+
+
+def test_a_fast_circle_has_the_understeer_gradient_of_the_two_axles() -> None:
+    """L / R = angle - K a with K = 1 / C_front - 1 / C_rear per g (rad), the textbook's linear bicycle."""
+    parameters = P.changed(
+        front_stiffness=3.0, servo_backlash=0.0, ackermann=0.0, drive_front_share=0.0, full_duty=0.6,
+        friction=1.5, load_sensitivity=0.0,
+    )  # fmt: skip
+
+    def circle(throttle: float) -> tuple[float, float]:
+        states = rollout(parameters, np.tile((-0.15, throttle), (500, 1)))
+        rate = float(states[-1, YAW_RATE])
+        speed = float(np.hypot(states[-1, SPEED], states[-1, SPEED + 1]))
+        return parameters.wheelbase * rate / speed, rate * speed / GRAVITY
+
+    (slow, slow_g), (fast, fast_g) = circle(0.12), circle(0.65)
+    assert fast_g - slow_g > 0.15
+    gradient = 1.0 / parameters.front_stiffness - 1.0 / parameters.rear_stiffness
+    assert (slow - fast) / (fast_g - slow_g) == pytest.approx(gradient, rel=0.12)
+
+
+def test_the_body_leans_out_of_the_bend_as_its_springs_say() -> None:
+    """Roll angle = m h a / (k - m g h), with the mode's frequency giving k - m g h = I (2 pi f)^2."""
+    *_, last = drive(standing(), 200, -0.5, 0.4)
+    lateral = last.yaw_rate * math.hypot(last.speed, last.lateral_speed) / SCALE
+    stiffness = P.roll_inertia * (math.tau * P.roll_frequency) ** 2
+    assert last.roll == pytest.approx(P.mass * P.centre_of_mass_height * lateral / stiffness, rel=0.03)
+
+
+def test_the_nose_dips_when_the_throttle_is_lifted() -> None:
+    car = standing()
+    *_, cruising = drive(car, 200, 0.0, 0.4)
+    *_, braking = drive(car, 20, 0.0, 0.0)
+    assert abs(cruising.pitch) < 1e-5 < braking.pitch
+
+
+def test_a_command_arrives_after_its_delay_and_no_earlier() -> None:
+    for delay, frames in ((0.0, 0), (0.05, 1), (0.12, 2)):
+        states = rollout(P.changed(command_delay=delay), np.tile((-1.0, 0.0), (6, 1)))
+        servo = states[1:, CarState._fields.index("servo")]
+        assert np.flatnonzero(servo)[0] == frames
+
+
+def test_the_servo_is_no_faster_than_its_rate() -> None:
+    states = rollout(P, np.tile((1.0, 0.0), (12, 1)))
+    steps = np.abs(np.diff(states[:, CarState._fields.index("servo")]))
+    assert steps.max() == pytest.approx(P.servo_rate * FRAME_TIME, rel=1e-9)
+    assert states[-1, CarState._fields.index("servo")] == pytest.approx(-P.max_steering_angle, rel=1e-3)
+
+
+def test_play_leaves_the_wheels_where_they_are_until_it_is_taken_up() -> None:
+    commands = np.concatenate((np.tile((0.5, 0.0), (20, 1)), np.tile((0.5 - 1.5 / 85, 0.0), (20, 1))))
+    wheels = rollout(P, commands)[:, CarState._fields.index("steering_angle")]
+    back = 0.5 - round(85 * (0.5 - 1.5 / 85)) / 85
+    assert abs(back) * P.max_steering_angle < P.servo_backlash
+    assert wheels[-1] == pytest.approx(wheels[20], abs=1e-6)
+
+
+@pytest.mark.parametrize(("duty", "minutes"), [(P.full_duty, 3), (0.99, 1)])
+def test_full_throttle_at_full_lock_stays_finite(duty: float, minutes: int) -> None:
+    *_, last = drive(standing(P.changed(full_duty=duty)), minutes * 1200, 1.0, 1.0)
+    assert all(math.isfinite(getattr(last, name)) for name in VehicleState.__slots__)
+    assert 0.0 < last.speed < SCALE * duty * P.free_speed
+
+
+def test_without_throttle_no_energy_appears() -> None:
+    thrown = CarState(speed=1.5, lateral_speed=1.0, yaw_rate=6.0)
+    commands = np.column_stack((np.sin(np.arange(300)), np.zeros(300)))
+    states = rollout(P, commands, thrown)
+    moving = states[:, SPEED : SPEED + 3]
+    energy = 0.5 * moving**2 @ (P.mass + P.rotating_mass, P.mass, P.yaw_inertia)
+    assert np.diff(energy).max() <= 0.01 * energy[0]
+    assert energy[-1] == 0.0
+
+
+def test_halving_the_step_moves_nothing_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
+    coarse = rollout(P, zigzag(200))
+    monkeypatch.setattr(dynamics, "SUBSTEPS", 2 * dynamics.SUBSTEPS)
+    monkeypatch.setattr(dynamics, "STEP", dynamics.STEP / 2.0)
+    fine = rollout(P, zigzag(200))
+    assert np.abs(coarse[:, [X, Y]] - fine[:, [X, Y]]).max() * SCALE < 0.02
+
+
+def test_parameters_are_found_again_from_a_recorded_drive() -> None:
+    commands = zigzag(80)
+    true = {"max_steering_angle": 0.55, "command_delay": 0.062, "full_duty": 0.16}
+    recorded = rollout(P.changed(**true), commands)[:, [X, Y, YAW]]
+    names = list(true)
+    start = np.array([getattr(P, name) for name in names])
+
+    def residuals(scale: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = dict(zip(names, (start * scale).tolist(), strict=True))
+        return (rollout(P.changed(**values), commands)[:, [X, Y, YAW]] - recorded).ravel()
+
+    fit = least_squares(residuals, np.ones(3), diff_step=1e-3, max_nfev=12)
+    assert dict(zip(names, (start * fit.x).tolist(), strict=True)) == pytest.approx(true, rel=1e-3)
+
+
+def test_what_makes_no_sense_is_refused_in_one_line() -> None:
+    with pytest.raises(ValueError, match=r"^mass is nan, expected a number from 1e-06 to inf: correct it$"):
+        P.changed(mass=math.nan)
+    with pytest.raises(ValueError, match=r"^wheel_base is no parameter of the car"):
+        P.changed(wheel_base=0.2)
+    with pytest.raises(ValueError, match=r"^commands have shape \(3,\), expected \(n, 2\)"):
+        rollout(P, np.zeros(3))
+    with pytest.raises(CommandError):
+        rollout(P, [(0.0, math.nan)])
+
+
+def test_the_model_keeps_no_state() -> None:
+    model = CarModel(P)
+    pulses = [model.pulse(Command(0.5, 0.6))] * model.pulses_kept
+    state = CarState(speed=0.4)
+    assert model.advance(state, pulses) == model.advance(state, pulses)

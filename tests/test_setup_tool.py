@@ -1,0 +1,216 @@
+"""Set-up's own logic: what it asks of the machine, when it does a step again, and that two never meet."""
+
+from __future__ import annotations
+
+import multiprocessing
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import pytest
+
+from setup_tool import machine, ros, wheels, workspace
+from setup_tool.console import CommandFailedError, Console, SetupError
+from setup_tool.machine import Need, Python
+from setup_tool.stamps import UNFINISHED, Stamps, digest, one_at_a_time
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def python(*, headers: bool = True, venv: bool = True) -> Python:
+    here = machine.describe(sys.executable)
+    assert here is not None
+    return Python(here.executable, here.version, has_headers=headers, has_venv=venv, has_rclpy=False)
+
+
+def test_all_that_is_missing_is_named_in_one_line_with_the_command() -> None:
+    needs = machine.find_needs(python(headers=False, venv=False), which=lambda _: None)
+    line = machine.missing_line(needs)
+    assert "\n" not in line
+    series = machine.debian_series(python())
+    assert line.endswith(f"apt-get install -y g++ gcc {series}-dev {series}-venv")
+    assert all(word in line for word in ("C++ compiler", "C compiler", "Python.h", "venv"))
+
+
+def test_a_complete_machine_needs_nothing() -> None:
+    assert machine.find_needs(python(), which=lambda name: f"/usr/bin/{name}") == []
+
+
+def test_another_compiler_than_gcc_will_do() -> None:
+    def which(name: str) -> str | None:
+        return "/usr/bin/clang++" if name in ("clang++", "clang") else None
+
+    assert machine.find_needs(python(), which=which) == []
+
+
+def test_a_user_who_is_not_root_is_told_to_use_sudo(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    assert machine.missing_line([Need("a C compiler", "gcc")]).endswith("Type: sudo apt-get install -y gcc")
+
+
+def test_a_python_that_is_named_but_not_there_is_refused() -> None:
+    with pytest.raises(SetupError, match=r"Python 3\.11 or 3\.12 is needed, found none"):
+        machine.find_python("/no/such/python", with_rclpy=False)
+
+
+def test_the_digest_sees_content_names_and_order(tmp_path: Path) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.write_text("a")
+    other.write_text("a")
+    digests = {
+        digest([one]),
+        digest([other]),
+        digest([one, other]),
+        digest([other, one]),
+        digest([tmp_path / "absent"]),
+        digest(["a"]),
+    }
+    assert len(digests) == 6
+    before = digest([one])
+    one.write_text("b")
+    assert digest([one]) != before
+
+
+def test_a_stamp_counts_for_its_inputs_only_and_not_while_its_step_runs(tmp_path: Path) -> None:
+    stamps = Stamps(tmp_path / "stamps")
+    assert not stamps.is_done("wheels", "1")
+    stamps.begin("wheels")
+    assert stamps.unfinished() == "wheels"
+    stamps.finish("wheels", "1")
+    assert stamps.unfinished() is None
+    assert stamps.is_done("wheels", "1")
+    assert not stamps.is_done("wheels", "2")
+    stamps.begin("wheels")
+    assert not stamps.is_done("wheels", "1")
+    assert Stamps(tmp_path / "stamps").unfinished() == "wheels"
+    stamps.clear(UNFINISHED)
+    assert stamps.unfinished() is None
+
+
+def _hold(folder: Path, held: Event, release: Event) -> None:
+    with one_at_a_time(folder, lambda: None):
+        held.set()
+        release.wait(20)
+
+
+def test_the_second_set_up_waits_for_the_first(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    held, release = context.Event(), context.Event()
+    first = context.Process(target=_hold, args=(tmp_path, held, release))
+    first.start()
+    assert held.wait(20)
+    begin = time.monotonic()
+
+    def on_wait() -> None:
+        assert first.is_alive()
+        release.set()
+
+    with one_at_a_time(tmp_path, on_wait):
+        assert release.is_set()
+    assert time.monotonic() - begin < 20
+    first.join(20)
+    assert first.exitcode == 0
+
+
+def test_a_failing_program_leaves_its_output_in_the_log(tmp_path: Path) -> None:
+    with one_at_a_time(tmp_path, lambda: None) as lock:
+        console = Console(tmp_path / "setup.log", lock)
+        with pytest.raises(CommandFailedError, match="sh ended with status 3: look here") as caught:
+            console.run(["sh", "-c", "echo why; exit 3"], environment={}, folder=tmp_path, advice="look here")
+    assert caught.value.output == "why\n"
+    assert "why" in (tmp_path / "setup.log").read_text()
+
+
+def make_ros(prefix: Path) -> Path:
+    index = prefix / "share/ament_index/resource_index/packages"
+    index.mkdir(parents=True)
+    (index / "rclpy").touch()
+    (prefix / "setup.bash").write_text(f"export ROS_DISTRO=jazzy AMENT_PREFIX_PATH={prefix}\n")
+    return prefix
+
+
+def test_only_a_real_jazzy_outside_the_project_counts_as_sourced(tmp_path: Path) -> None:
+    project = tmp_path / "project"
+    real, own = make_ros(tmp_path / "opt/ros/jazzy"), make_ros(project / ".venv")
+    both = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": f"{own}:/nowhere:{real}"}
+    assert ros.sourced_prefix(both, project) == real
+    assert ros.sourced_prefix({**both, "AMENT_PREFIX_PATH": str(own)}, project) is None
+    assert ros.sourced_prefix({**both, "ROS_DISTRO": "humble"}, project) is None
+    assert ros.sourced_prefix({}, project) is None
+
+
+def test_a_clean_environment_has_no_other_ros_in_it() -> None:
+    clean = ros.clean_environment(
+        {
+            "AMENT_PREFIX_PATH": "/opt/ros/humble",
+            "ROS_DISTRO": "humble",
+            "ROS_DOMAIN_ID": "7",
+            "PYTHONPATH": "/opt/ros/humble/lib/python3.10/site-packages",
+            "LD_LIBRARY_PATH": "/opt/ros/humble/lib",
+            "PATH": "/opt/ros/humble/bin:/usr/bin",
+            "HOME": "/home/someone",
+        }
+    )
+    assert clean == {"ROS_DOMAIN_ID": "7", "PATH": "/usr/bin", "HOME": "/home/someone"}
+
+
+def test_a_ros_that_is_gone_is_reported_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match="cannot be sourced"):
+        ros.environment_after(tmp_path / "setup.bash", {"PATH": "/usr/bin:/bin"})
+
+
+def test_cmake_paths_of_the_builder_become_those_of_this_machine(tmp_path: Path) -> None:
+    export = tmp_path / "export_x__rosidl_generator_pyExport.cmake"
+    builder = "/opt/python/cp311-cp311"
+    export.write_text(
+        f'INTERFACE_INCLUDE_DIRECTORIES "{builder}/include/python3.11;'
+        f'{builder}/lib/python3.11/site-packages/numpy/_core/include"'
+    )
+    assert wheels.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
+    expected = 'INTERFACE_INCLUDE_DIRECTORIES "/usr/include/python3.11;/venv/numpy/include"'
+    assert export.read_text() == expected
+    assert not wheels.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
+
+
+@pytest.mark.parametrize(
+    ("change", "changed"),
+    [
+        (lambda src: (src / "ds_interfaces/msg/Outcome.msg").open("a").write("# more\n"), {"ds_interfaces"}),
+        (lambda src: (src / "ds_bringup/launch/new.launch.py").touch(), {"ds_bringup"}),
+        (lambda src: (src / "ds_sim/setup.py").open("a").write("# more\n"), {"ds_sim"}),
+        (lambda src: (src / "ds_sim/ds_sim/new_module.py").touch(), set()),
+        (lambda src: (src / "ds_sim/README.md").touch(), set()),
+    ],
+    ids=["message", "launch file", "setup.py", "module", "text"],
+)
+def test_only_what_a_change_touches_is_built_again(
+    tmp_path: Path, change: Callable[[Path], object], changed: set[str]
+) -> None:
+    source = tmp_path / "src"
+    for package in ("ds_interfaces", "ds_bringup", "ds_sim"):
+        ignore = shutil.ignore_patterns("__pycache__", "*.egg-info")
+        shutil.copytree(REPOSITORY / "src" / package, source / package, ignore=ignore)
+    before = workspace.packages(source)
+    change(source)
+    after = workspace.packages(source)
+    assert set(after) == {"ds_interfaces", "ds_bringup", "ds_sim"}
+    assert {name for name in after if after[name] != before[name]} == changed
+
+
+def test_every_requirement_is_pinned_and_none_twice_in_a_file() -> None:
+    pinned: dict[str, str] = {}
+    for file in sorted((REPOSITORY / "requirements").glob("*.txt")):
+        names = set()
+        for line in file.read_text().splitlines():
+            requirement = line.partition("#")[0].strip()
+            if not requirement:
+                continue
+            name, separator, version = requirement.partition("==")
+            assert separator, f"{file.name}: {requirement} is not pinned"
+            assert name not in names, f"{file.name}: {name} twice"
+            names.add(name)
+            assert pinned.setdefault(name, version) == version, f"{file.name}: {name} has another version"
+            assert not name.startswith(("nvidia", "triton"))

@@ -1,0 +1,58 @@
+#!/usr/bin/env python3
+"""Set the project up: once, from a bare machine to a built workspace. A second call finds nothing to do.
+
+Usage: python3 tools/setup.py [--dev]      --dev: with the tools that the tests need
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+
+
+def main() -> int:
+    """Run set-up; the result is the exit status."""
+    if sys.version_info < (3, 9):  # noqa: UP036 - whatever Python the system has
+        print(
+            "set-up needs Python 3.11 or 3.12: apt-get install -y python3 python3-dev python3-venv",
+            file=sys.stderr,
+        )
+        return 1
+    from setup_tool.console import Console, SetupError
+    from setup_tool.stamps import one_at_a_time
+    from setup_tool.steps import Setup
+
+    arguments = sys.argv[1:]
+    if arguments not in ([], ["--dev"]):
+        print(f"unknown argument {' '.join(arguments)}: expected --dev or nothing", file=sys.stderr)
+        return 2
+    root = Path(__file__).resolve().parent.parent
+    begin = time.monotonic()
+    with one_at_a_time(
+        root, lambda: print("another set-up is running here, waiting for it", flush=True)
+    ) as lock:
+        console = Console(root / ".venv/setup.log", lock)
+        try:
+            setup = Setup(
+                root, console, wanted_python=os.environ.get("PYTHON", ""), with_tools="--dev" in arguments
+            )
+            if setup.is_complete():
+                setup.mark_as_fresh()
+                return 0
+            console.note("Setting up in .venv and ros_ws (once; all output is in .venv/setup.log)")
+            setup.run()
+        except SetupError as error:
+            console.show_end_of_log()
+            print(f"set-up stopped: {error}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            print("\nset-up was interrupted: call it again to go on", file=sys.stderr)
+            return 130
+        console.note(f"Set up in {time.monotonic() - begin:.0f} s.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

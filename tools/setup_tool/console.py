@@ -1,0 +1,116 @@
+"""What set-up says, and how it runs other programs: one line a step on screen, the rest in the log."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+SHOWN_LOG_LINES = 15
+"""Last lines of the log that a failure shows (chosen: a compiler's message with its context)."""
+
+
+class SetupError(Exception):
+    """Set-up cannot go on; the text is one line that says what is wrong and what to do."""
+
+
+class CommandFailedError(SetupError):
+    """A program that set-up ran has failed.
+
+    Attributes:
+        output: what it printed.
+    """
+
+    def __init__(self, message: str, output: str) -> None:
+        super().__init__(message)
+        self.output = output
+
+
+class Console:
+    """Says each step in one line, and keeps the log.
+
+    Args:
+        log: file that takes the output of all programs; made anew when its folder is there.
+        inherited_descriptor: open file that every program keeps open, so that its lock outlives this process.
+    """
+
+    def __init__(self, log: Path, inherited_descriptor: int) -> None:
+        self.log = log
+        self._inherited = inherited_descriptor
+
+    @contextmanager
+    def step(self, what: str) -> Iterator[None]:
+        """Print what is done now, and its seconds when it is done."""
+        begin = time.monotonic()
+        print(f"  {what} ...", end="", flush=True)
+        self._write(f"\n=== {what}\n")
+        try:
+            yield
+        except BaseException:
+            print(" failed", flush=True)
+            raise
+        print(f" {time.monotonic() - begin:.1f} s", flush=True)
+
+    def note(self, line: str) -> None:
+        """Print one line outside a step."""
+        print(line, flush=True)
+        self._write(line + "\n")
+
+    def run(
+        self, command: Sequence[str | Path], *, environment: Mapping[str, str], folder: Path, advice: str
+    ) -> str:
+        """Run a program to its end, its output in the log.
+
+        Args:
+            command: the program and its arguments.
+            environment: all of its environment variables.
+            folder: where it runs.
+            advice: what the user can do when it fails, in a few words.
+
+        Returns:
+            What it printed on both of its outputs.
+
+        Raises:
+            CommandFailedError: it could not be started, or its exit status was not 0.
+        """
+        words = [str(word) for word in command]
+        self._write("$ " + " ".join(words) + "\n")
+        lines: list[str] = []
+        try:
+            with subprocess.Popen(
+                words,
+                env=dict(environment),
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                pass_fds=[self._inherited],
+            ) as process:
+                assert process.stdout is not None
+                for line in process.stdout:
+                    lines.append(line)
+                    self._write(line)
+        except OSError as error:
+            raise CommandFailedError(f"{words[0]} cannot be run ({error.strerror}): {advice}", "") from None
+        output = "".join(lines)
+        if process.returncode:
+            name = os.path.basename(words[0])
+            raise CommandFailedError(f"{name} ended with status {process.returncode}: {advice}", output)
+        return output
+
+    def show_end_of_log(self) -> None:
+        """Print the last lines of the log, indented."""
+        if self.log.is_file():
+            lines = self.log.read_text(errors="replace").splitlines()
+            for line in lines[-SHOWN_LOG_LINES:]:
+                print(f"    {line}", flush=True)
+
+    def _write(self, text: str) -> None:
+        if self.log.parent.is_dir():
+            with self.log.open("a") as log:
+                log.write(text)

@@ -1,0 +1,155 @@
+"""What the machine itself must offer: a Python that fits, its headers, venv, and a compiler."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from setup_tool.console import SetupError
+
+PYTHON_VERSIONS = ((3, 12), (3, 11))
+"""Versions for which all wheels exist, best first (3.12 is that of ROS 2 Jazzy)."""
+
+_DESCRIBE = """
+import importlib.util, json, os, sys, sysconfig
+print(json.dumps({
+    "executable": getattr(sys, "_base_executable", None) or sys.executable,
+    "version": list(sys.version_info[:3]),
+    "headers": os.path.isfile(os.path.join(sysconfig.get_paths()["include"], "Python.h")),
+    "venv": all(importlib.util.find_spec(m) for m in ("venv", "ensurepip")),
+    "rclpy": importlib.util.find_spec("rclpy") is not None,
+}))
+"""
+
+
+@dataclass(frozen=True)
+class Python:
+    """An interpreter, as it describes itself."""
+
+    executable: Path
+    version: tuple[int, int, int]
+    has_headers: bool
+    has_venv: bool
+    has_rclpy: bool
+
+    @property
+    def fits(self) -> bool:
+        """True for a version that the project supports."""
+        return self.version[:2] in PYTHON_VERSIONS
+
+
+@dataclass(frozen=True)
+class Need:
+    """Something the system lacks, and the Debian package that brings it."""
+
+    what: str
+    package: str
+
+
+def describe(command: str | Path) -> Python | None:
+    """Ask an interpreter about itself; None when it does not run."""
+    try:
+        answer = subprocess.run(
+            [str(command), "-c", _DESCRIBE], capture_output=True, text=True, check=True, timeout=30
+        )
+        facts = json.loads(answer.stdout)
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return None
+    major, minor, micro = facts["version"]
+    return Python(
+        executable=Path(facts["executable"]),
+        version=(major, minor, micro),
+        has_headers=facts["headers"],
+        has_venv=facts["venv"],
+        has_rclpy=facts["rclpy"],
+    )
+
+
+def find_python(wanted: str, *, with_rclpy: bool) -> Python:
+    """Choose the interpreter for the environment: the one asked for, else the first that fits.
+
+    Args:
+        wanted: the user's choice, "" for none.
+        with_rclpy: only take one that finds rclpy, for a sourced ROS.
+
+    Raises:
+        SetupError: there is none.
+    """
+    system = ["/usr/bin/python3", *(f"python{major}.{minor}" for major, minor in PYTHON_VERSIONS)]
+    seen: list[str] = []
+    for command in [wanted] if wanted else [sys.executable, "python3", *system]:
+        python = describe(command)
+        if python is None:
+            continue
+        if python.fits and (python.has_rclpy or not with_rclpy):
+            return python
+        seen.append(".".join(map(str, python.version)))
+    found = f"found {', '.join(sorted(set(seen)))}" if seen else "found none"
+    if with_rclpy:
+        raise SetupError(
+            f"ROS 2 Jazzy is sourced, but no Python 3.11 or 3.12 imports its rclpy ({found}): "
+            "apt-get install -y ros-jazzy-rclpy, or open a shell without it"
+        )
+    raise SetupError(
+        f"Python 3.11 or 3.12 is needed, {found}: apt-get install -y python3 python3-dev python3-venv "
+        "on Debian 12 or Ubuntu 24.04, or name one with PYTHON=/path/to/python3.12"
+    )
+
+
+def find_needs(python: Python, which: Callable[[str], str | None] = shutil.which) -> list[Need]:
+    """Everything that the system lacks for this interpreter.
+
+    Args:
+        python: the interpreter for the environment.
+        which: finds a program by its name.
+    """
+    needs = []
+    if not any(which(name) for name in ("c++", "g++", "clang++")):
+        needs.append(Need("a C++ compiler", "g++"))
+    if not any(which(name) for name in ("cc", "gcc", "clang")):
+        needs.append(Need("a C compiler", "gcc"))
+    series = debian_series(python)
+    if not python.has_headers:
+        needs.append(Need("Python's headers (Python.h)", f"{series}-dev"))
+    if not python.has_venv:
+        needs.append(Need("Python's venv module", f"{series}-venv"))
+    return needs
+
+
+def debian_series(python: Python) -> str:
+    """Start of the names of an interpreter's Debian packages: `python3`, or `python3.12` beside another."""
+    default = describe("/usr/bin/python3")
+    if default is not None and default.version[:2] != python.version[:2]:
+        return f"python{python.version[0]}.{python.version[1]}"
+    return "python3"
+
+
+def apt_command(needs: Iterable[Need]) -> list[str]:
+    """The command that installs what is missing."""
+    return ["apt-get", "install", "-y", *(need.package for need in needs)]
+
+
+def missing_line(needs: Sequence[Need]) -> str:
+    """One line that names all that is missing, with the command to type."""
+    prefix = "" if os.geteuid() == 0 else "sudo "
+    return f"missing: {', '.join(need.what for need in needs)}. Type: {prefix}{' '.join(apt_command(needs))}"
+
+
+def check_platform() -> None:
+    """Refuse a machine for which there are no wheels.
+
+    Raises:
+        SetupError: it is not Linux on x86-64.
+    """
+    if platform.system() != "Linux" or platform.machine() != "x86_64":
+        raise SetupError(
+            f"the wheels are for Linux on x86-64, this is {platform.system()} on {platform.machine()}: "
+            "use a container or a virtual machine of that kind"
+        )

@@ -1,0 +1,79 @@
+"""Where ROS 2 comes from: a real ROS 2 Jazzy that the user has sourced, or wheels in .venv."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+
+from setup_tool.console import SetupError
+
+DISTRIBUTION = "jazzy"
+BOOTSTRAP_DONE = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+"""Says that LD_LIBRARY_PATH holds the wheels' libraries; without it, Python starts itself once more."""
+
+_ROS_VARIABLES = re.compile(
+    r"AMENT_|COLCON_|ROS_(DISTRO|VERSION|PYTHON_VERSION|ETC_DIR|PACKAGE_PATH)|CMAKE_PREFIX_PATH$"
+)
+_PYTHON_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", BOOTSTRAP_DONE)
+
+
+def sourced_prefix(environment: Mapping[str, str], ours: Path) -> Path | None:
+    """Folder of the ROS 2 Jazzy that the environment has sourced, if it is a real one.
+
+    Args:
+        environment: variables of the user's shell.
+        ours: the project's root; prefixes in it don't count, so that our own set-up file can be sourced.
+    """
+    if environment.get("ROS_DISTRO") != DISTRIBUTION:
+        return None
+    for entry in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        prefix = Path(entry)
+        if not entry or ours in prefix.parents or not (prefix / "setup.bash").is_file():
+            continue
+        if (prefix / "share/ament_index/resource_index/packages/rclpy").is_file():
+            return prefix
+    return None
+
+
+def clean_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """The user's environment without any ROS or Python environment in it."""
+    prefixes = [Path(p) for p in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    clean = {}
+    for name, value in environment.items():
+        if _ROS_VARIABLES.match(name) or name in _PYTHON_VARIABLES:
+            continue
+        if name in ("PATH", "LD_LIBRARY_PATH"):
+            entries = [e for e in value.split(os.pathsep) if e and not _lies_in(Path(e), prefixes)]
+            if not entries:
+                continue
+            value = os.pathsep.join(entries)
+        clean[name] = value
+    return clean
+
+
+def environment_after(script: Path, environment: Mapping[str, str]) -> dict[str, str]:
+    """The variables after a bash script has been sourced.
+
+    Raises:
+        SetupError: the script is missing or fails.
+    """
+    try:
+        answer = subprocess.run(
+            ["bash", "-c", '. "$1" >/dev/null && exec env -0', "bash", str(script)],
+            env=dict(environment),
+            capture_output=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        raise SetupError(
+            f"{script} cannot be sourced: is that ROS still there? `make clean`, then again"
+        ) from None
+    pairs = (entry.partition("=") for entry in answer.stdout.decode(errors="replace").split("\0") if entry)
+    return {name: value for name, _, value in pairs if name != "_"}
+
+
+def _lies_in(path: Path, folders: list[Path]) -> bool:
+    return any(folder == path or folder in path.parents for folder in folders)

