@@ -53,7 +53,7 @@ def test_a_user_who_is_not_root_is_told_to_use_sudo(monkeypatch: pytest.MonkeyPa
 
 def test_a_python_that_is_named_but_not_there_is_refused() -> None:
     with pytest.raises(SetupError, match=r"Python 3\.11 or 3\.12 is needed, found none"):
-        machine.find_python("/no/such/python", with_rclpy=False)
+        machine.find_python("/no/such/python")
 
 
 def test_the_digest_sees_content_names_and_order(tmp_path: Path) -> None:

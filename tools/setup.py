@@ -20,7 +20,7 @@ def main() -> int:
             file=sys.stderr,
         )
         return 1
-    from setup_tool.console import Console, SetupError
+    from setup_tool.console import CommandFailedError, Console, SetupError
     from setup_tool.stamps import one_at_a_time
     from setup_tool.steps import Setup
 
@@ -44,7 +44,8 @@ def main() -> int:
             console.note("Setting up in .venv and ros_ws (once; all output is in .venv/setup.log)")
             setup.run()
         except SetupError as error:
-            console.show_end_of_log()
+            if isinstance(error, CommandFailedError):
+                console.show_end_of_log()
             print(f"set-up stopped: {error}", file=sys.stderr)
             return 1
         except KeyboardInterrupt:

@@ -8,7 +8,7 @@ import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,11 +53,21 @@ class Need:
     package: str
 
 
-def describe(command: str | Path) -> Python | None:
-    """Ask an interpreter about itself; None when it does not run."""
+def describe(command: str | Path, variables: Mapping[str, str] | None = None) -> Python | None:
+    """Ask an interpreter about itself; None when it does not run.
+
+    Args:
+        command: the interpreter.
+        variables: its environment variables; those of this process when left out.
+    """
     try:
         answer = subprocess.run(
-            [str(command), "-c", _DESCRIBE], capture_output=True, text=True, check=True, timeout=30
+            [str(command), "-c", _DESCRIBE],
+            env=None if variables is None else dict(variables),
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=30,
         )
         facts = json.loads(answer.stdout)
     except (OSError, subprocess.SubprocessError, ValueError):
@@ -72,12 +82,15 @@ def describe(command: str | Path) -> Python | None:
     )
 
 
-def find_python(wanted: str, *, with_rclpy: bool) -> Python:
+def find_python(
+    wanted: str, *, with_rclpy: bool = False, variables: Mapping[str, str] | None = None
+) -> Python:
     """Choose the interpreter for the environment: the one asked for, else the first that fits.
 
     Args:
         wanted: the user's choice, "" for none.
         with_rclpy: only take one that finds rclpy, for a sourced ROS.
+        variables: environment variables of the interpreter; those of this process when left out.
 
     Raises:
         SetupError: there is none.
@@ -85,7 +98,7 @@ def find_python(wanted: str, *, with_rclpy: bool) -> Python:
     system = ["/usr/bin/python3", *(f"python{major}.{minor}" for major, minor in PYTHON_VERSIONS)]
     seen: list[str] = []
     for command in [wanted] if wanted else [sys.executable, "python3", *system]:
-        python = describe(command)
+        python = describe(command, variables)
         if python is None:
             continue
         if python.fits and (python.has_rclpy or not with_rclpy):

@@ -168,7 +168,7 @@ class Setup:
         return (self.environment / "bin/python").is_file()
 
     def _provide_system_packages(self) -> None:
-        python = machine.find_python(self._wanted_python, with_rclpy=self._prefix is not None)
+        python = self._find_python()
         needs = machine.find_needs(python)
         if needs:
             if os.geteuid() != 0 or shutil.which("apt-get") is None:
@@ -178,11 +178,22 @@ class Setup:
             with self.console.step("installing them as root"):
                 for command in (["apt-get", "update"], machine.apt_command(needs)):
                     self.console.run(command, environment=environment, folder=self.root, advice=_NETWORK)
-            python = machine.find_python(self._wanted_python, with_rclpy=self._prefix is not None)
+            python = self._find_python()
             needs = machine.find_needs(python)
             if needs:
                 raise SetupError(machine.missing_line(needs))
         self._python = python
+
+    def _find_python(self) -> machine.Python:
+        variables = self._ros_variables() if self._prefix else None
+        return machine.find_python(
+            self._wanted_python, with_rclpy=self._prefix is not None, variables=variables
+        )
+
+    def _ros_variables(self) -> dict[str, str]:
+        """The variables after the underlying ROS has been sourced, whatever this shell has sourced."""
+        prefix = self._prefix or self.environment
+        return ros.environment_after(prefix / "setup.bash", ros.clean_environment(os.environ))
 
     def _forget_what_was_cut_off(self) -> None:
         cut_off = self._stamps.unfinished()
@@ -234,7 +245,7 @@ class Setup:
                     *("-m", "pip", "install", "--no-deps", "--no-input", "--progress-bar", "off"),
                     *("--disable-pip-version-check", *arguments),
                 ],
-                environment={**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"},
+                environment=self._variables(),
                 folder=self.root,
                 advice=_NETWORK,
             )
@@ -268,13 +279,18 @@ class Setup:
                 "off",
                 pin,
             ],
-            environment={**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"},
+            environment=self._variables(),
             folder=self.root,
             advice=_NETWORK,
         )
 
+    @staticmethod
+    def _variables() -> dict[str, str]:
+        """The user's variables without any ROS or Python environment, for the programs in .venv."""
+        return {**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"}
+
     def _prepare_prefix(self) -> None:
-        wheels.prepare_prefix(self.environment)
+        wheels.prepare_prefix(self.environment, self._variables())
 
     # ------------------------------------------------------------------ the workspace
 
@@ -298,9 +314,7 @@ class Setup:
         changed = self._changed_packages()
         if not changed:
             return
-        prefix = self._prefix or self.environment
-        clean = ros.clean_environment(os.environ)
-        environment = ros.environment_after(prefix / "setup.bash", clean)
+        environment = self._ros_variables()
         python = self.environment / "bin/python"
         environment |= {
             "PATH": f"{self.environment / 'bin'}{os.pathsep}{environment['PATH']}",

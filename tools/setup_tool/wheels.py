@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
 
 from setup_tool.console import SetupError
@@ -31,11 +32,12 @@ _TEMPLATES = (
 )
 
 
-def prepare_prefix(environment: Path) -> int:
+def prepare_prefix(environment: Path, variables: Mapping[str, str]) -> int:
     """Do all that a virtual environment needs to serve as a ROS prefix.
 
     Args:
         environment: root of the virtual environment, wheels installed.
+        variables: environment variables, free of any other Python's.
 
     Returns:
         Number of CMake files that were changed.
@@ -45,7 +47,9 @@ def prepare_prefix(environment: Path) -> int:
     """
     python = environment / "bin/python"
     try:
-        answer = subprocess.run([python, "-c", _ASK], capture_output=True, text=True, check=True)
+        answer = subprocess.run(
+            [python, "-c", _ASK], env=dict(variables), capture_output=True, text=True, check=True
+        )
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]
         raise SetupError(f"the ROS wheels are not complete ({reason}): `make clean`, then again") from None

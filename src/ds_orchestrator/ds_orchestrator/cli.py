@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from ds_orchestrator import commands
+from ds_orchestrator.config import read_config
 
 app = typer.Typer(
     help="Test a driving network on digital siblings.",
@@ -48,7 +49,7 @@ def campaign_run(
     as_json: JsonFlag = False,
 ) -> None:
     """Run a campaign, or go on with the one in the folder if it has the same configuration."""
-    _end(commands.run_campaign(commands.read_config(config), out, attach=attach), as_json)
+    _end(commands.run_campaign(read_config(config), out, attach=attach), as_json)
 
 
 @campaign_app.command("resume")
@@ -165,12 +166,6 @@ def assess(
 def models(as_json: JsonFlag = False) -> None:
     """The networks that are shipped, and how good they are."""
     _show(commands.models(), as_json)
-
-
-@app.command()
-def doctor(as_json: JsonFlag = False) -> None:
-    """What is missing, and what to type."""
-    _end(commands.doctor(as_json), as_json)
 
 
 def _show(result: commands.Result, as_json: bool) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 import ds_road
-from ds_orchestrator import config as configuration
 from ds_orchestrator import results
 from ds_orchestrator.campaign import Campaign, Stopped, execution_of
-from ds_orchestrator.config import CampaignConfig
+from ds_orchestrator.config import CampaignConfig, ConfigError
 from ds_orchestrator.progress import ScreenWatcher
 from ds_orchestrator.store import Store
-from ds_sim.registry import SIMULATORS, UnknownSimulatorError
-
-read_config = configuration.read_config
+from ds_orchestrator.versions import versions
 
 
 class Interrupted(Exception):
@@ -40,10 +35,365 @@ class Result:
 
     Attributes:
         document: as JSON values.
-        show: shows it to a person.
+        show: shows it to a person, on standard output.
         error: True if a run ended in an error.
     """
 
     document: Any
-    show: Callable[[], None] = field(default=lambda: None)
+    show: Callable[[], None]
     error: bool = False
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Result:
+    """Run a campaign to its report, or go on with it.
+
+    Raises:
+        Interrupted: the user stopped it; what was finished is kept.
+    """
+    from ds_orchestrator.graph_plan import check_driver, namespaces_of
+    from ds_orchestrator.running import running_graph
+
+    check_driver(config.driver)
+    out.mkdir(parents=True, exist_ok=True)
+    store = Store(out / "campaign.sqlite", config=config.model_dump_json())
+    for name, version in versions().items():
+        store.note(f"version {name}", version)
+    (out / "bags").mkdir(exist_ok=True)
+    namespaces = namespaces_of(config.siblings, config.twin)
+    started = time.monotonic()
+    try:
+        with running_graph(
+            namespaces, config.driver, command_timeout=config.command_timeout, logs=out / "logs", attach=attach
+        ) as executor, ScreenWatcher(Campaign.executions_in_all(config)) as watcher:
+            campaign = Campaign(config, out, store, executor, watcher, namespaces)
+            try:
+                campaign.run()
+            except BaseException:
+                executor.stop()
+                raise
+    except (KeyboardInterrupt, Stopped):
+        store.close()
+        raise Interrupted from None
+    _say(f"executed in {time.monotonic() - started:.0f} s; drawing maps and report")
+    report = results.write_all(out, store)
+    document = {
+        "folder": str(out),
+        "report": str(report),
+        "executions": len(store.executions()),
+        "executions_in_error": campaign.failed_executions,
+        "correlations": [asdict(c) for c in results.correlations_of(config, results.maps_of(store))],
+    }
+    table = _correlation_table(document["correlations"])
+    store.close()
+
+    def show() -> None:
+        Console().print(table)
+        print(report)
+
+    return Result(document=document, show=show, error=campaign.failed_executions > 0)
+
+
+def stored_config(folder: Path) -> CampaignConfig:
+    """The configuration of a campaign that was begun."""
+    store = results.open_store(folder)
+    config = results.config_of(store)
+    store.close()
+    return config
+
+
+def status(folder: Path) -> Result:
+    """How far a campaign is."""
+    store = results.open_store(folder)
+    config = results.config_of(store)
+    executions = store.executions()
+    counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
+    for execution in executions:
+        counts[execution.simulator][execution.outcome.name] = (
+            counts[execution.simulator].get(execution.outcome.name, 0) + 1
+        )
+    document = {
+        "executions": len(executions),
+        "executions_in_all": Campaign.executions_in_all(config),
+        "outcomes": counts,
+        "errors": [
+            dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
+            for row in store.errors()
+        ],
+    }
+    store.close()
+
+    def show() -> None:
+        table = Table(title=f"{document['executions']} of {document['executions_in_all']} executions")
+        for column in ("simulator", "outcome", "tests"):
+            table.add_column(column)
+        for simulator, outcomes in counts.items():
+            for outcome, count in sorted(outcomes.items()):
+                table.add_row(simulator, outcome.lower(), str(count))
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def drive(
+    sim: str,
+    driver: str,
+    *,
+    road_file: Path | None,
+    seed: int,
+    max_angle: int,
+    bag: Path | None,
+    attach: bool,
+) -> Result:
+    """Drive one road through the graph."""
+    from ds_orchestrator.bags import BagError, write_bag
+    from ds_orchestrator.graph_plan import check_driver, namespaces_of
+    from ds_orchestrator.running import running_graph
+    from ds_sim.registry import make_simulator
+
+    make_simulator(sim)
+    check_driver(driver)
+    road = _one_road(road_file, seed, max_angle)
+    if not road.validity.valid:
+        raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
+    if bag is not None and bag.exists():
+        raise BagError(f"{bag} exists already: choose another folder")
+    namespaces = namespaces_of([sim], None)
+    with tempfile.TemporaryDirectory(prefix="ds_drive_") as logs:
+        try:
+            with running_graph(namespaces, driver, command_timeout=10.0, logs=Path(logs), attach=attach) as executor:
+                started = time.monotonic()
+                run = executor.execute(sim, road, seed)
+                wall = time.monotonic() - started
+        except KeyboardInterrupt:
+            raise Interrupted from None
+    if bag is not None:
+        write_bag(bag, namespaces[sim], run, {"simulator": sim, "driver": driver})
+    execution = execution_of("", sim, run)
+    document = {
+        "simulator": sim,
+        "driver": driver,
+        "road_id": road.road_id,
+        "seed": seed,
+        "outcome": run.outcome.name,
+        "message": run.message,
+        "fitness": run.fitness,
+        "max_lateral_position": run.max_lateral_position,
+        "steps": run.steps,
+        "simulated_seconds": run.simulated_seconds,
+        "wall_seconds": round(wall, 3),
+        "trajectory_sha256": execution.trajectory_sha256,
+    }
+
+    def show() -> None:
+        table = Table(show_header=False)
+        for key, value in document.items():
+            table.add_row(key, str(value))
+        Console().print(table)
+
+    return Result(document=document, show=show, error=run.outcome.is_error)
+
+
+def maps(folder: Path) -> Result:
+    """Every map of a campaign."""
+    from ds_orchestrator.maps import to_json
+
+    store = results.open_store(folder)
+    document = to_json(results.maps_of(store))
+    store.close()
+
+    def show() -> None:
+        for name, content in document.items():
+            table = Table(title=name)
+            for column in ("turns", "curvature", "tests", "failures", "probability", "quality"):
+                table.add_column(column, justify="right")
+            for cell in content["cells"]:
+                table.add_row(
+                    str(cell["turns_count"]),
+                    f"{cell['curvature_bin'] / 100:.2f}",
+                    str(cell["tests"]),
+                    "" if cell["failures"] is None else str(cell["failures"]),
+                    f"{cell['probability']:.2f}",
+                    f"{cell['quality']:.2f}",
+                )
+            Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def evaluation(folder: Path) -> Result:
+    """Each sibling and the merged map against the twin."""
+    store = results.open_store(folder)
+    document = [asdict(c) for c in results.correlations_of(results.config_of(store), results.maps_of(store))]
+    store.close()
+    table = _correlation_table(document)
+    return Result(document=document, show=lambda: Console().print(table))
+
+
+def report(folder: Path) -> Path:
+    """Write maps, pictures and report again."""
+    store = results.open_store(folder)
+    path = results.write_all(folder, store)
+    store.close()
+    return path
+
+
+def generate_roads(seed: int, count: int, max_angle: int) -> list[Any]:
+    """Control points of random roads."""
+    rng = np.random.default_rng(seed)
+    return [ds_road.generate(rng, max_angle=max_angle).control_points for _ in range(count)]
+
+
+def check_roads(file: Path) -> Result:
+    """Validity and features of every road of a file."""
+    document = [ds_road.check(raw) for raw in ds_road.read_raw_roads(file)]
+
+    def show() -> None:
+        table = Table("road", "valid", "length m", "curvature /m", "turns", "turns as published", "reason")
+        for index, row in enumerate(document):
+            known = row["length"] is not None
+            table.add_row(
+                str(index),
+                "yes" if row["valid"] else "no",
+                f"{row['length']:.1f}" if known else "",
+                f"{row['curvature']:.4f}" if known else "",
+                str(row["turns_count"]) if known else "",
+                str(row["turns_count_published"]) if known else "",
+                row["reason"],
+            )
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def show_road(file: Path | None, seed: int, max_angle: int, out: Path) -> Path:
+    """Draw one road as a PNG."""
+    picture = ds_road.draw(_one_road(file, seed, max_angle))
+    done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise ds_road.RoadError("the picture could not be encoded")
+    out.write_bytes(data.tobytes())
+    return out
+
+
+def collect(out: Path, *, roads: int, seed: int, every: int, simulators: list[str]) -> None:
+    """Collect a data set."""
+    from ds_driver.collection import CollectionPlan
+    from ds_driver.collection import collect as collect_drives
+    from ds_driver.dataset import write_manifest
+
+    plan = CollectionPlan(roads=roads, seed=seed, every=every)
+    started = time.monotonic()
+
+    def progress(done: int, total: int, line: str) -> None:
+        left = (time.monotonic() - started) / done * (total - done)
+        _say(f"{done}/{total} {line}; about {left:.0f} s left")
+
+    collect_drives(plan, simulators, out, progress)
+    write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
+
+
+def train(data: Path, out: Path, *, network: str, seed: int, epochs: int, images: int | None, threads: int) -> None:
+    """Train a network."""
+    from ds_driver.training import TrainingPlan
+    from ds_driver.training import train as train_network
+
+    plan = TrainingPlan(network=network, seed=seed, epochs=epochs, images_per_simulator=images, threads=threads)
+    train_network(data, out, plan, _crops(), _say)
+    print(out / f"{network}.safetensors")
+
+
+def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Result:
+    """Drive unseen roads with a network, without ROS."""
+    from ds_driver.assessment import success_rate, unseen_roads
+    from ds_driver.network_driver import NetworkDriver
+
+    driver = NetworkDriver(network)
+    chosen = unseen_roads(roads, seed)
+    document = {
+        "network": network,
+        "roads": roads,
+        "seed": seed,
+        "success": {name: success_rate(driver, name, chosen, seed, _say) for name in simulators},
+    }
+
+    def show() -> None:
+        table = Table("simulator", "success")
+        for name, rate in document["success"].items():
+            table.add_row(name, f"{rate:.2f}")
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def models() -> Result:
+    """The shipped networks with their cards."""
+    from ds_driver.networks import count_parameters
+    from ds_driver.weights import load_network, shipped_networks
+
+    document = [
+        {
+            "name": name,
+            "parameters": count_parameters(load_network(name)),
+            "bytes": path.stat().st_size,
+            "input": [160, 320, 3],
+            "card": json.loads(path.with_suffix(".json").read_text()),
+        }
+        for name, path in shipped_networks().items()
+    ]
+
+    def show() -> None:
+        table = Table("name", "parameters", "bytes", "success on unseen roads")
+        for row in document:
+            success = ", ".join(f"{k} {v:.2f}" for k, v in row["card"]["success"].items())
+            table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def shipped_config(name: str) -> CampaignConfig:
+    """A configuration that comes with ds_bringup."""
+    import os
+
+    from ds_orchestrator.config import read_config
+
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "share" / "ds_bringup" / "config" / f"{name}.yaml"
+        if path.exists():
+            return read_config(path)
+    raise ConfigError(f"{name}.yaml of ds_bringup is not on AMENT_PREFIX_PATH: build and source the workspace")
+
+
+def _one_road(file: Path | None, seed: int, max_angle: int) -> ds_road.Road:
+    if file is None:
+        return ds_road.generate(np.random.default_rng(seed), max_angle=max_angle)
+    roads = ds_road.read_roads(file)
+    if len(roads) != 1:
+        raise ds_road.RoadError(f"{file}: {len(roads)} roads, expected one")
+    return roads[0]
+
+
+def _crops() -> dict[str, Any]:
+    from ds_driver.preprocessing import Crop
+    from ds_sim.registry import SIMULATORS, make_simulator
+
+    specs = {name: make_simulator(name).spec for name in SIMULATORS}
+    return {name: Crop(spec.crop_top, spec.crop_bottom) for name, spec in specs.items()}
+
+
+def _correlation_table(rows: list[dict[str, Any]]) -> Table:
+    table = Table("map", "against the twin's failures", "cells", "Pearson r", "p", "")
+    for row in rows:
+        table.add_row(
+            row["name"],
+            row["value"],
+            str(row["cells"]),
+            "" if row["r"] is None else f"{row['r']:.3f}",
+            "" if row["p"] is None else f"{row['p']:.2g}",
+            row["reason"],
+        )
+    return table

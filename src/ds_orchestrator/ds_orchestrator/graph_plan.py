@@ -46,3 +46,15 @@ def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
         "crop_bottom": [spec.crop_bottom for spec in specs],
     }
     return ProcessSpec(name="driver", module="ds_driver.node", parameters=parameters)
+
+
+def check_driver(driver: str) -> None:
+    """Find out before anything starts whether a driver can be had.
+
+    Raises:
+        ValueError: its name stands for nothing, or its weights cannot be used.
+    """
+    if driver != AUTOPILOT:
+        from ds_driver.weights import load_network
+
+        load_network(driver)

@@ -50,5 +50,18 @@ def write_json(folder: Path, maps: dict[str, FeatureMap], correlations: list[Cor
     (out / "correlations.json").write_text(_text([asdict(c) for c in correlations]))
 
 
+def write_all(folder: Path, store: Store) -> Path:
+    """Write maps, pictures and report of what the store holds; the path of the report."""
+    from ds_orchestrator.pictures import write_maps
+    from ds_orchestrator.report import write_report
+
+    config = config_of(store)
+    maps = maps_of(store)
+    correlations = correlations_of(config, maps)
+    write_json(folder, maps, correlations)
+    write_maps(maps, folder / "maps")
+    return write_report(folder, store, config, maps, correlations)
+
+
 def _text(value: object) -> str:
     return json.dumps(value, indent=1, allow_nan=False) + "\n"

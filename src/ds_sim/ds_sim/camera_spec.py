@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ class CameraSpec:
         height: of the optical centre above ground, m.
         forward: of the optical centre before the vehicle's centre, m.
         pitch: of the optical axis, nose down positive, rad.
-        distortion: barrel coefficients k1 and k2 of the Brown model on normalised radius; 0 is a pinhole.
+        lens: `pinhole`, or `equidistant` for a wide angle: distances from the image's middle are proportional to
+            angles from the optical axis, which shows as barrel distortion.
         gain: brightness factor (exposure).
         gamma: of the sensor's response; 1 is linear.
         noise: standard deviation of the sensor noise, grey levels.
@@ -34,7 +36,7 @@ class CameraSpec:
     height: float
     forward: float = 0.0
     pitch: float = 0.0
-    distortion: tuple[float, float] = (0.0, 0.0)
+    lens: Literal["pinhole", "equidistant"] = "pinhole"
     gain: float = 1.0
     gamma: float = 1.0
     noise: float = 0.0
@@ -44,8 +46,7 @@ class CameraSpec:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """Camera matrix K (3, 3) of the delivered image, px; the field of view counts the distortion in."""
-        edge = math.tan(self.horizontal_fov / 2)
-        k1, k2 = self.distortion
-        focal = (self.width / 2) / (edge * (1 + k1 * edge**2 + k2 * edge**4))
+        """Camera matrix K (3, 3) of the delivered image, px."""
+        half = self.horizontal_fov / 2
+        focal = (self.width / 2) / (half if self.lens == "equidistant" else math.tan(half))
         return np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height_px - 1) / 2], [0, 0, 1.0]])

@@ -68,8 +68,10 @@ def image_to_message(observation: Observation, header: Header) -> Image:
 def camera_info_message(camera: CameraSpec, header: Header) -> CameraInfo:
     """Intrinsics of the delivered image."""
     k = camera.intrinsics
-    message = CameraInfo(header=header, height=camera.height_px, width=camera.width, distortion_model="plumb_bob")
-    message.d = [*camera.distortion, 0.0, 0.0, 0.0]
+    message = CameraInfo(header=header, height=camera.height_px, width=camera.width)
+    wide = camera.lens == "equidistant"
+    message.distortion_model = "equidistant" if wide else "plumb_bob"
+    message.d = [0.0] * (4 if wide else 5)
     message.k = k.ravel().tolist()
     message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     message.p = [*k[0].tolist(), 0.0, *k[1].tolist(), 0.0, *k[2].tolist(), 0.0]

@@ -70,8 +70,9 @@ class DonkeyParameters:
             period.
 
         throttle_pulse_steps: pulse counts from stop to full; template, 500 - 370.
-        throttle_dead_band: throttle below which the speed controller gives nothing; template's
-            MIN_THROTTLE.
+        throttle_dead_band: throttle below which the speed controller gives nothing; chosen: a neutral range
+            of 6 %, as car controllers have, with the stop pulse calibrated towards its edge (template's
+            MIN_THROTTLE: 0.1). A wider one leaves a car that stopped with steering near 1 without throttle.
         start_duty: duty just above the dead band; chosen: the car then runs at the template's MIN_SPEED,
             0.1 m/s.
         full_duty: duty at throttle 1; chosen: calibrated so that full throttle suits a 30 km/h road at
@@ -120,7 +121,7 @@ class DonkeyParameters:
     command_delay: float = 0.042
 
     throttle_pulse_steps: int = 130
-    throttle_dead_band: float = 0.1
+    throttle_dead_band: float = 0.04
     start_duty: float = 0.0325
     full_duty: float = 0.19
     free_speed: float = 8.0

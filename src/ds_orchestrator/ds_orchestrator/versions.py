@@ -1,0 +1,19 @@
+"""Which versions of what made a result."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+_DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "torch", "pybullet", "pymunk", "shapely")
+
+
+def versions() -> dict[str, str]:
+    """Name -> version of Python, the kind of machine, and the libraries that a result depends on."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
