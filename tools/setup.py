@@ -40,6 +40,7 @@ def main() -> int:
             )
             if setup.is_complete():
                 setup.mark_as_fresh()
+                print("Everything is set up.", flush=True)
                 return 0
             console.note("Setting up in .venv and ros_ws (once; all output is in .venv/setup.log)")
             setup.run()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -98,6 +99,8 @@ class Console:
         except OSError as error:
             raise CommandFailedError(f"{words[0]} cannot be run ({error.strerror}): {advice}", "") from None
         output = "".join(lines)
+        if process.returncode in (-signal.SIGINT, 128 + signal.SIGINT):
+            raise KeyboardInterrupt  # Ctrl-C reached the program before it reached us
         if process.returncode:
             name = os.path.basename(words[0])
             raise CommandFailedError(f"{name} ended with status {process.returncode}: {advice}", output)

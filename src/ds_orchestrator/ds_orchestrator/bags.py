@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,8 @@ def write_bag(folder: Path, namespace: str, run: RunRecord, about: dict[str, str
         _write(partial, namespace, run, about)
         shutil.rmtree(folder, ignore_errors=True)
         partial.rename(folder)
+        with suppress(OSError):  # another bag is being written beside it
+            partial.parent.rmdir()
     except OSError as error:
         raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
 

@@ -1,0 +1,72 @@
+"""Lane position and verdicts against geometry worked by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ds_sim.lane import LaneTracker
+from ds_sim.oracle import Oracle, OracleLimits
+from ds_sim.simulator import Outcome
+
+
+def test_right_is_positive_and_arc_length_counts_along_the_line() -> None:
+    tracker = LaneTracker(np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]))
+    assert tracker.length == 20.0
+    assert tracker.update(4.0, -1.5) == pytest.approx((1.5, 4.0))
+    assert tracker.update(8.0, 0.5) == pytest.approx((-0.5, 8.0))
+    assert tracker.update(10.75, 6.0) == pytest.approx((0.75, 16.0))
+    assert tracker.lateral_position(9.0, 7.0) == pytest.approx(-1.0)
+
+
+def test_the_ends_run_on_straight() -> None:
+    tracker = LaneTracker(np.array([(0.0, 0.0), (10.0, 0.0)]))
+    assert tracker.update(-3.0, -1.0) == pytest.approx((1.0, -3.0))
+    assert tracker.update(13.0, 1.0) == pytest.approx((-1.0, 13.0))
+
+
+def test_a_part_of_the_road_that_comes_near_is_not_taken_for_the_own_one() -> None:
+    """A hairpin with its legs 6 m apart: a vehicle on the first leg that drifts across stays on the first leg."""
+    up = [(0.0, float(y)) for y in range(41)]
+    bend = [(3 - 3 * math.cos(a), 40 + 3 * math.sin(a)) for a in np.linspace(0.1, math.pi - 0.1, 12)]
+    down = [(6.0, float(y)) for y in range(40, -1, -1)]
+    tracker = LaneTracker(np.array([*up, *bend, *down]))
+    for step in range(60):
+        lateral, arc = tracker.update(step * 0.08, step * 0.3)
+        assert lateral == pytest.approx(step * 0.08) and arc == pytest.approx(step * 0.3)
+
+
+@pytest.mark.parametrize(
+    ("distance", "arc", "outcome"),
+    [
+        (0.5, 10.0, Outcome.RUNNING),
+        (0.0, 10.0, Outcome.RUNNING),
+        (-1e-9, 10.0, Outcome.OUT_OF_BOUNDS),
+        (0.1, 98.0, Outcome.COMPLETED),
+        (-0.1, 99.0, Outcome.OUT_OF_BOUNDS),
+    ],
+)
+def test_verdicts_of_one_frame(distance: float, arc: float, outcome: Outcome) -> None:
+    assert Oracle(100.0).judge(step=1, lateral_distance=distance, arc_length=arc) is outcome
+
+
+def test_less_than_a_metre_in_ten_seconds_is_stuck() -> None:
+    oracle = Oracle(100.0)
+    verdicts = [oracle.judge(step=k, lateral_distance=1.0, arc_length=k * 0.0049) for k in range(201)]
+    assert verdicts[:-1] == [Outcome.RUNNING] * 200 and verdicts[-1] is Outcome.STUCK
+    oracle = Oracle(100.0)
+    assert {oracle.judge(step=k, lateral_distance=1.0, arc_length=k * 0.0051) for k in range(201)} == {Outcome.RUNNING}
+
+
+def test_too_many_steps_are_a_timeout() -> None:
+    oracle = Oracle(100.0, OracleLimits(max_steps=30))
+    assert oracle.judge(step=29, lateral_distance=1.0, arc_length=1.0) is Outcome.RUNNING
+    assert oracle.judge(step=30, lateral_distance=1.0, arc_length=5.0) is Outcome.TIMEOUT
+
+
+def test_outcomes_are_verdicts_or_errors() -> None:
+    assert [o.name for o in Outcome if o.is_failure] == ["OUT_OF_BOUNDS", "STUCK", "TIMEOUT"]
+    assert [o.name for o in Outcome if o.is_error] == ["DRIVER_SILENT", "SIM_ERROR", "CANCELLED"]
+    assert [o.name for o in Outcome if o.is_verdict] == ["COMPLETED", "OUT_OF_BOUNDS", "STUCK", "TIMEOUT"]

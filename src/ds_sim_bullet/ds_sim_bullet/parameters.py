@@ -1,0 +1,202 @@
+"""Every constant of the rigid-body car and of the engine that integrates it, in SI units.
+
+Sources that recur below:
+
+* *sheet*: data sheet of the Renault Twingo Electric (2021), a small rear-driven city car.
+* *Gillespie*: Fundamentals of Vehicle Dynamics, SAE 1992.
+* *Milliken*: Race Car Vehicle Dynamics, SAE 1995.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+GRAVITY = 9.81
+"""m/s^2."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BulletParameters:
+    """The car, its suspension, steering, tyres and motor, and the engine's settings.
+
+    Attributes:
+        length: m; sheet.
+        width: m; sheet.
+        height: m; sheet.
+        wheelbase: m; sheet.
+        track: between the wheels of an axle, m; sheet: 1.452 front and 1.425 rear, their mean.
+        mass: ready to drive with the driver, kg; sheet.
+        unsprung_mass: of one corner, kg; Gillespie ch. 5: 13 to 15 % of the sprung mass.
+        wheel_mass: of one wheel with tyre, part of the unsprung mass, kg; chosen: steel 15-inch wheel.
+        front_share: of the static load on the front axle, 0 to 1; sheet (motor at the rear): 45 to 55.
+        centre_of_mass_height: of the sprung mass, m; chosen: 0.36 of the height (Gillespie: 0.35 to 0.4 of a
+            car's), the battery lying under the floor.
+        ground_clearance: of the body, m; chosen: that of the class, 0.12 to 0.15.
+
+        ride_frequency: of body on springs, Hz; Gillespie ch. 5: 1 to 1.5, the stiffer end for a light car.
+        damping_ratio: of that mode; Gillespie ch. 5: 0.2 to 0.4.
+        front_anti_roll: force of the bar per difference of travel, N/m; chosen: with the rear one it gives 5.5
+            degrees of roll per g, of the 5 to 7 of small cars (Gillespie ch. 6).
+        rear_anti_roll: the same at the rear, N/m; chosen: softer than in front, the rear carries more load.
+        travel: up and down until the stops touch, m; chosen: 0.07, of the 0.06 to 0.08 of the class.
+        stop_stiffness: of the rubber stops, N/m; chosen: eight times the springs.
+
+        wheel_radius: m; sheet: 165/65 R15 (0.298) in front and 185/60 R15 (0.301) at the rear.
+        wheel_spin_inertia: about the axle, kg m^2; chosen: a 15 kg wheel with 0.75 of its mass at the rim.
+        rotor_inertia: of the motor as seen by one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
+        tyre_stiffness: vertical, N/m; Gillespie ch. 5: 180 to 200 kN/m for a passenger tyre.
+        tyre_damping: vertical, N s/m; Milliken ch. 2: small, some percent of critical.
+        friction: of tyre on dry asphalt; Gillespie ch. 10: 0.8 to 0.9 sliding to peak.
+        rolling_resistance: force over load; Gillespie ch. 4: 0.012 to 0.015 for radial tyres on asphalt.
+
+        max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; sheet: a turning circle of
+            8.6 m from kerb to kerb puts the rear axle's centre on 2.79 m.
+        steering_rate: of the mean angle, rad/s; chosen: 60 degrees/s, a quick electric power steering
+            (900 degrees/s at a steering wheel geared 15 to 1).
+        steering_torque: about one kingpin at most, N m; chosen: more than the tyres can resist.
+
+        drive_force: at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 to 4 s under the paper's
+            equation 2, an economy map of a motor that could give 4.9 kN (sheet: 160 N m).
+        max_speed: where the motor's limiter begins, m/s; paper 4.2.4: 30 km/h.
+        limiter_band: from there to no drive at all, m/s; chosen: a tenth of the speed.
+        regenerative_force: at the tyres with no throttle, N; chosen: 2.2 m/s^2, a strong one-pedal mode (UN R13-H
+            asks for the brake lights above 1.3).
+        fade_speed: below which regeneration fades out, m/s; chosen: a walking pace of 5 km/h, where such motors
+            stop generating.
+        neutral_throttle: throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal
+            maps keep the first fifth or so for braking.
+
+        substeps: of the physics per frame of 1/20 s; chosen: 12 (240 Hz), see docs of `BulletVehicle`.
+        solver_iterations: of projected Gauss-Seidel per substep; chosen: Bullet's 50.
+    """
+
+    length: float = 3.615
+    width: float = 1.646
+    height: float = 1.541
+    wheelbase: float = 2.492
+    track: float = 1.44
+    mass: float = 1208.0
+    unsprung_mass: float = 35.0
+    wheel_mass: float = 15.0
+    front_share: float = 0.45
+    centre_of_mass_height: float = 0.55
+    ground_clearance: float = 0.13
+
+    ride_frequency: float = 1.4
+    damping_ratio: float = 0.3
+    front_anti_roll: float = 7000.0
+    rear_anti_roll: float = 3000.0
+    travel: float = 0.07
+    stop_stiffness: float = 160e3
+
+    wheel_radius: float = 0.30
+    wheel_spin_inertia: float = 0.9
+    rotor_inertia: float = 0.8
+    tyre_stiffness: float = 190e3
+    tyre_damping: float = 500.0
+    friction: float = 0.9
+    rolling_resistance: float = 0.013
+
+    max_steering_angle: float = math.radians(41.8)
+    steering_rate: float = math.radians(60.0)
+    steering_torque: float = 2000.0
+
+    drive_force: float = 2700.0
+    max_speed: float = 30.0 / 3.6
+    limiter_band: float = 3.0 / 3.6
+    regenerative_force: float = 2650.0
+    fade_speed: float = 5.0 / 3.6
+    neutral_throttle: float = 0.2
+
+    substeps: int = 12
+    solver_iterations: int = 50
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            low, high = _LIMITS.get(field.name, (0.0, math.inf))
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError(
+                    f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it"
+                )
+
+    @property
+    def sprung_mass(self) -> float:
+        """Of the body, kg."""
+        return self.mass - 4.0 * self.unsprung_mass
+
+    @property
+    def body_forward(self) -> float:
+        """The sprung mass's centre ahead of the middle between the axles, m."""
+        return self.mass * (self.front_share - 0.5) * self.wheelbase / self.sprung_mass
+
+    @property
+    def body_inertia(self) -> tuple[float, float, float]:
+        """Of the body about its own axes, kg m^2; a uniform box of the body's size."""
+        x, y, z = self.length**2, self.width**2, (self.height - self.ground_clearance) ** 2
+        return (
+            self.sprung_mass * (y + z) / 12.0,
+            self.sprung_mass * (x + z) / 12.0,
+            self.sprung_mass * (x + y) / 12.0,
+        )
+
+    def corner_load(self, *, front: bool) -> float:
+        """Static load on the ground of one wheel, N."""
+        return 0.5 * self.mass * GRAVITY * (self.front_share if front else 1.0 - self.front_share)
+
+    def spring_load(self, *, front: bool) -> float:
+        """Static load of one spring, N."""
+        return self.corner_load(front=front) - self.unsprung_mass * GRAVITY
+
+    def spring_stiffness(self, *, front: bool) -> float:
+        """Of one spring at the wheel, N/m: the body on it swings with the ride frequency."""
+        return self.spring_load(front=front) / GRAVITY * (math.tau * self.ride_frequency) ** 2
+
+    def spring_damping(self, *, front: bool) -> float:
+        """Of one damper at the wheel, N s/m."""
+        sprung = self.spring_load(front=front) / GRAVITY
+        return 2.0 * self.damping_ratio * math.sqrt(self.spring_stiffness(front=front) * sprung)
+
+    def drive_torque(self, throttle: float, speed: float) -> float:
+        """Of the motor on each rear wheel, N m, positive forward.
+
+        Args:
+            throttle: 0 to 1.
+            speed: that the motor turns with, as m/s at the tyres.
+        """
+        fade = min(max(speed / self.fade_speed, 0.0), 1.0)
+        neutral = self.neutral_throttle * fade
+        if throttle >= neutral:
+            left = min(max((self.max_speed + self.limiter_band - speed) / self.limiter_band, 0.0), 1.0)
+            force = self.drive_force * (throttle - neutral) / (1.0 - neutral) * left
+        else:
+            force = -self.regenerative_force * fade * (neutral - throttle) / neutral
+        return 0.5 * force * self.wheel_radius
+
+    def wheel_angles(self, angle: float) -> tuple[float, float]:
+        """Angles of the left and the right front wheel for a mean angle, rad, left positive: exact Ackermann."""
+        curvature = math.tan(angle) / self.wheelbase
+        half = 0.5 * self.track * curvature
+        ahead = self.wheelbase * curvature
+        return math.atan2(ahead, 1.0 - half), math.atan2(ahead, 1.0 + half)
+
+
+_TINY = 1e-6
+_LIMITS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(
+        (
+            "length", "width", "height", "wheelbase", "track", "mass", "unsprung_mass", "wheel_mass", "wheel_radius",
+            "wheel_spin_inertia", "tyre_stiffness", "ride_frequency", "steering_rate", "steering_torque",
+            "limiter_band", "fade_speed",
+        ),
+        (_TINY, math.inf),
+    ),
+    "front_share": (0.2, 0.8),
+    "max_steering_angle": (_TINY, 1.0),
+    "neutral_throttle": (_TINY, 0.9),
+    "substeps": (1, 1000),
+    "solver_iterations": (1, 1000),
+}  # fmt: skip
+"""Range of each value where it is not just from 0 up."""

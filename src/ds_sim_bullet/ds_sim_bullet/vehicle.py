@@ -1,0 +1,162 @@
+"""The rigid-body car as a `ds_sim.vehicle.Vehicle`: what the driver's command does to the joints, substep by substep."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
+from ds_sim_bullet.multibody import build_world
+from ds_sim_bullet.parameters import BulletParameters
+
+
+class BulletVehicle:
+    """A small rear-driven electric car of rigid bodies in PyBullet, on an endless plane.
+
+    Body, hubs, knuckles and wheels are one multibody; springs, dampers, anti-roll bars and motor are forces on its
+    joints, the steering is a position motor, and the tyres are contacts with Coulomb friction and a vertical
+    stiffness. Each vehicle owns a physics client of its own, so that several live side by side.
+
+    Args:
+        parameters: of the car; the nominal ones if left out.
+
+    Raises:
+        SimulatorError: PyBullet is not installed, or has no client left to give.
+    """
+
+    def __init__(self, parameters: BulletParameters | None = None) -> None:
+        self.parameters = parameters or BulletParameters()
+        self._bullet = _import_bullet()
+        self._client = -1
+        self._suspension = _Suspension(self.parameters)
+        self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
+
+    def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
+        """Build the world anew, the car at rest in equilibrium; nothing of this car is drawn from `rng`."""
+        if self._client < 0:
+            self._client = self._bullet.connect(self._bullet.DIRECT)
+            if self._client < 0:
+                raise SimulatorError("bullet: PyBullet gave no physics client: close vehicles that are not used")
+        self._car = build_world(self._bullet, self._client, self.parameters, x=x, y=y, yaw=yaw)
+        self._yaw = yaw
+        self._angle = 0.0
+        self._steer()
+        self._state = self._read()
+
+    def advance(self, command: Command) -> None:
+        """Hold a command for one frame of 1/20 s."""
+        p, car, bullet, client = self.parameters, self._car, self._bullet, self._client
+        target = -command.steering * p.max_steering_angle
+        rate = p.steering_rate * FRAME_TIME / p.substeps
+        joints = [*car.guides, *car.spins[2:]]
+        for _ in range(p.substeps):
+            if target != self._angle:
+                self._angle += min(max(target - self._angle, -rate), rate)
+                self._steer()
+            states = bullet.getJointStates(car.body, joints, physicsClientId=client)
+            turning = 0.5 * (states[4][1] + states[5][1])  # the open differential's housing
+            torque = p.drive_torque(command.throttle, turning * p.wheel_radius)
+            bullet.setJointMotorControlArray(
+                car.body,
+                joints,
+                bullet.TORQUE_CONTROL,
+                forces=[*self._suspension.forces(states[:4]), torque, torque],
+                physicsClientId=client,
+            )
+            bullet.stepSimulation(physicsClientId=client)
+        self._state = self._read()
+
+    def state(self) -> VehicleState:
+        """The state of the middle between the axles, at the height of the body's centre of mass."""
+        return self._state
+
+    def close(self) -> None:
+        """Give the physics client back."""
+        if self._client >= 0:
+            self._bullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def _steer(self) -> None:
+        """Send both knuckles to where the steering is now; they are there after one substep."""
+        p = self.parameters
+        self._bullet.setJointMotorControlArray(
+            self._car.body,
+            self._car.steering,
+            self._bullet.POSITION_CONTROL,
+            targetPositions=p.wheel_angles(self._angle),
+            positionGains=(1.0, 1.0),
+            velocityGains=(1.0, 1.0),
+            forces=(p.steering_torque, p.steering_torque),
+            physicsClientId=self._client,
+        )
+
+    def _read(self) -> VehicleState:
+        p, body, bullet, client = self.parameters, self._car.body, self._bullet, self._client
+        (x, y, z), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(body, physicsClientId=client)
+        (vx, vy, _), (wx, wy, wz) = bullet.getBaseVelocity(body, physicsClientId=client)
+        left, right = bullet.getJointStates(body, self._car.steering, physicsClientId=client)
+        # Columns of the rotation matrix: where the body's forward axis points; its left and up axes' heights.
+        fx, fy, fz = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qz * qw), 2 * (qx * qz - qy * qw)
+        left_z, up_z = 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)
+        ahead = p.body_forward
+        heading = math.atan2(fy, fx)
+        self._yaw += math.remainder(heading - self._yaw, math.tau)  # counts full turns
+        cos, sin = math.cos(heading), math.sin(heading)
+        # Velocity of the middle: that of the centre of mass less the turning about it.
+        vx -= ahead * (wy * fz - wz * fy)
+        vy -= ahead * (wz * fx - wx * fz)
+        return VehicleState(
+            x=x - ahead * fx,
+            y=y - ahead * fy,
+            yaw=self._yaw,
+            speed=vx * cos + vy * sin,
+            lateral_speed=vy * cos - vx * sin,
+            yaw_rate=wz,
+            steering_angle=0.5 * (left[0] + right[0]),
+            roll=math.atan2(left_z, up_z),
+            pitch=math.asin(min(max(-fz, -1.0), 1.0)),
+            heave=z - ahead * fz - p.centre_of_mass_height,
+        )
+
+
+class _Suspension:
+    """Forces of springs, dampers, stops and anti-roll bars on the four guides."""
+
+    def __init__(self, p: BulletParameters) -> None:
+        self._travel, self._stop = p.travel, p.stop_stiffness
+        front, rear = (
+            (p.spring_load(front=f), p.spring_stiffness(front=f), p.spring_damping(front=f)) for f in (True, False)
+        )
+        self._corners = (front, front, rear, rear)
+        self._bars = (p.front_anti_roll, p.rear_anti_roll)
+
+    def forces(self, guides: Sequence[tuple[float, ...]]) -> list[float]:
+        """Force on each hub, N, positive up.
+
+        Args:
+            guides: position, m, and velocity, m/s, of each guide, positive up (compression), as PyBullet tells them.
+        """
+        forces = []
+        for (load, stiffness, damping), guide in zip(self._corners, guides, strict=True):
+            position, velocity = guide[0], guide[1]
+            beyond = position - min(max(position, -self._travel), self._travel)
+            forces.append(-(load + stiffness * position + damping * velocity + self._stop * beyond))
+        for axle, bar in enumerate(self._bars):
+            twist = bar * (guides[2 * axle][0] - guides[2 * axle + 1][0])
+            forces[2 * axle] -= twist
+            forces[2 * axle + 1] += twist
+        return forces
+
+
+def _import_bullet() -> Any:
+    """PyBullet, which has no wheels for some Pythons and so may be missing where all else is there."""
+    try:
+        return importlib.import_module("pybullet")
+    except ImportError:
+        raise SimulatorError(
+            "bullet: PyBullet is not installed: pip install pybullet==3.2.7 (it needs a C++ compiler on Python 3.12)"
+        ) from None
