@@ -20,7 +20,7 @@ def main() -> int:
             file=sys.stderr,
         )
         return 1
-    from setup_tool.console import CommandFailedError, Console, SetupError
+    from setup_tool.console import Console, SetupError
     from setup_tool.stamps import one_at_a_time
     from setup_tool.steps import Setup
 
@@ -30,14 +30,10 @@ def main() -> int:
         return 2
     root = Path(__file__).resolve().parent.parent
     begin = time.monotonic()
-    with one_at_a_time(
-        root, lambda: print("another set-up is running here, waiting for it", flush=True)
-    ) as lock:
+    with one_at_a_time(root, lambda: print("another set-up is running here, waiting for it", flush=True)) as lock:
         console = Console(root / ".venv/setup.log", lock)
         try:
-            setup = Setup(
-                root, console, wanted_python=os.environ.get("PYTHON", ""), with_tools="--dev" in arguments
-            )
+            setup = Setup(root, console, wanted_python=os.environ.get("PYTHON", ""), with_tools="--dev" in arguments)
             if setup.is_complete():
                 setup.mark_as_fresh()
                 print("Everything is set up.", flush=True)
@@ -45,9 +41,10 @@ def main() -> int:
             console.note("Setting up in .venv and ros_ws (once; all output is in .venv/setup.log)")
             setup.run()
         except SetupError as error:
-            if isinstance(error, CommandFailedError):
-                console.show_end_of_log()
-            print(f"set-up stopped: {error}", file=sys.stderr)
+            console.show_failure(error)
+            return 1
+        except OSError as error:
+            print(f"set-up stopped: {error}: is this folder yours, and is there space?", file=sys.stderr)
             return 1
         except KeyboardInterrupt:
             print("\nset-up was interrupted: call it again to go on", file=sys.stderr)

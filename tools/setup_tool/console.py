@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-SHOWN_LOG_LINES = 15
-"""Last lines of the log that a failure shows (chosen: a compiler's message with its context)."""
+SHOWN_LINES = 15
+"""Last lines of a program's output that a failure shows (chosen: a compiler's message with its context)."""
 
 
 class SetupError(Exception):
@@ -60,9 +61,7 @@ class Console:
         print(line, flush=True)
         self._write(line + "\n")
 
-    def run(
-        self, command: Sequence[str | Path], *, environment: Mapping[str, str], folder: Path, advice: str
-    ) -> str:
+    def run(self, command: Sequence[str | Path], *, environment: Mapping[str, str], folder: Path, advice: str) -> str:
         """Run a program to its end, its output in the log.
 
         Args:
@@ -106,12 +105,12 @@ class Console:
             raise CommandFailedError(f"{name} ended with status {process.returncode}: {advice}", output)
         return output
 
-    def show_end_of_log(self) -> None:
-        """Print the last lines of the log, indented."""
-        if self.log.is_file():
-            lines = self.log.read_text(errors="replace").splitlines()
-            for line in lines[-SHOWN_LOG_LINES:]:
-                print(f"    {line}", flush=True)
+    def show_failure(self, error: SetupError) -> None:
+        """Print the last lines of a program that failed, indented, and what to do."""
+        if isinstance(error, CommandFailedError):
+            for line in error.output.splitlines()[-SHOWN_LINES:]:
+                print(f"    {line}", file=sys.stderr)
+        print(f"set-up stopped: {error}", file=sys.stderr, flush=True)
 
     def _write(self, text: str) -> None:
         if self.log.parent.is_dir():

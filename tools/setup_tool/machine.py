@@ -82,9 +82,7 @@ def describe(command: str | Path, variables: Mapping[str, str] | None = None) ->
     )
 
 
-def find_python(
-    wanted: str, *, with_rclpy: bool = False, variables: Mapping[str, str] | None = None
-) -> Python:
+def find_python(wanted: str, *, with_rclpy: bool = False, variables: Mapping[str, str] | None = None) -> Python:
     """Choose the interpreter for the environment: the one asked for, else the first that fits.
 
     Args:

@@ -68,9 +68,7 @@ def environment_after(script: Path, environment: Mapping[str, str]) -> dict[str,
             check=True,
         )
     except (OSError, subprocess.CalledProcessError):
-        raise SetupError(
-            f"{script} cannot be sourced: is that ROS still there? `make clean`, then again"
-        ) from None
+        raise SetupError(f"{script} cannot be sourced: is that ROS still there? `make clean`, then again") from None
     pairs = (entry.partition("=") for entry in answer.stdout.decode(errors="replace").split("\0") if entry)
     return {name: value for name, _, value in pairs if name != "_"}
 

@@ -89,9 +89,7 @@ class Setup:
         """
         machine.check_platform()
         if " " in str(self.root):
-            raise SetupError(
-                f"the set-up files of ROS take no blanks in paths: move {self.root} to a path without"
-            )
+            raise SetupError(f"the set-up files of ROS take no blanks in paths: move {self.root} to a path without")
         self._provide_system_packages()
         self._forget_what_was_cut_off()
         for step in self._steps():
@@ -123,18 +121,12 @@ class Setup:
         torch, compiled = pins["torch"], pins[COMPILED_FROM_SOURCE]
         steps += [
             self._pip_step("project", "the project's libraries", base, bulk),
-            Step(
-                "torch", "PyTorch, CPU build", digest([base, torch]), lambda: self._install_torch(torch), True
-            ),
-            self._pip_step(
-                "compiled", "PyBullet (takes minutes where it must be compiled)", base, [compiled]
-            ),
+            Step("torch", "PyTorch, CPU build", digest([base, torch]), lambda: self._install_torch(torch), True),
+            self._pip_step("compiled", "PyBullet (takes minutes where it must be compiled)", base, [compiled]),
         ]
         if self._prefix is None:
             inputs = digest([base, files["ros"], pins["numpy"]])
-            steps.append(
-                Step("prefix", "set-up files and CMake paths of the ROS wheels", inputs, self._prepare_prefix)
-            )
+            steps.append(Step("prefix", "set-up files and CMake paths of the ROS wheels", inputs, self._prepare_prefix))
         if self.with_tools:
             steps.append(self._pip_step("dev", "tools of the tests", base, self._pins(files["dev"]).values()))
         return steps
@@ -186,9 +178,7 @@ class Setup:
 
     def _find_python(self) -> machine.Python:
         variables = self._ros_variables() if self._prefix else None
-        return machine.find_python(
-            self._wanted_python, with_rclpy=self._prefix is not None, variables=variables
-        )
+        return machine.find_python(self._wanted_python, with_rclpy=self._prefix is not None, variables=variables)
 
     def _ros_variables(self) -> dict[str, str]:
         """The variables after the underlying ROS has been sourced, whatever this shell has sourced."""
@@ -296,15 +286,11 @@ class Setup:
 
     def _changed_packages(self) -> list[str]:
         return [
-            name
-            for name, inputs in self._package_inputs().items()
-            if not self._package_stamps.is_done(name, inputs)
+            name for name, inputs in self._package_inputs().items() if not self._package_stamps.is_done(name, inputs)
         ]
 
     def _package_inputs(self) -> dict[str, str]:
-        base = [
-            step.inputs for step in self._steps() if step.name in ("environment", "build", "ros", "prefix")
-        ]
+        base = [step.inputs for step in self._steps() if step.name in ("environment", "build", "ros", "prefix")]
         return {name: digest([*base, own]) for name, own in workspace.packages(self.root / "src").items()}
 
     def _build_workspace(self) -> None:

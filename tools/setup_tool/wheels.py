@@ -47,9 +47,7 @@ def prepare_prefix(environment: Path, variables: Mapping[str, str]) -> int:
     """
     python = environment / "bin/python"
     try:
-        answer = subprocess.run(
-            [python, "-c", _ASK], env=dict(variables), capture_output=True, text=True, check=True
-        )
+        answer = subprocess.run([python, "-c", _ASK], env=dict(variables), capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]
         raise SetupError(f"the ROS wheels are not complete ({reason}): `make clean`, then again") from None

@@ -30,10 +30,7 @@ def packages(source: Path) -> dict[str, str]:
 
     Python modules are linked, not copied: their change asks for none.
     """
-    return {
-        manifest.parent.name: digest(_inputs(manifest.parent))
-        for manifest in sorted(source.glob("*/package.xml"))
-    }
+    return {manifest.parent.name: digest(_inputs(manifest.parent)) for manifest in sorted(source.glob("*/package.xml"))}
 
 
 def remove_build(workspace: Path, package: str) -> None:
@@ -65,9 +62,7 @@ def write_environment_file(target: Path, *, root: Path, workspace: Path, wheels:
             *map(str, sorted(wheels.glob("lib/python3.*/site-packages/ros_*.libs"))),
         ]
         present = sourced.get("LD_LIBRARY_PATH", "").split(os.pathsep)
-        sourced["LD_LIBRARY_PATH"] = os.pathsep.join(
-            [p for p in present if p and p not in libraries] + libraries
-        )
+        sourced["LD_LIBRARY_PATH"] = os.pathsep.join([p for p in present if p and p not in libraries] + libraries)
         sourced[ros.BOOTSTRAP_DONE] = "1"
     lines = [
         "# Written by tools/setup.py. The variables that `source ros_ws/install/setup.bash` sets.",
@@ -85,9 +80,7 @@ def _exports(variables: Mapping[str, str]) -> Iterator[str]:
         if name in ("HOME", "PWD", "OLDPWD", "SHLVL", *_CHOSEN_BY_HOOK):
             continue
         if name in _PATH_LISTS:
-            ours = os.pathsep.join(
-                p for p in value.split(os.pathsep) if p and p not in _BASE_PATH.split(os.pathsep)
-            )
+            ours = os.pathsep.join(p for p in value.split(os.pathsep) if p and p not in _BASE_PATH.split(os.pathsep))
             yield f'export {name}={shlex.quote(ours)}"${{{name}:+:${name}}}"'
         else:
             yield f"export {name}={shlex.quote(value)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 
@@ -39,9 +40,15 @@ class CollectionPlan:
 
 
 def training_roads(plan: CollectionPlan) -> list[Road]:
-    """The roads of a plan; the same seed gives the same roads."""
+    """The roads of a plan, valid in both directions; the same seed gives the same roads."""
     rng = np.random.default_rng(plan.seed)
-    return [generate(rng, max_angle=plan.max_angle) for _ in range(plan.roads)]
+    roads: list[Road] = []
+    while len(roads) < plan.roads:
+        road = generate(rng, max_angle=plan.max_angle)
+        # The edge of a sharp bend may fold in one direction only, since it is drawn sample by sample.
+        if road.reversed().validity.valid:
+            roads.append(road)
+    return roads
 
 
 def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
@@ -60,7 +67,7 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
             progress(done, len(drives), f"{name} {road_id} {direction}: there already")
             continue
         simulator = made.setdefault(name, make_simulator(name))
-        rng = np.random.default_rng([plan.seed, index, direction == "reverse", simulators.index(name)])
+        rng = np.random.default_rng([plan.seed, index, direction == "reverse", crc32(name.encode())])
         rows, outcome = _drive(simulator, road, rng, plan)
         for row in rows:
             row.update(simulator=name, road_id=road_id, direction=direction)

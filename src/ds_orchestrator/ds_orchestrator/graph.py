@@ -25,6 +25,8 @@ from ds_sim.simulator import Observation, Outcome
 
 SERVICE_TIME = 20.0
 """Seconds that a simulator gets to answer a service or a goal."""
+ATTEMPTS = 10
+"""Calls of a service within that time: one that goes to a process that just died is never answered."""
 START_TIME = 90.0
 """Seconds that a graph gets to come up, importing its libraries on a busy machine included."""
 _NO_IMAGE = np.empty((0, 0, 3), np.uint8)
@@ -85,7 +87,7 @@ class GraphExecutor:
         Raises:
             GraphError: it does not answer.
         """
-        response = self._wait(self._simulators[simulator].info.call_async(GetSimulatorInfo.Request()), SERVICE_TIME)
+        response = self._ask(self._simulators[simulator].info, GetSimulatorInfo.Request())
         if response is None:
             raise GraphError(f"{simulator} does not answer get_info within {SERVICE_TIME:.0f} s: is its node alive?")
         return response
@@ -118,7 +120,7 @@ class GraphExecutor:
         except (GraphError, RuntimeError) as error:
             return Outcome.SIM_ERROR, str(error)
         request = LoadRoad.Request(road=messages.road_to_message(record.road), seed=record.seed)
-        loaded = self._wait(simulator.load.call_async(request), SERVICE_TIME)
+        loaded = self._ask(simulator.load, request)
         if loaded is None:
             return Outcome.SIM_ERROR, f"load_road was not answered within {SERVICE_TIME:.0f} s"
         if not loaded.accepted:
@@ -147,6 +149,14 @@ class GraphExecutor:
                 return None
             self._wait(future, 0.5)
         return future.result()
+
+    def _ask(self, client: Any, request: Any) -> Any:
+        """The answer of a service that may be asked again, or None."""
+        for _ in range(ATTEMPTS):
+            answer = self._wait(client.call_async(request), SERVICE_TIME / ATTEMPTS)
+            if answer is not None or self._stopped.is_set():
+                return answer
+        return None
 
     def _wait(self, future: Future, limit: float) -> Any:
         """A future's result, or None when the time is up or we were stopped."""

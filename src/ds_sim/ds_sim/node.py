@@ -56,8 +56,9 @@ class SimulatorNode(Node):
         self._awaited = Header()
         self._first_sent = self._last_sent = 0.0
         self._refused = ""
-        # Stamps never go back over the life of the node, as tf, bags and filters expect of a clock.
-        self._run_start = 0.0
+        # Stamps never go back over the life of the node, as tf, bags and filters expect of a clock; they begin above
+        # 0, so that a driver that leaves its stamp unset never answers by chance.
+        self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", self._on_command, 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
         self.create_service(GetSimulatorInfo, "get_info", self._on_get_info)

@@ -46,8 +46,6 @@ class BulletParameters:
         wheel_radius: m; sheet: 165/65 R15 (0.298) in front and 185/60 R15 (0.301) at the rear.
         wheel_spin_inertia: about the axle, kg m^2; chosen: a 15 kg wheel with 0.75 of its mass at the rim.
         rotor_inertia: of the motor as seen by one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
-        tyre_stiffness: vertical, N/m; Gillespie ch. 5: 180 to 200 kN/m for a passenger tyre.
-        tyre_damping: vertical, N s/m; Milliken ch. 2: small, some percent of critical.
         friction: of tyre on dry asphalt; Gillespie ch. 10: 0.8 to 0.9 sliding to peak.
         rolling_resistance: force over load; Gillespie ch. 4: 0.012 to 0.015 for radial tyres on asphalt.
 
@@ -94,8 +92,6 @@ class BulletParameters:
     wheel_radius: float = 0.30
     wheel_spin_inertia: float = 0.9
     rotor_inertia: float = 0.8
-    tyre_stiffness: float = 190e3
-    tyre_damping: float = 500.0
     friction: float = 0.9
     rolling_resistance: float = 0.013
 
@@ -188,7 +184,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(
         (
             "length", "width", "height", "wheelbase", "track", "mass", "unsprung_mass", "wheel_mass", "wheel_radius",
-            "wheel_spin_inertia", "tyre_stiffness", "ride_frequency", "steering_rate", "steering_torque",
+            "wheel_spin_inertia", "ride_frequency", "steering_rate", "steering_torque",
             "limiter_band", "fade_speed",
         ),
         (_TINY, math.inf),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
-from ds_sim_bullet.multibody import build_world
+from ds_sim_bullet.world import build_world
 from ds_sim_bullet.parameters import BulletParameters
 
 

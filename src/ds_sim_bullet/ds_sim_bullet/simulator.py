@@ -1,0 +1,69 @@
+"""The rigid-body sibling as a simulator: the car, its camera behind the windscreen and the look of a sunny day."""
+
+from __future__ import annotations
+
+import math
+from importlib import metadata
+
+from ds_sim.camera_spec import CameraSpec
+from ds_sim.look import Look
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import FRAME_RATE, AutopilotGains, SimulatorSpec
+from ds_sim_bullet.parameters import BulletParameters
+from ds_sim_bullet.vehicle import BulletVehicle
+
+PREVIEW_DISTANCE = 3.5
+"""m; chosen: about half a second at 25 km/h, and well before the front bumper."""
+GAINS = AutopilotGains(proportional=0.5)
+"""Chosen by driving random roads; the preview stands in for the derivative."""
+CAMERA = CameraSpec(
+    # Chosen: a wide-angle camera that still sees the lane on the inside of a sharp bend.
+    horizontal_fov=math.radians(100.0),
+    # Chosen: behind the windscreen, below the mirror, of a car 1.54 m high.
+    height=1.35,
+    forward=0.4,
+    pitch=math.radians(10.0),
+    # Chosen: a good sensor in daylight.
+    noise=1.5,
+)
+LOOK = Look(
+    asphalt=(98, 98, 100),
+    grass=(96, 132, 60),
+    edge_line=(240, 240, 240),
+    centre_line=(228, 196, 52),
+    sky_top=(98, 156, 226),
+    horizon=(196, 216, 236),
+    line_width=0.15,
+    asphalt_grain=5.0,
+    grass_grain=14.0,
+    grain_seed=2,
+)
+
+
+class BulletSimulator(RoadSimulator):
+    """A city car of rigid bodies in PyBullet.
+
+    Args:
+        parameters: of the car; the nominal ones if left out.
+    """
+
+    def __init__(self, parameters: BulletParameters | None = None) -> None:
+        parameters = parameters or BulletParameters()
+        vehicle = BulletVehicle(parameters)
+        spec = SimulatorSpec(
+            name="bullet",
+            physics="rigid bodies: sprung car on four wheels with Coulomb friction, rear-driven",
+            vehicle_length=parameters.length,
+            vehicle_width=parameters.width,
+            wheelbase=parameters.wheelbase,
+            max_steering_angle=parameters.max_steering_angle,
+            camera=CAMERA,
+            look=LOOK,
+            crop_top=54,
+            crop_bottom=0,
+            autopilot=GAINS,
+            preview_distance=PREVIEW_DISTANCE,
+            engine=f"PyBullet {metadata.version('pybullet')}",
+            extra={"physics_rate": f"{FRAME_RATE * parameters.substeps:g} Hz"},
+        )
+        super().__init__(spec, vehicle)

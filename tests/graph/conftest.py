@@ -1,0 +1,44 @@
+"""Graphs of real nodes in real processes for the tests, each in a ROS domain of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def spin() -> Iterator[Callable[..., None]]:
+    """Spins nodes of the test's own process in the background."""
+    import rclpy
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    threads = []
+    stop = threading.Event()
+
+    def start(*nodes: object) -> None:
+        executor = SingleThreadedExecutor()
+        for node in nodes:
+            executor.add_node(node)
+
+        def work() -> None:
+            try:
+                while rclpy.ok() and not stop.is_set():
+                    executor.spin_once(timeout_sec=0.1)
+            except ExternalShutdownException:
+                pass
+
+        threads.append(threading.Thread(target=work, daemon=True))
+        threads[-1].start()
+
+    yield start
+    stop.set()
+    for thread in threads:
+        thread.join(2.0)
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    return tmp_path / "logs"

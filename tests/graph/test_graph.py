@@ -1,0 +1,251 @@
+"""One simulator and its drivers as separate processes: roads, runs, and everything that can be wrong with them."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ds_driver.control import Autopilot
+from ds_orchestrator.campaign import trajectory_sha256
+from ds_road import Road, generate
+from ds_sim.registry import make_simulator
+from ds_sim.session import Session
+from ds_sim.simulator import Outcome
+
+pytestmark = pytest.mark.graph
+
+ROAD = generate(np.random.default_rng(21), max_angle=120)
+SPACE = {"donkey": "/ds1"}
+
+
+@pytest.fixture
+def graph(logs: Path) -> Iterator[Any]:
+    """A donkey with the autopilot."""
+    from ds_orchestrator.running import running_graph
+
+    with running_graph(SPACE, "autopilot", command_timeout=5.0, logs=logs) as executor:
+        yield executor
+
+
+@pytest.fixture
+def lonely_simulator(logs: Path) -> Iterator[Any]:
+    """A donkey that waits 1.5 s for a driver that the test brings; gives (executor, ROS domain)."""
+    from ds_orchestrator.domain import Domain
+    from ds_orchestrator.graph import GraphExecutor
+    from ds_orchestrator.graph_plan import simulator_processes
+    from ds_orchestrator.supervisor import Supervisor
+
+    domain = Domain()
+    supervisor = Supervisor(simulator_processes(SPACE, 1.5), domain=domain.number, logs=logs)
+    executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=1.5, supervisor=supervisor)
+    yield executor, domain.number
+    executor.close()
+    supervisor.close()
+    domain.close()
+
+
+def test_a_run_through_ros_equals_a_run_in_this_process(graph: Any) -> None:
+    """Bit for bit: the transport adds nothing and loses nothing; and again, and after another road in between."""
+    simulator = make_simulator("donkey")
+    session, pilot = Session(simulator), Autopilot(simulator.spec.autopilot)
+    observation = session.start(ROAD, 5)
+    while session.driving and observation is not None:
+        command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
+        observation = session.advance(command)
+    assert session.run is not None and session.run.outcome is Outcome.COMPLETED
+    runs = [graph.execute("donkey", ROAD, 5), graph.execute("donkey", ROAD.reversed(), 6), graph.execute("donkey", ROAD, 5)]
+    assert [run.outcome for run in runs] == [Outcome.COMPLETED] * 3
+    expected = trajectory_sha256(session.run)
+    assert [trajectory_sha256(run) == expected for run in runs] == [True, False, True]
+    assert runs[0].commands == session.run.commands
+    assert runs[0].fitness == session.run.fitness
+
+
+def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:
+    """What ds_road would not even build is sent as a message, as anybody could."""
+    from geometry_msgs.msg import Point
+    from rclpy.node import Node
+
+    from ds_interfaces.msg import Road as RoadMessage
+    from ds_interfaces.srv import LoadRoad
+
+    roads: dict[str, list[tuple[float, float]]] = {
+        "nan": [(125.0, 0.0), (125.0, 25.0), (math.nan, 50.0), (125.0, 75.0)],
+        "infinity": [(125.0, 0.0), (125.0, 25.0), (125.0, math.inf), (125.0, 75.0)],
+        "one point": [(125.0, 25.0)],
+        "100,000 points": [(float(i % 250), float(i // 250)) for i in range(100_000)],
+        "crossing": [(50, 50), (50, 100), (50, 150), (100, 150), (100, 110), (20, 110), (10, 60)],
+        "outside": [(125.0, 40.0 * i) for i in range(9)],
+    }
+    node = Node("tester")
+    client = node.create_client(LoadRoad, "/ds1/load_road")
+    assert client.wait_for_service(10.0)
+    for name, points in roads.items():
+        message = RoadMessage(control_points=[Point(x=float(x), y=float(y)) for x, y in points])
+        future = client.call_async(LoadRoad.Request(road=message, seed=1))
+        deadline = time.monotonic() + 20.0
+        import rclpy
+
+        while not future.done() and time.monotonic() < deadline:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        answer = future.result()
+        assert answer is not None, name
+        assert not answer.accepted and answer.reason and "\n" not in answer.reason, name
+    node.destroy_node()
+    assert graph.execute("donkey", ROAD, 1).outcome is Outcome.COMPLETED
+
+
+def test_a_silent_driver_is_an_error_within_its_limit(lonely_simulator: Any) -> None:
+    from rclpy.node import Node
+
+    from ds_interfaces.msg import DriveCommand
+
+    executor, _ = lonely_simulator
+    node = Node("silent_driver")
+    node.create_publisher(DriveCommand, "/ds1/drive", 1)
+    started = time.monotonic()
+    executor.wait_until_ready(30.0)
+    run = executor.execute("donkey", ROAD, 1)
+    assert run.outcome is Outcome.DRIVER_SILENT and "no command within 1.5 s" in run.message
+    assert time.monotonic() - started < 40.0
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("steering", "throttle", "named"), [(math.nan, 0.5, "steering is nan"), (0.0, 7.0, "throttle is 7"), (-1.5, 0.1, "-1.5")]
+)
+def test_commands_that_cannot_be_executed_are_refused_by_name(
+    lonely_simulator: Any, spin: Callable[..., None], steering: float, throttle: float, named: str
+) -> None:
+    from rclpy.node import Node
+    from sensor_msgs.msg import Image
+
+    from ds_interfaces.msg import DriveCommand
+
+    executor, _ = lonely_simulator
+    node = Node("bad_driver")
+    publisher = node.create_publisher(DriveCommand, "/ds1/drive", 1)
+
+    def answer(image: Image) -> None:
+        publisher.publish(DriveCommand(header=image.header, steering=steering, throttle=throttle))
+
+    node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
+    spin(node)
+    run = executor.execute("donkey", ROAD, 1)
+    assert run.outcome is Outcome.DRIVER_SILENT and named in run.message
+    node.destroy_node()
+
+
+def test_answers_to_other_frames_do_not_count(lonely_simulator: Any, spin: Callable[..., None]) -> None:
+    """Lock-step by stamp: a driver that answers twice, and once with an old stamp, drives as if it answered once."""
+    from rclpy.node import Node
+    from sensor_msgs.msg import Image
+    from std_msgs.msg import Header
+
+    from ds_interfaces.msg import DriveCommand
+
+    executor, _ = lonely_simulator
+    node = Node("chatty_driver")
+    publisher = node.create_publisher(DriveCommand, "/ds1/drive", 10)
+    last = [Header()]
+
+    def answer(image: Image) -> None:
+        publisher.publish(DriveCommand(header=last[0], steering=1.0, throttle=1.0))
+        for _ in range(2):
+            publisher.publish(DriveCommand(header=image.header, steering=0.0, throttle=0.3))
+        last[0] = image.header
+
+    node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
+    spin(node)
+    straight = Road([(125.0, 25.0 * i) for i in range(9)])
+    run = executor.execute("donkey", straight, 1)
+    assert run.outcome is Outcome.COMPLETED
+    assert {(c.steering, c.throttle) for c in run.commands} == {(0.0, 0.3)}
+    node.destroy_node()
+
+
+def test_another_driver_takes_the_wheel_without_touching_anything_else(lonely_simulator: Any) -> None:
+    """The README's driver, in a process of its own, drives a gentle road to its end."""
+    executor, domain = lonely_simulator
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
+    command = [sys.executable, "examples/line_driver.py", "--ros-args", "-r", "__ns:=/ds1"]
+    driver = subprocess.Popen(command, env=environment, start_new_session=True)
+    try:
+        gentle = generate(np.random.default_rng(2), max_angle=30)
+        run = executor.execute("donkey", gentle, 1)
+    finally:
+        driver.kill()
+        driver.wait()
+    assert run.outcome is Outcome.COMPLETED, run.message
+
+
+def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> None:
+    import threading
+
+    victim = graph._supervisor._processes["simulator_ds1"]
+    threading.Timer(1.0, lambda: os.kill(victim.pid, signal.SIGKILL)).start()
+    slow = Road([(125.0, 25.0 * i) for i in range(9)])
+    outcomes = [graph.execute("donkey", road, 1).outcome for road in (ROAD, slow, ROAD)]
+    assert outcomes.count(Outcome.SIM_ERROR) == 1 and outcomes[-1] is Outcome.COMPLETED
+
+
+def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Callable[..., None]) -> None:
+    """The network driver refuses it in one line, and answers the next good image."""
+    import rclpy
+    from rclpy.node import Node
+    from sensor_msgs.msg import Image
+
+    from ds_interfaces.msg import DriveCommand, VehicleState
+    from ds_orchestrator.domain import Domain
+    from ds_orchestrator.graph_plan import driver_process
+    from ds_orchestrator.supervisor import Supervisor
+
+    domain = Domain()
+    supervisor = Supervisor([driver_process("dave2", SPACE)], domain=domain.number, logs=logs)
+    rclpy.init(domain_id=domain.number)
+    node = Node("camera")
+    images = node.create_publisher(Image, "/ds1/camera/image_raw", 1)
+    states = node.create_publisher(VehicleState, "/ds1/state", 1)
+    answers: list[DriveCommand] = []
+    node.create_subscription(DriveCommand, "/ds1/drive", answers.append, 10)
+    spin(node)
+
+    def show(rows: int, columns: int, second: int) -> bool:
+        image = Image(height=rows, width=columns, encoding="rgb8", step=columns * 3)
+        image.data = bytes(rows * columns * 3)
+        image.header.stamp.sec = second
+        state = VehicleState(header=image.header)
+        before = len(answers)
+        for _ in range(20):
+            states.publish(state)
+            images.publish(image)
+            time.sleep(0.1)
+            if len(answers) > before:
+                return True
+        return False
+
+    deadline = time.monotonic() + 60.0
+    while not images.get_subscription_count() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    try:
+        assert show(160, 320, 1)
+        assert not show(48, 64, 2)
+        assert show(160, 320, 3)
+        assert abs(answers[-1].steering) <= 1.0 and answers[-1].header.stamp.sec == 3
+        log = (logs / "driver.log").read_text()
+        assert "frame not answered: image of shape (48, 64, 3)" in log and "Traceback" not in log
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+        supervisor.close()
+        domain.close()
