@@ -19,16 +19,10 @@ def generate_launch_description() -> LaunchDescription:
     wants_autopilot = EqualsSubstitution(driver, "autopilot")
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "sim", default_value="bullet", description="known simulator, or module:Class"
-            ),
-            DeclareLaunchArgument(
-                "driver", default_value="dave2", description="shipped network, file, or autopilot"
-            ),
+            DeclareLaunchArgument("sim", default_value="bullet", description="known simulator, or module:Class"),
+            DeclareLaunchArgument("driver", default_value="dave2", description="shipped network, file, or autopilot"),
             DeclareLaunchArgument("namespace", default_value="ds1", description="namespace of both nodes"),
-            DeclareLaunchArgument(
-                "sync", default_value="lockstep", description="lockstep, first or realtime"
-            ),
+            DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep, first or realtime"),
             Node(
                 package="ds_sim",
                 executable="simulator",

@@ -24,12 +24,8 @@ def generate_launch_description() -> LaunchDescription:
     network = {"network": ParameterValue(driver, value_type=str)}
     description = LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "driver", default_value="dave2", description="shipped network, file, or autopilot"
-            ),
-            DeclareLaunchArgument(
-                "sync", default_value="lockstep", description="lockstep, first or realtime"
-            ),
+            DeclareLaunchArgument("driver", default_value="dave2", description="shipped network, file, or autopilot"),
+            DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep, first or realtime"),
         ]
     )
     for namespace, package in SIMULATORS.items():

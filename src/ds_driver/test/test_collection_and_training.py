@@ -1,0 +1,101 @@
+"""Data and training, small but real: the twin drives, Dave-2 learns, and both go on where they were stopped."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from ds_driver.collection import CollectionPlan, collect, training_roads
+from ds_driver.dataset import DatasetError, Sample, balance, decode, encode, read_samples, write_manifest
+from ds_driver.preprocessing import Crop
+from ds_driver.training import TrainingPlan, split, train
+
+PLAN = CollectionPlan(roads=2, seed=5, max_angle=60, every=12)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    collect(PLAN, ["donkey"], folder, lambda *_: None)
+    return folder
+
+
+def test_every_road_is_driven_both_ways_and_labelled_by_the_autopilot(data: Path) -> None:
+    roads = {road.road_id for road in training_roads(PLAN)}
+    files = sorted(path.name for path in (data / "donkey").glob("*.parquet"))
+    assert files == sorted(f"{road}-{way}.parquet" for road in roads for way in ("forward", "reverse"))
+    table = pq.read_table(data / "donkey" / files[0]).to_pylist()
+    assert [row["step"] for row in table] == list(range(0, 12 * len(table), 12))
+    assert decode(table[3]["image"]).shape == (160, 320, 3)
+    assert all(-1.0 <= row["steering"] <= 1.0 and 0.0 <= row["throttle"] <= 1.0 for row in table)
+
+
+def test_a_stopped_collection_goes_on_and_ends_the_same(data: Path, tmp_path: Path) -> None:
+    lines: list[str] = []
+    first = sorted((data / "donkey").glob("*.parquet"))[1]
+    before = {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")}
+    first.unlink()
+    collect(PLAN, ["donkey"], data, lambda done, total, line: lines.append(line))
+    assert sum("there already" in line for line in lines) == 3
+    assert {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")} == before
+    write_manifest(data, {"seed": 5})
+    manifest = json.loads((data / "manifest.json").read_text())
+    assert manifest["images"]["donkey"] == sum(manifest["steering"]["donkey"]) > 50
+
+
+def test_jpeg_keeps_an_image_nearly_as_it_was() -> None:
+    image = np.tile(np.linspace(0, 255, 320, dtype=np.uint8)[None, :, None], (160, 1, 3))
+    assert np.abs(decode(encode(image)).astype(int) - image).max() <= 6
+
+
+def sample(simulator: str, road: int) -> Sample:
+    return Sample(jpeg=b"", steering=0.0, simulator=simulator, road_id=str(road))
+
+
+def test_simulators_are_equally_represented_and_no_road_is_in_both_parts() -> None:
+    samples = [sample("a", i % 10) for i in range(300)] + [sample("b", i % 10) for i in range(120)]
+    training, validation = split(samples, TrainingPlan(seed=3))
+    for part in (training, validation):
+        assert sum(s.simulator == "a" for s in part) == sum(s.simulator == "b" for s in part) > 0
+    assert not {s.road_id for s in training} & {s.road_id for s in validation}
+    assert len({s.road_id for s in validation}) == 2
+    assert len(balance(samples, np.random.default_rng(1), limit=7)) == 14
+
+
+def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
+    crops = {"donkey": Crop(60, 0)}
+
+    def plan(epochs: int) -> TrainingPlan:
+        return TrainingPlan(epochs=epochs, batch_size=16, learning_rate=1e-3, validation=0.5, threads=1)
+
+    whole = train(data, tmp_path / "whole", plan(2), crops, lambda _: None)
+    train(data, tmp_path / "parts", plan(1), crops, lambda _: None)
+    parts = train(data, tmp_path / "parts", plan(2), crops, lambda _: None)
+    assert [e.training_loss for e in whole] == [e.training_loss for e in parts]
+    assert whole[1].training_loss < whole[0].training_loss
+    best = (tmp_path / "whole" / "dave2.safetensors").read_bytes()
+    assert best == (tmp_path / "parts" / "dave2.safetensors").read_bytes()
+    with pytest.raises(DatasetError, match="another plan"):
+        train(data, tmp_path / "parts", TrainingPlan(seed=9), crops, lambda _: None)
+
+
+def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="no drives"):
+        read_samples(tmp_path)
+    with pytest.raises(DatasetError, match="no crop is known for donkey"):
+        train(data, tmp_path / "x", TrainingPlan(), {}, lambda _: None)
+    with pytest.raises(DatasetError, match="damaged"):
+        decode(b"not a jpeg")
+    (tmp_path / "sim").mkdir()
+    (tmp_path / "sim" / "a.parquet").write_bytes(b"PAR1 cut")
+    with pytest.raises(DatasetError, match="cannot be read"):
+        read_samples(tmp_path)
+    row = {"image": b"", "steering": 1.5, "simulator": "sim", "road_id": "r"}
+    pq.write_table(pa.Table.from_pylist([row]), tmp_path / "sim" / "a.parquet")
+    with pytest.raises(DatasetError, match=r"outside \[-1, 1\]"):
+        read_samples(tmp_path)

@@ -1,0 +1,106 @@
+"""The network's shape, and weights that cannot be used."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from ds_driver.network_driver import NetworkDriver
+from ds_driver.networks import UnknownNetworkError, count_parameters, make_network
+from ds_driver.preprocessing import Crop, ImageError, prepare
+from ds_driver.weights import WeightsError, load_network, save_weights, shipped_networks
+
+
+def test_dave2_has_the_papers_parameters() -> None:
+    assert count_parameters(make_network("dave2")) == 2_882_619
+
+
+def test_weights_survive_the_way_to_disk_and_back(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    network = make_network("dave2").eval()
+    save_weights(network, tmp_path / "a.safetensors", architecture="dave2")
+    image = torch.rand(1, 3, 160, 320) * 255
+    with torch.inference_mode():
+        assert load_network(str(tmp_path / "a.safetensors"))(image).item() == pytest.approx(
+            network(image).item(), abs=1e-3
+        )
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def damaged(tmp_path: Path, kind: str) -> Path:
+    path = tmp_path / f"{kind}.safetensors"
+    network = make_network("dave2")
+    save_weights(network, path, architecture="dave2")
+    if kind == "truncated":
+        path.write_bytes(path.read_bytes()[:100_000])
+    elif kind == "pickle":
+        torch.save(network.state_dict(), path)
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "other":
+        save_file({"a": torch.zeros(2)}, path, metadata={"architecture": "dave2"})
+    elif kind == "foreign":
+        save_file({"a": torch.zeros(2)}, path)
+    elif kind == "nan":
+        with torch.no_grad():
+            next(network.parameters()).fill_(float("nan"))
+        save_weights(network, path, architecture="dave2")
+    elif kind == "missing":
+        path.unlink()
+    return path
+
+
+@pytest.mark.parametrize("kind", ["truncated", "pickle", "empty", "other", "foreign", "nan", "missing"])
+def test_unusable_weights_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+    with pytest.raises(WeightsError) as refused:
+        NetworkDriver(str(damaged(tmp_path, kind)))
+    assert "\n" not in str(refused.value) and ":" in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["dave3", "weights.h5", ""])
+def test_an_unknown_network_is_refused(name: str) -> None:
+    with pytest.raises(UnknownNetworkError, match="expected one of dave2"):
+        load_network(name)
+
+
+def test_preprocessing_crops_resizes_and_turns_to_yuv() -> None:
+    image = np.zeros((160, 320, 3), np.uint8)
+    image[80:] = (10, 200, 30)
+    whole, part = prepare(image, Crop()), prepare(image, Crop(80, 0))
+    assert whole.shape == part.shape == (160, 320, 3)
+    # BT.601 by hand: Y = 0.299 R + 0.587 G + 0.114 B
+    assert part[..., 0] == pytest.approx(0.299 * 10 + 0.587 * 200 + 0.114 * 30, abs=1)
+    assert whole[0, 0, 0] == 0 and whole[-1, 0, 0] == part[0, 0, 0]
+
+
+@pytest.mark.parametrize("shape", [(120, 160, 3), (160, 320), (160, 320, 4), (0, 0, 3)])
+def test_an_image_of_another_size_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ImageError, match="expected"):
+        prepare(np.zeros(shape, np.uint8), Crop())
+
+
+@pytest.mark.parametrize("rows", [(160, 0), (-1, 0), (100, 60)])
+def test_a_crop_that_leaves_nothing_is_refused(rows: tuple[int, int]) -> None:
+    with pytest.raises(ImageError, match="expected at most"):
+        Crop(*rows)
+
+
+def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
+    shipped = shipped_networks()
+    assert "dave2" in shipped
+    for name, path in shipped.items():
+        card = json.loads(path.with_suffix(".json").read_text())
+        assert set(card) >= {"network", "parameters", "data", "seeds", "commands", "loss", "success", "roads"}
+        assert card["parameters"] == count_parameters(load_network(name))
+        assert all(rate >= 0.5 for rate in card["success"].values()) and len(card["success"]) == 3
+        driver = NetworkDriver(name)
+        rng = np.random.default_rng(1)
+        image = rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)
+        command = driver.command(image, 5.0, Crop(60, 0))
+        assert driver.command(image, 5.0, Crop(60, 0)) == command
+        assert -1.0 <= command.steering <= 1.0 and 0.0 <= command.throttle <= 1.0
