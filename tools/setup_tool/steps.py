@@ -312,6 +312,8 @@ class Setup:
         with self.console.step(f"colcon build of {which}"):
             for name in changed:
                 self._package_stamps.begin(name)
+                # Files that a package no longer has would stay installed.
+                shutil.rmtree(self.workspace / "install" / name, ignore_errors=True)
             self.console.run(
                 [
                     *(self.environment / "bin/colcon", "--log-base", "log", "build", "--base-paths", "src"),

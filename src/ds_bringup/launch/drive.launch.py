@@ -1,21 +1,26 @@
 """One simulator and one driver.
 
-ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|donkey|module:Class] [namespace:=ds1]
+ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|donkey] [namespace:=ds1]
                                        [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
+
+A simulator of your own: sim:=module:Class parameters:=FILE, with FILE as those in config/simulators.
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe two nodes in one namespace."""
+    sim = LaunchConfiguration("sim")
     driver = LaunchConfiguration("driver")
     namespace = LaunchConfiguration("namespace")
+    parameters = LaunchConfiguration("parameters")
     wants_autopilot = EqualsSubstitution(driver, "autopilot")
     return LaunchDescription(
         [
@@ -23,16 +28,25 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("driver", default_value="dave2", description="shipped network, file, or autopilot"),
             DeclareLaunchArgument("namespace", default_value="ds1", description="namespace of both nodes"),
             DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep, first or realtime"),
+            DeclareLaunchArgument(
+                "parameters",
+                default_value=[
+                    PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "simulators", sim]),
+                    ".yaml",
+                ],
+                description="file with the parameters of the nodes",
+            ),
             Node(
                 package="ds_sim",
                 executable="simulator",
                 name="simulator",
                 namespace=namespace,
                 parameters=[
+                    parameters,
                     {
-                        "simulator": ParameterValue(LaunchConfiguration("sim"), value_type=str),
+                        "simulator": ParameterValue(sim, value_type=str),
                         "sync": ParameterValue(LaunchConfiguration("sync"), value_type=str),
-                    }
+                    },
                 ],
                 output="screen",
             ),
@@ -41,7 +55,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="driver",
                 name="driver",
                 namespace=namespace,
-                parameters=[{"network": ParameterValue(driver, value_type=str)}],
+                parameters=[parameters, {"network": ParameterValue(driver, value_type=str)}],
                 condition=UnlessCondition(wants_autopilot),
                 output="screen",
             ),
@@ -50,6 +64,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="autopilot",
                 name="autopilot",
                 namespace=namespace,
+                parameters=[parameters],
                 condition=IfCondition(wants_autopilot),
                 output="screen",
             ),

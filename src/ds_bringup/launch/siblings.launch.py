@@ -11,15 +11,19 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-SIMULATORS = {"ds1": "ds_sim_bullet", "ds2": "ds_sim_softbody", "twin": "ds_twin_donkey"}
-"""Namespace -> package whose executable `simulator` runs there."""
+SIMULATORS = {
+    "ds1": ("ds_sim_bullet", "bullet.yaml"),
+    "ds2": ("ds_sim_softbody", "softbody.yaml"),
+    "twin": ("ds_twin_donkey", "donkey.yaml"),
+}
+"""Namespace -> package whose executable `simulator` runs there, and file with the parameters of its nodes."""
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe six nodes: a simulator and a driver in each namespace."""
     driver = LaunchConfiguration("driver")
     wants_autopilot = EqualsSubstitution(driver, "autopilot")
-    parameters = PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "simulators.yaml"])
+    folder = PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "simulators"])
     sync = {"sync": ParameterValue(LaunchConfiguration("sync"), value_type=str)}
     network = {"network": ParameterValue(driver, value_type=str)}
     description = LaunchDescription(
@@ -28,7 +32,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep, first or realtime"),
         ]
     )
-    for namespace, package in SIMULATORS.items():
+    for namespace, (package, file) in SIMULATORS.items():
+        parameters = PathJoinSubstitution([folder, file])
         description.add_action(
             Node(
                 package=package,
@@ -56,6 +61,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="autopilot",
                 name="autopilot",
                 namespace=namespace,
+                parameters=[parameters],
                 condition=IfCondition(wants_autopilot),
                 output="screen",
             )

@@ -1,0 +1,74 @@
+"""DeepHyperion in microseconds: no simulator, no clock, only ask and tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ds_orchestrator.search import DeepHyperion, SearchSettings, cell_of
+from ds_road import Road
+
+SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=120)
+
+
+def fitness_of(road: Road) -> float:
+    """Any fixed function of the road that is sometimes negative."""
+    return 1.5 - 12.0 * road.curvature
+
+
+def run(seed: int, settings: SearchSettings = SETTINGS) -> tuple[DeepHyperion, list[Road]]:
+    search = DeepHyperion(settings, np.random.default_rng(seed))
+    roads = []
+    while not search.done:
+        roads.append(search.ask())
+        search.tell(fitness_of(roads[-1]))
+    return search, roads
+
+
+def test_the_budget_is_population_plus_iterations_and_the_seed_decides() -> None:
+    search, roads = run(1)
+    assert len(roads) == search.budget == 17
+    assert roads == run(1)[1] and roads != run(2)[1]
+    assert all(road.validity.valid for road in roads)
+
+
+def test_mutants_come_from_elites() -> None:
+    """Each road after the population differs from an earlier one in one coordinate of one control point."""
+    _, roads = run(3)
+    for index in range(SETTINGS.population, len(roads)):
+        points = np.array(roads[index].control_points)
+        differences = [np.count_nonzero(points != np.array(r.control_points)) for r in roads[:index]]
+        assert min(differences) <= 1
+
+
+def test_the_archive_holds_the_lowest_fitness_of_each_cell_but_keeps_a_failure() -> None:
+    """Replayed by a plain reference: local competition, and an elite that fails already is never replaced."""
+    search, roads = run(4, SearchSettings(population=20, iterations=60, min_angle=60, max_angle=300))
+    expected: dict[tuple[int, int], float] = {}
+    for road in roads:
+        cell, fitness = cell_of(road), fitness_of(road)
+        if cell not in expected or (expected[cell] >= 0 and fitness < expected[cell]):
+            expected[cell] = fitness
+    assert {cell: elite.fitness for cell, elite in search.archive.items()} == expected
+    assert min(expected.values()) < 0 < max(expected.values())
+    assert all(cell_of(elite.road) == cell for cell, elite in search.archive.items())
+
+
+def test_an_error_teaches_nothing_and_costs_one_iteration() -> None:
+    search = DeepHyperion(SETTINGS, np.random.default_rng(1))
+    for _ in range(search.budget):
+        search.ask()
+        search.tell(None)
+    assert search.done and search.archive == {}
+
+
+def test_ask_and_tell_take_turns() -> None:
+    search = DeepHyperion(SearchSettings(population=1, iterations=0), np.random.default_rng(1))
+    with pytest.raises(RuntimeError, match="ask for one first"):
+        search.tell(1.0)
+    search.ask()
+    with pytest.raises(RuntimeError, match="tell the fitness"):
+        search.ask()
+    search.tell(1.0)
+    with pytest.raises(RuntimeError, match="budget"):
+        search.ask()

@@ -1,0 +1,196 @@
+"""The whole method without ROS: the twin plays every part, driven by its autopilot in this process."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from ds_driver.control import Autopilot
+from ds_orchestrator.campaign import Campaign, Stopped
+from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
+from ds_orchestrator.maps import to_json
+from ds_orchestrator.results import maps_of
+from ds_orchestrator.store import Execution, Store, StoreError, Test
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import Outcome
+
+DONKEYS = ["ds_twin_donkey.simulator:DonkeySimulator", "donkey"]
+CONFIG = CampaignConfig(
+    siblings=DONKEYS, twin=None, driver="autopilot", seed=7, record="none", retries=1,
+    search=SearchConfig(population=2, iterations=2, runs=1, min_angle=40, max_angle=90),
+)  # fmt: skip
+SPACES = {DONKEYS[0]: "/ds1", DONKEYS[1]: "/ds2"}
+
+
+class LocalExecutor:
+    """Drives in this process; stops after so many runs, and has so many errors to hand out first."""
+
+    def __init__(self, *, runs: int = 10_000, errors: int = 0) -> None:
+        self.roads: list[tuple[str, str]] = []
+        self._left = runs
+        self._errors = errors
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        if self._left == 0:
+            return RunRecord(road=road, seed=seed, outcome=Outcome.CANCELLED)
+        if self._errors:
+            self._errors -= 1
+            return RunRecord(road=road, seed=seed, outcome=Outcome.DRIVER_SILENT, message="no command within 1 s")
+        self._left -= 1
+        self.roads.append((simulator, road.road_id))
+        made = make_simulator(simulator)
+        session, pilot = Session(made), Autopilot(made.spec.autopilot)
+        observation = session.start(road, seed)
+        while session.driving and observation is not None and observation.step < 60:
+            command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
+            observation = session.advance(command)
+        assert session.run is not None
+        if session.driving:
+            session.end(Outcome.TIMEOUT, "sixty steps are enough for a test")
+        made.close()
+        return session.run
+
+
+class Silent:
+    def stage(self, name: str) -> None: ...
+
+    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...
+
+
+def run(folder: Path, executor: LocalExecutor, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
+    folder.mkdir(exist_ok=True)
+    store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
+    campaign = Campaign(config, folder, store, executor, Silent(), SPACES)
+    try:
+        campaign.run()
+    except Stopped:
+        pass
+    return campaign, store
+
+
+def maps_text(store: Store) -> str:
+    return json.dumps(to_json(maps_of(store)))
+
+
+def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
+    executor = LocalExecutor()
+    campaign, store = run(tmp_path / "a", executor)
+    assert len(executor.roads) == len(store.executions()) == Campaign.executions_in_all(CONFIG) == 16
+    assert len(set(executor.roads)) == 16
+    assert len(store.tests()) == 8 and campaign.failed_executions == 0
+    # The same vehicle under two names: whatever it does alone, both unions hold the same tests in the same cells.
+    maps = maps_of(store)
+    assert maps[f"union_{DONKEYS[0]}"].cells == maps[f"union_{DONKEYS[1]}"].cells
+
+
+@pytest.mark.parametrize("stop_after", [1, 5, 11])
+def test_a_stopped_campaign_goes_on_and_ends_the_same(tmp_path: Path, stop_after: int) -> None:
+    _, undisturbed = run(tmp_path / "whole", LocalExecutor())
+    first, second = LocalExecutor(runs=stop_after), LocalExecutor()
+    run(tmp_path / "parts", first)[1].close()
+    _, store = run(tmp_path / "parts", second)
+    assert maps_text(store) == maps_text(undisturbed)
+    assert len(first.roads) + len(second.roads) == 16 and not set(first.roads) & set(second.roads)
+
+
+def test_errors_are_retried_so_often_and_never_enter_a_map(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
+    campaign, store = run(tmp_path / "a", LocalExecutor(errors=3), config)
+    assert campaign.failed_executions == 1 and len(store.executions()) == 3
+    assert [error[3] for error in store.errors()] == ["DRIVER_SILENT"] * 3
+    # A later run tries again what ended in an error, and nothing else.
+    again = LocalExecutor()
+    campaign, store = run(tmp_path / "a", again, config)
+    assert campaign.failed_executions == 0 and len(store.executions()) == 4
+
+
+def test_a_store_of_another_campaign_version_or_kind_is_refused(tmp_path: Path) -> None:
+    Store(tmp_path / "campaign.sqlite", config=CONFIG.model_dump_json()).close()
+    with pytest.raises(StoreError, match="another configuration"):
+        Store(tmp_path / "campaign.sqlite", config=CONFIG.model_copy(update={"seed": 8}).model_dump_json())
+    with pytest.raises(StoreError, match="no campaign"):
+        Store(tmp_path / "nothing" / "campaign.sqlite")
+    sqlite3.connect(tmp_path / "campaign.sqlite").execute("PRAGMA user_version=99")
+    with pytest.raises(StoreError, match="version 99"):
+        Store(tmp_path / "campaign.sqlite")
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "campaign.sqlite").write_bytes(b"not a database, but long enough to look at" * 100)
+    with pytest.raises(StoreError, match="cannot be used"):
+        Store(tmp_path / "b" / "campaign.sqlite")
+
+
+@pytest.mark.parametrize(
+    ("raw", "named"),
+    [
+        ({"siblings": ["bulet"]}, "bulet"),
+        ({"siblings": ["bullet", "bullet"]}, "twice"),
+        ({"siblings": []}, "siblings"),
+        ({"sibling": ["bullet"]}, "keys: siblings"),
+        ({"search": {"population": 0}}, "search.population"),
+        ({"search": {"min_angle": 200, "max_angle": 100}}, "min_angle 200"),
+        ({"seed": -1}, "seed"),
+        ({"record": "everything"}, "record"),
+        ([1, 2], "top level"),
+    ],
+)
+def test_a_wrong_configuration_is_refused_in_one_line(raw: object, named: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        parse_config(raw, "c.yaml")
+    assert named in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_file_that_is_no_yaml_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_config(tmp_path / "none.yaml")
+    (tmp_path / "c.yaml").write_text("siblings: [bullet\n: :")
+    with pytest.raises(ConfigError, match="not YAML"):
+        read_config(tmp_path / "c.yaml")
+
+
+def test_the_shipped_configurations_are_valid() -> None:
+    configs = sorted(Path("src/ds_bringup/config").glob("*.yaml"))
+    named = {path.stem: read_config(path) for path in configs if path.stem in ("demo", "paper")}
+    assert (named["demo"].search.population, named["demo"].search.iterations, named["demo"].search.runs) == (6, 14, 1)
+    assert (named["paper"].search.population, named["paper"].search.iterations, named["paper"].search.runs) == (20, 150, 5)
+
+
+@pytest.mark.graph
+def test_a_bag_holds_the_whole_run_for_another_reader(tmp_path: Path) -> None:
+    """Counts, types and every value, read by `rosbags`; needs the installed message definitions."""
+    from ds_orchestrator.bags import typestore, write_bag
+
+    record = LocalExecutor().execute("donkey", Road([(125.0, 25.0 * i) for i in range(9)]), 3)
+    write_bag(tmp_path / "bag", "/ds1", record, {"driver": "autopilot"})
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bag"]
+    with AnyReader([tmp_path / "bag"], default_typestore=typestore()) as reader:
+        counts = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
+        messages = {topic: [] for topic in counts}
+        for connection, stamp, raw in reader.messages():
+            messages[connection.topic].append((stamp, reader.deserialize(raw, connection.msgtype)))
+    assert counts == {
+        "/ds1/road": ("ds_interfaces/msg/Road", 1),
+        "/ds1/state": ("ds_interfaces/msg/VehicleState", 61),
+        "/ds1/drive": ("ds_interfaces/msg/DriveCommand", 60),
+        "/ds1/outcome": ("ds_interfaces/msg/Outcome", 1),
+    }
+    for (stamp, state), observation in zip(messages["/ds1/state"], record.observations, strict=True):
+        assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == observation.step * 50_000_000
+        assert (state.step, state.x, state.y, state.yaw) == (
+            observation.step, observation.vehicle.x, observation.vehicle.y, observation.vehicle.yaw
+        )  # fmt: skip
+        assert state.lateral_position == observation.lane.lateral_position
+    for (_, drive), command in zip(messages["/ds1/drive"], record.commands, strict=True):
+        assert (drive.steering, drive.throttle) == (command.steering, command.throttle)
+    assert messages["/ds1/outcome"][0][1].value == int(Outcome.TIMEOUT)
+    assert [(p.x, p.y) for p in messages["/ds1/road"][0][1].control_points] == list(record.road.control_points)
+    metadata = (tmp_path / "bag" / "metadata.yaml").read_text()
+    assert "version: 9" in metadata and "TIMEOUT" in metadata and "autopilot" in metadata
+    first = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    write_bag(tmp_path / "bag", "/ds1", record, {"driver": "autopilot"})
+    assert (tmp_path / "bag" / "bag.mcap").read_bytes() == first
