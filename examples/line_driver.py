@@ -1,9 +1,8 @@
 import numpy as np
 import rclpy
+from ds_interfaces.msg import DriveCommand
 from rclpy.node import Node
 from sensor_msgs.msg import Image
-
-from ds_interfaces.msg import DriveCommand
 
 
 class LineDriver(Node):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -67,10 +69,8 @@ def run(folder: Path, executor: LocalExecutor, config: CampaignConfig = CONFIG) 
     folder.mkdir(exist_ok=True)
     store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
     campaign = Campaign(config, folder, store, executor, Silent(), SPACES)
-    try:
+    with suppress(Stopped):
         campaign.run()
-    except Stopped:
-        pass
     return campaign, store
 
 
@@ -157,7 +157,11 @@ def test_the_shipped_configurations_are_valid() -> None:
     configs = sorted(Path("src/ds_bringup/config").glob("*.yaml"))
     named = {path.stem: read_config(path) for path in configs if path.stem in ("demo", "paper")}
     assert (named["demo"].search.population, named["demo"].search.iterations, named["demo"].search.runs) == (6, 14, 1)
-    assert (named["paper"].search.population, named["paper"].search.iterations, named["paper"].search.runs) == (20, 150, 5)
+    assert (named["paper"].search.population, named["paper"].search.iterations, named["paper"].search.runs) == (
+        20,
+        150,
+        5,
+    )
 
 
 @pytest.mark.graph
@@ -170,7 +174,7 @@ def test_a_bag_holds_the_whole_run_for_another_reader(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bag"]
     with AnyReader([tmp_path / "bag"], default_typestore=typestore()) as reader:
         counts = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
-        messages = {topic: [] for topic in counts}
+        messages: dict[str, list[Any]] = {topic: [] for topic in counts}
         for connection, stamp, raw in reader.messages():
             messages[connection.topic].append((stamp, reader.deserialize(raw, connection.msgtype)))
     assert counts == {

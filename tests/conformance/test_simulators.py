@@ -123,7 +123,7 @@ def test_leaving_the_lane_ends_the_run(simulator: Simulator) -> None:
 
 
 def test_the_image_is_what_a_network_expects(simulator: Simulator) -> None:
-    """Size and type, and the scene of the paper: sky above, grass on both sides, white right of the car, yellow left."""
+    """Size and type, and the scene of the paper: sky above, white right of the car, yellow left."""
     image = simulator.load(STRAIGHT, seed=1).image
     assert image.shape == (160, 320, 3) and image.dtype == np.uint8 and not image.flags.writeable
     rows = slice(simulator.spec.crop_top, 160 - simulator.spec.crop_bottom)
@@ -152,7 +152,9 @@ def test_bad_input_is_refused_and_the_simulator_lives_on(simulator: Simulator) -
     assert simulator.load(STRAIGHT, seed=1).outcome is Outcome.RUNNING
 
 
-@pytest.mark.parametrize("values", [(math.nan, 0.0), (0.0, math.inf), (1.01, 0.0), (-2.0, 0.5), (0.0, -0.1), (0.0, 1.1)])
+@pytest.mark.parametrize(
+    "values", [(math.nan, 0.0), (0.0, math.inf), (1.01, 0.0), (-2.0, 0.5), (0.0, -0.1), (0.0, 1.1)]
+)
 def test_a_command_out_of_range_cannot_be_made(values: tuple[float, float]) -> None:
     with pytest.raises(CommandError, match="expected a number"):
         Command(*values)

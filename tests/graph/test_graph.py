@@ -63,7 +63,11 @@ def test_a_run_through_ros_equals_a_run_in_this_process(graph: Any) -> None:
         command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
         observation = session.advance(command)
     assert session.run is not None and session.run.outcome is Outcome.COMPLETED
-    runs = [graph.execute("donkey", ROAD, 5), graph.execute("donkey", ROAD.reversed(), 6), graph.execute("donkey", ROAD, 5)]
+    runs = [
+        graph.execute("donkey", ROAD, 5),
+        graph.execute("donkey", ROAD.reversed(), 6),
+        graph.execute("donkey", ROAD, 5),
+    ]
     assert [run.outcome for run in runs] == [Outcome.COMPLETED] * 3
     expected = trajectory_sha256(session.run)
     assert [trajectory_sha256(run) == expected for run in runs] == [True, False, True]
@@ -73,11 +77,10 @@ def test_a_run_through_ros_equals_a_run_in_this_process(graph: Any) -> None:
 
 def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:
     """What ds_road would not even build is sent as a message, as anybody could."""
-    from geometry_msgs.msg import Point
-    from rclpy.node import Node
-
     from ds_interfaces.msg import Road as RoadMessage
     from ds_interfaces.srv import LoadRoad
+    from geometry_msgs.msg import Point
+    from rclpy.node import Node
 
     roads: dict[str, list[tuple[float, float]]] = {
         "nan": [(125.0, 0.0), (125.0, 25.0), (math.nan, 50.0), (125.0, 75.0)],
@@ -106,9 +109,8 @@ def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> 
 
 
 def test_a_silent_driver_is_an_error_within_its_limit(lonely_simulator: Any) -> None:
-    from rclpy.node import Node
-
     from ds_interfaces.msg import DriveCommand
+    from rclpy.node import Node
 
     executor, _ = lonely_simulator
     node = Node("silent_driver")
@@ -122,15 +124,15 @@ def test_a_silent_driver_is_an_error_within_its_limit(lonely_simulator: Any) -> 
 
 
 @pytest.mark.parametrize(
-    ("steering", "throttle", "named"), [(math.nan, 0.5, "steering is nan"), (0.0, 7.0, "throttle is 7"), (-1.5, 0.1, "-1.5")]
+    ("steering", "throttle", "named"),
+    [(math.nan, 0.5, "steering is nan"), (0.0, 7.0, "throttle is 7"), (-1.5, 0.1, "-1.5")],
 )
 def test_commands_that_cannot_be_executed_are_refused_by_name(
     lonely_simulator: Any, spin: Callable[..., None], steering: float, throttle: float, named: str
 ) -> None:
+    from ds_interfaces.msg import DriveCommand
     from rclpy.node import Node
     from sensor_msgs.msg import Image
-
-    from ds_interfaces.msg import DriveCommand
 
     executor, _ = lonely_simulator
     node = Node("bad_driver")
@@ -148,11 +150,10 @@ def test_commands_that_cannot_be_executed_are_refused_by_name(
 
 def test_answers_to_other_frames_do_not_count(lonely_simulator: Any, spin: Callable[..., None]) -> None:
     """Lock-step by stamp: a driver that answers twice, and once with an old stamp, drives as if it answered once."""
+    from ds_interfaces.msg import DriveCommand
     from rclpy.node import Node
     from sensor_msgs.msg import Image
     from std_msgs.msg import Header
-
-    from ds_interfaces.msg import DriveCommand
 
     executor, _ = lonely_simulator
     node = Node("chatty_driver")
@@ -202,10 +203,10 @@ def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> 
 def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Callable[..., None]) -> None:
     """The network driver refuses it in one line, and answers the next good image."""
     import rclpy
+    from ds_interfaces.msg import DriveCommand, VehicleState
     from rclpy.node import Node
     from sensor_msgs.msg import Image
 
-    from ds_interfaces.msg import DriveCommand, VehicleState
     from ds_orchestrator.domain import Domain
     from ds_orchestrator.graph_plan import driver_process
     from ds_orchestrator.supervisor import Supervisor

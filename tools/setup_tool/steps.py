@@ -13,8 +13,6 @@ from setup_tool import machine, ros, wheels, workspace
 from setup_tool.console import CommandFailedError, Console, SetupError
 from setup_tool.stamps import Stamps, digest
 
-CPU_WHEELS_OF_TORCH = "https://download.pytorch.org/whl/cpu"
-"""The PyTorch project's own index of builds without CUDA (5 GB less to fetch)."""
 BUILD_JOBS = 2
 """Compilers at once (chosen: the generated C++ takes up to 1 GB of memory each)."""
 COMPILED_FROM_SOURCE = "pybullet"
@@ -245,19 +243,17 @@ class Setup:
             raise
 
     def _install_torch(self, pin: str) -> None:
-        """Take the build without CUDA wherever it is to be had, the other one only when there is none."""
-        cpu = f"{pin}+cpu"
-        for arguments in (
-            [cpu],
-            ["--index-url", CPU_WHEELS_OF_TORCH, "--retries", "1", "--timeout", "20", cpu],
-        ):
-            try:
-                return self._pip(*arguments)
-            except CommandFailedError as error:
-                if "Installing collected packages" in error.output:
-                    raise
-                self._stamps.begin("torch")
-        self.console.note("\n  no CPU build of PyTorch within reach: taking the one with CUDA, several GB")
+        """Take the build without CUDA where pip's indexes have it, the other one only where they do not."""
+        try:
+            return self._pip(f"{pin}+cpu")
+        except CommandFailedError as error:
+            if "Installing collected packages" in error.output:
+                raise
+            self._stamps.begin("torch")
+        self.console.note(
+            "\n  pip's indexes have no CPU build of PyTorch: taking the one with CUDA, several GB"
+            " (PIP_EXTRA_INDEX_URL can name an index that has it)"
+        )
         self.console.run(
             [
                 self.environment / "bin/python",

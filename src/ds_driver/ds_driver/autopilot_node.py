@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+from ds_interfaces.msg import VehicleState
 from numpy.typing import NDArray
 from rclpy.node import Node
 
 from ds_driver.control import Autopilot
 from ds_driver.eyes import Answer, Eyes
-from ds_interfaces.msg import VehicleState
 from ds_sim.ros_runtime import run_node
 from ds_sim.simulator import AutopilotGains, Command
 

@@ -62,6 +62,4 @@ class Autopilot:
             + gains.integral * self._total
         )
         steering = min(max(steering, -1.0), 1.0)
-        return Command(
-            steering, throttle(steering, speed, max_speed=gains.max_speed, min_speed=gains.min_speed)
-        )
+        return Command(steering, throttle(steering, speed, max_speed=gains.max_speed, min_speed=gains.min_speed))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from ds_interfaces.msg import DriveCommand, VehicleState
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
 from ds_driver.preprocessing import ImageError
-from ds_interfaces.msg import DriveCommand, VehicleState
 from ds_sim.simulator import Command
 
 Answer = Callable[[NDArray[np.uint8], VehicleState], Command]
@@ -57,9 +57,7 @@ class Eyes:
         except ValueError as error:
             self._node.get_logger().error(f"frame not answered: {error}", throttle_duration_sec=1.0)
             return
-        self._drive.publish(
-            DriveCommand(header=image.header, steering=command.steering, throttle=command.throttle)
-        )
+        self._drive.publish(DriveCommand(header=image.header, steering=command.steering, throttle=command.throttle))
 
 
 def _pixels(image: Image) -> NDArray[np.uint8]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+from ds_interfaces.msg import VehicleState
 from numpy.typing import NDArray
 from rclpy.node import Node
 
 from ds_driver.eyes import Answer, Eyes
 from ds_driver.network_driver import NetworkDriver
 from ds_driver.preprocessing import Crop
-from ds_interfaces.msg import VehicleState
 from ds_sim.ros_runtime import run_node
 from ds_sim.simulator import Command
 

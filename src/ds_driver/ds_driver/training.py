@@ -63,9 +63,7 @@ class Epoch:
     seconds: float
 
 
-def train(
-    data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], report: Report
-) -> list[Epoch]:
+def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], report: Report) -> list[Epoch]:
     """Train a network; stopped at any time it goes on after the last whole epoch.
 
     Args:
@@ -177,9 +175,7 @@ def _loaded(
     def load(index: int) -> tuple[Tensor, Tensor]:
         rng = np.random.default_rng([*seed, index]) if seed else None
         chosen = [samples[i] for i in batches[index]]
-        images = [
-            prepare(augment(decode(s.jpeg), rng) if rng else decode(s.jpeg), crops[s.simulator]) for s in chosen
-        ]
+        images = [prepare(augment(decode(s.jpeg), rng) if rng else decode(s.jpeg), crops[s.simulator]) for s in chosen]
         pixels = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
         return pixels, torch.tensor([s.steering for s in chosen], dtype=torch.float32)
 
@@ -213,9 +209,7 @@ def _save(
     partial.replace(path)
 
 
-def _resume(
-    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, plan: TrainingPlan
-) -> list[Epoch]:
+def _resume(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, plan: TrainingPlan) -> list[Epoch]:
     """Take up a checkpoint of the same plan; read as plain tensors, never as code."""
     if not path.exists():
         return []

@@ -55,7 +55,9 @@ def load_network(name_or_path: str) -> nn.Module:
             architecture = (file.metadata() or {}).get("architecture", "")
             tensors = {key: file.get_tensor(key).float() for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError) as error:
-        raise WeightsError(f"weights {path.name} cannot be read ({error}): the file is damaged, copy it again") from None
+        raise WeightsError(
+            f"weights {path.name} cannot be read ({error}): the file is damaged, copy it again"
+        ) from None
     if architecture not in NETWORKS:
         raise WeightsError(
             f"weights {path.name} name the architecture {architecture!r}: expected one of {', '.join(NETWORKS)}"

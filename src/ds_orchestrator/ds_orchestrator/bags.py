@@ -71,7 +71,7 @@ def write_bag(folder: Path, namespace: str, run: RunRecord, about: dict[str, str
 
 def _write(path: Path, namespace: str, run: RunRecord, about: dict[str, str]) -> None:
     store = typestore()
-    types = store.types
+    types: Any = store.types
     outcome = types["ds_interfaces/msg/Outcome"]
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         facts = {

@@ -66,9 +66,12 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
     namespaces = namespaces_of(config.siblings, config.twin)
     started = time.monotonic()
     try:
-        with running_graph(
-            namespaces, config.driver, command_timeout=config.command_timeout, logs=out / "logs", attach=attach
-        ) as executor, ScreenWatcher(Campaign.executions_in_all(config)) as watcher:
+        with (
+            running_graph(
+                namespaces, config.driver, command_timeout=config.command_timeout, logs=out / "logs", attach=attach
+            ) as executor,
+            ScreenWatcher(Campaign.executions_in_all(config)) as watcher,
+        ):
             campaign = Campaign(config, out, store, executor, watcher, namespaces)
             try:
                 campaign.run()
@@ -80,7 +83,7 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
         raise Interrupted from None
     _say(f"executed in {time.monotonic() - started:.0f} s; drawing maps and report")
     report = results.write_all(out, store)
-    document = {
+    document: dict[str, Any] = {
         "folder": str(out),
         "report": str(report),
         "executions": len(store.executions()),
@@ -115,7 +118,7 @@ def status(folder: Path) -> Result:
         counts[execution.simulator][execution.outcome.name] = (
             counts[execution.simulator].get(execution.outcome.name, 0) + 1
         )
-    document = {
+    document: dict[str, Any] = {
         "executions": len(executions),
         "executions_in_all": Campaign.executions_in_all(config),
         "outcomes": counts,
@@ -173,7 +176,7 @@ def drive(
     if bag is not None:
         write_bag(bag, namespaces[sim], run, {"simulator": sim, "driver": driver})
     execution = execution_of("", sim, run)
-    document = {
+    document: dict[str, Any] = {
         "simulator": sim,
         "driver": driver,
         "road_id": road.road_id,
@@ -202,7 +205,7 @@ def maps(folder: Path) -> Result:
     from ds_orchestrator.maps import to_json
 
     store = results.open_store(folder)
-    document = to_json(results.maps_of(store))
+    document: dict[str, Any] = to_json(results.maps_of(store))
     store.close()
 
     def show() -> None:
@@ -313,7 +316,7 @@ def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Res
 
     driver = NetworkDriver(network)
     chosen = unseen_roads(roads, seed)
-    document = {
+    document: dict[str, Any] = {
         "network": network,
         "roads": roads,
         "seed": seed,

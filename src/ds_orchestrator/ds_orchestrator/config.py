@@ -70,7 +70,9 @@ class CampaignConfig(_Strict):
             raise ValueError(f"a simulator is named twice: {', '.join(self.simulators)}")
         for name in self.simulators:
             if name not in SIMULATORS and ":" not in name:
-                raise ValueError(f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class")
+                raise ValueError(
+                    f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
+                )
         return self
 
     @property

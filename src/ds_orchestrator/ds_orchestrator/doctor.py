@@ -112,13 +112,9 @@ def check_system(
     has_venv = importlib.util.find_spec("ensurepip") is not None
     shown = ".".join(map(str, version))
     return [
-        _check(
-            "Python", version in SUPPORTED_PYTHONS, shown, f"{shown}: 3.11 or 3.12 is needed", _apt("python3")
-        ),
+        _check("Python", version in SUPPORTED_PYTHONS, shown, f"{shown}: 3.11 or 3.12 is needed", _apt("python3")),
         _check("C++ compiler", compiler is not None, compiler or "", "none found", _apt("g++")),
-        _check(
-            "Python headers", header.is_file(), str(header), f"{header} is missing", _apt(f"{series}-dev")
-        ),
+        _check("Python headers", header.is_file(), str(header), f"{header} is missing", _apt(f"{series}-dev")),
         _check("venv module", has_venv, "there", "ensurepip is missing", _apt(f"{series}-venv")),
     ]
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import rclpy
 from action_msgs.msg import GoalStatus
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
 from rclpy.action import ActionClient
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from ds_interfaces.action import DriveRoad
-from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
 from ds_orchestrator.supervisor import Supervisor
 from ds_road import Road
 from ds_sim import messages

@@ -1,4 +1,4 @@
-"""Feature maps: tests pooled per cell, united over the origins of the tests, merged over siblings (paper 3.3 to 3.5)."""
+"""Feature maps: tests pooled per cell, united over their origins, merged over siblings (paper 3.3 to 3.5)."""
 
 from __future__ import annotations
 
@@ -68,9 +68,7 @@ def pool(name: str, pairs: Iterable[tuple[Test, Execution]], normalise: Normalis
         group = groups[cell]
         failures = sum(e.outcome.is_failure for e in group)
         quality = math.fsum(normalise(e.max_lateral_position) for e in group) / len(group)
-        cells[cell] = MapCell(
-            tests=len(group), failures=failures, probability=failures / len(group), quality=quality
-        )
+        cells[cell] = MapCell(tests=len(group), failures=failures, probability=failures / len(group), quality=quality)
     return FeatureMap(name=name, cells=cells)
 
 

@@ -42,9 +42,7 @@ def running_graph(
             specs = [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
-        executor = GraphExecutor(
-            namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor
-        )
+        executor = GraphExecutor(namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor)
         stack.callback(executor.close)
         stack.callback(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
         executor.wait_until_ready()

@@ -194,9 +194,17 @@ class Store:
             ).fetchall()
         return [
             Execution(
-                test_id=row[0], simulator=row[1], outcome=Outcome[row[2]], message=row[3], fitness=row[4],
-                max_lateral_position=row[5], steps=row[6], simulated_seconds=row[7], trajectory_sha256=row[8],
-                trajectory=np.frombuffer(zlib.decompress(row[9])).reshape(-1, 5), bag=row[10],
+                test_id=row[0],
+                simulator=row[1],
+                outcome=Outcome[row[2]],
+                message=row[3],
+                fitness=row[4],
+                max_lateral_position=row[5],
+                steps=row[6],
+                simulated_seconds=row[7],
+                trajectory_sha256=row[8],
+                trajectory=np.frombuffer(zlib.decompress(row[9])).reshape(-1, 5),
+                bag=row[10],
             )  # fmt: skip
             for row in rows
         ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ EXECUTIONS = [
 ]
 
 
-def probabilities(feature_map: FeatureMap) -> dict[Cell, tuple[int, float]]:
+def probabilities(feature_map: FeatureMap) -> dict[Cell, Any]:
     return {cell: (value.tests, value.probability) for cell, value in feature_map.cells.items()}
 
 
@@ -136,7 +137,8 @@ def test_counts_add_up_over_origins() -> None:
 
 def row(values: list[float]) -> FeatureMap:
     return FeatureMap(
-        name="m", cells={(i, 5): MapCell(tests=1, failures=0, probability=v, quality=1 - v) for i, v in enumerate(values)}
+        name="m",
+        cells={(i, 5): MapCell(tests=1, failures=0, probability=v, quality=1 - v) for i, v in enumerate(values)},
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import groupby
 
 import numpy as np
@@ -64,11 +65,11 @@ def _joins_a_straight_or_the_same(label: str, length: int, previous: str) -> boo
     return length < SHORT_RUN and label == previous
 
 
-def _absorb(runs: list[tuple[str, int]], joins: object) -> list[tuple[str, int]]:
+def _absorb(runs: list[tuple[str, int]], joins: Callable[[str, int, str], bool]) -> list[tuple[str, int]]:
     """Let runs that are too short become part of the run before them."""
     kept: list[tuple[str, int]] = []
     for label, length in runs:
-        if kept and joins(label, length, kept[-1][0]):  # type: ignore[operator]
+        if kept and joins(label, length, kept[-1][0]):
             kept[-1] = (kept[-1][0], kept[-1][1] + length)
         else:
             kept.append((label, length))

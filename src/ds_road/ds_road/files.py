@@ -71,6 +71,4 @@ def check(raw: Any) -> dict[str, Any]:
 
 def _is_one_road(raw: list[Any]) -> bool:
     """A list of pairs of numbers is one road; a list of lists of pairs is several."""
-    return bool(raw) and all(
-        isinstance(p, list) and p and all(isinstance(v, int | float) for v in p) for p in raw
-    )
+    return bool(raw) and all(isinstance(p, list) and p and all(isinstance(v, int | float) for v in p) for p in raw)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ GRASS, ASPHALT, WHITE, YELLOW = (120, 165, 105), (105, 105, 110), (245, 245, 245
 RED, BLACK = (215, 40, 40), (20, 20, 20)
 PALETTE = ((31, 119, 180), (255, 127, 14), (214, 39, 140), (148, 103, 189), (0, 190, 190))
 """Colours of trajectories, in order; told apart by readers who do not see red or green."""
+Pixels = Callable[[NDArray[np.float64]], NDArray[np.int32]]
 _MARGIN = 8.0
 _SHIFT = 4
 
@@ -75,8 +76,8 @@ def draw(
     return np.vstack((image, footer))
 
 
-def _ends(image: NDArray[np.uint8], road: Road, pixels: object) -> None:
-    """A black triangle where the vehicle starts, in the right lane and pointing ahead, and a black square at the end."""
+def _ends(image: NDArray[np.uint8], road: Road, pixels: Pixels) -> None:
+    """A black triangle where the vehicle starts, pointing ahead, and a black square at the end."""
     lane = road.right_lane_centre
     ahead = lane[1] - lane[0]
     ahead = ahead / np.hypot(*ahead)
@@ -84,7 +85,7 @@ def _ends(image: NDArray[np.uint8], road: Road, pixels: object) -> None:
     triangle = np.stack((lane[0] + 4.0 * ahead, lane[0] + 1.6 * across, lane[0] - 1.6 * across))
     square = lane[-1] + 1.5 * np.array(((-1, -1), (1, -1), (1, 1), (-1, 1)))
     for shape in (triangle, square):
-        cv2.fillConvexPoly(image, pixels(shape), BLACK, cv2.LINE_AA, _SHIFT)  # type: ignore[operator]
+        cv2.fillConvexPoly(image, pixels(shape), BLACK, cv2.LINE_AA, _SHIFT)
 
 
 def _scale_bar(image: NDArray[np.uint8], scale: float) -> None:

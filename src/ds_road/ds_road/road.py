@@ -133,7 +133,7 @@ def _checked(raw: Any) -> tuple[tuple[float, float], ...]:
         raise RoadError(f"a road is {type(raw).__name__}, expected a list of [x, y] control points in metres") from None
     if not 4 <= len(points) <= MAX_POINTS:
         raise RoadError(f"a road has {len(points)} control points, expected 4 to {MAX_POINTS}")
-    pairs = []
+    pairs: list[tuple[float, float]] = []
     for index, point in enumerate(points):
         try:
             x, y = point

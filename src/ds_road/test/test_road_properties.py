@@ -44,7 +44,7 @@ def test_a_mutant_moves_one_coordinate_of_one_inner_point(seed: int) -> None:
     mutant = mutate(road, np.random.default_rng(seed))
     delta = np.array(mutant.control_points) - np.array(before)
     assert mutant.validity.valid and road.control_points == before
-    (index, axis), = np.argwhere(delta != 0.0)
+    ((index, axis),) = np.argwhere(delta != 0.0)
     assert index in (4, 5, 6) and axis in (0, 1)
     assert delta[index, axis] == pytest.approx(round(delta[index, axis])) and 1 <= abs(round(delta[index, axis])) <= 6
 

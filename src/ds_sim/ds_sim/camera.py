@@ -45,7 +45,7 @@ class Camera:
         matrix = self._lens.pinhole if self._lens else spec.intrinsics
         self._matrix: NDArray[np.float64] = matrix
         self._inverse: NDArray[np.float64] = np.linalg.inv(matrix)
-        size = self._lens.size if self._lens else (spec.width, spec.height_px)
+        size: tuple[int, int] = self._lens.size if self._lens else (spec.width, spec.height_px)
         self._width, self._height = size
         self._sky = _Panorama(look, focal=float(matrix[0, 0]), width=self._width)
 
@@ -123,9 +123,7 @@ class Camera:
         samples: int,
     ) -> None:
         """Draw rows [top, bottom) from one level; `view` takes ground (x, y, 1) to image pixels."""
-        to_rows = np.array(
-            [[1.0, 0.0, 0.0], [0.0, samples, (0.5 - top) * samples - 0.5], [0.0, 0.0, 1.0]]
-        )
+        to_rows = np.array([[1.0, 0.0, 0.0], [0.0, samples, (0.5 - top) * samples - 0.5], [0.0, 0.0, 1.0]])
         matrix = to_rows @ view @ ground.pixel_to_world(level)
         size = (self._width, (bottom - top) * samples)
         band = cv2.warpPerspective(
@@ -192,7 +190,7 @@ class _WideLens:
         right, down = right * stretch, down * stretch
         focal *= PINHOLE_SCALE
         width, height = (math.ceil(2 * np.abs(v).max() * focal) + 2 for v in (right, down))
-        self.size = (width, height)
+        self.size: tuple[int, int] = (width, height)
         self.pinhole = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
         map_x = (right * focal + (width - 1) / 2).astype(np.float32)
         map_y = (down * focal + (height - 1) / 2).astype(np.float32)

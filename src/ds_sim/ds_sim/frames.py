@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ds_interfaces.msg import VehicleState
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -9,7 +10,6 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from ds_interfaces.msg import VehicleState
 from ds_road import Road
 from ds_sim import messages
 from ds_sim.simulator import Observation, SimulatorSpec

@@ -128,7 +128,7 @@ def _texture(
         noise = rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE))
         if blur > 0.0:
             wrapped = cv2.copyMakeBorder(noise, 64, 64, 64, 64, cv2.BORDER_WRAP)
-            noise = cv2.GaussianBlur(wrapped, (0, 0), blur)[64:-64, 64:-64]
+            noise = np.asarray(cv2.GaussianBlur(wrapped, (0, 0), blur)[64:-64, 64:-64], np.float64)
         total += noise / noise.std()
     shade = grain * total / math.sqrt(len(blurs))
     return np.clip(np.asarray(colour) + shade[:, :, None], 0, 255).round().astype(np.uint8)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 
 from builtin_interfaces.msg import Time
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.msg import DriveCommand, VehicleState
+from ds_interfaces.msg import Outcome as OutcomeMsg
+from ds_interfaces.msg import Road as RoadMsg
+from ds_interfaces.srv import GetSimulatorInfo
 from geometry_msgs.msg import Point, Quaternion
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ds_interfaces.action import DriveRoad
-from ds_interfaces.msg import DriveCommand, VehicleState
-from ds_interfaces.msg import Outcome as OutcomeMsg
-from ds_interfaces.msg import Road as RoadMsg
-from ds_interfaces.srv import GetSimulatorInfo
 from ds_road import Road
 from ds_sim.camera_spec import CameraSpec
 from ds_sim.look import Colour, Look

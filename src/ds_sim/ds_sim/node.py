@@ -5,15 +5,15 @@ from __future__ import annotations
 import sys
 import time
 
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.msg import DriveCommand
+from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ds_interfaces.action import DriveRoad
-from ds_interfaces.msg import DriveCommand
-from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
 from ds_road import Road, RoadError
 from ds_sim import messages
 from ds_sim.frames import FramePublisher

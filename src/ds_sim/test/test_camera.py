@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from ds_sim.ground import Ground, paint_ground
 from ds_sim.look import Look
 from ds_sim.simulator import VehicleState
 
+Lens = Literal["pinhole", "equidistant"]
 LOOK = Look(asphalt=(90, 90, 95), grass=(90, 140, 70))
 
 
@@ -58,10 +60,19 @@ def spotted_ground(point: tuple[float, float]) -> Ground:
 )
 @pytest.mark.parametrize("ahead", [(6.0, 0.6), (9.0, -2.0), (14.0, 3.0)])
 def test_a_spot_on_the_ground_is_where_geometry_says(
-    lens: str, yaw: float, roll: float, pitch: float, heave: float, ahead: tuple[float, float]
+    lens: Literal["pinhole", "equidistant"],
+    yaw: float,
+    roll: float,
+    pitch: float,
+    heave: float,
+    ahead: tuple[float, float],
 ) -> None:
     spec = CameraSpec(
-        horizontal_fov=math.radians(100), height=1.4, forward=0.6, pitch=0.06, lens="equidistant" if lens != "pinhole" else "pinhole"
+        horizontal_fov=math.radians(100),
+        height=1.4,
+        forward=0.6,
+        pitch=0.06,
+        lens=lens,
     )
     vehicle = pose(20.0, 30.0, yaw, roll, pitch, heave)
     turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
@@ -93,7 +104,9 @@ def test_far_lines_hold_against_a_supersampled_frame() -> None:
 
 def test_the_horizon_follows_pitch_and_roll() -> None:
     spec = CameraSpec(horizontal_fov=math.radians(90), height=1.4)
-    camera = Camera(spec, Look(asphalt=(90, 90, 95), grass=(0, 150, 0), horizon=(200, 200, 255), sky_top=(200, 200, 255)))
+    camera = Camera(
+        spec, Look(asphalt=(90, 90, 95), grass=(0, 150, 0), horizon=(200, 200, 255), sky_top=(200, 200, 255))
+    )
     ground = paint_ground(Road([(125.0, 25.0 * i) for i in range(9)]), LOOK)
 
     def sky_rows(column: int, **angles: float) -> int:

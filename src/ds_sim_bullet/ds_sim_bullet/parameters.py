@@ -114,9 +114,7 @@ class BulletParameters:
             value = getattr(self, field.name)
             low, high = _LIMITS.get(field.name, (0.0, math.inf))
             if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(
-                    f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it"
-                )
+                raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 
     @property
     def sprung_mass(self) -> float:

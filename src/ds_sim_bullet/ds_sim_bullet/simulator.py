@@ -12,9 +12,9 @@ from ds_sim.simulator import FRAME_RATE, AutopilotGains, SimulatorSpec
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
 
-PREVIEW_DISTANCE = 3.5
-"""m; chosen: about half a second at 25 km/h, and well before the front bumper."""
-GAINS = AutopilotGains(proportional=0.5)
+PREVIEW_DISTANCE = 3.0
+"""m; chosen: about half a second at 20 km/h; longer previews cut bends."""
+GAINS = AutopilotGains(proportional=0.6)
 """Chosen by driving random roads; the preview stands in for the derivative."""
 CAMERA = CameraSpec(
     # Chosen: a wide-angle camera that still sees the lane on the inside of a sharp bend.

@@ -86,9 +86,7 @@ def _link(
     return link
 
 
-def _collision(
-    link: Element, shape: str, centre: tuple[float, float, float] = (0.0, 0.0, 0.0), **sizes: str
-) -> None:
+def _collision(link: Element, shape: str, centre: tuple[float, float, float] = (0.0, 0.0, 0.0), **sizes: str) -> None:
     collision = SubElement(link, "collision")
     SubElement(collision, "origin", xyz=_text(*centre))
     SubElement(SubElement(collision, "geometry"), shape, sizes)

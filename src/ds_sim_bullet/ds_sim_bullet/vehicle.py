@@ -1,4 +1,4 @@
-"""The rigid-body car as a `ds_sim.vehicle.Vehicle`: what the driver's command does to the joints, substep by substep."""
+"""The rigid-body car as a `ds_sim.vehicle.Vehicle`: what the driver's command does to the joints, by the substep."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
-from ds_sim_bullet.world import build_world
 from ds_sim_bullet.parameters import BulletParameters
+from ds_sim_bullet.world import build_world
 
 
 class BulletVehicle:

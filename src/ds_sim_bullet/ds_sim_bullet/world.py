@@ -83,9 +83,7 @@ def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: f
 
 def _find_joints(bullet: Any, client: int, body: int) -> Car:
     count = bullet.getNumJoints(body, physicsClientId=client)
-    number = {
-        bullet.getJointInfo(body, joint, physicsClientId=client)[1].decode(): joint for joint in range(count)
-    }
+    number = {bullet.getJointInfo(body, joint, physicsClientId=client)[1].decode(): joint for joint in range(count)}
     return Car(
         body=body,
         guides=tuple(number[f"{corner}_guide"] for corner in CORNERS),

@@ -293,9 +293,7 @@ def rollout(
     """
     rows = np.asarray(commands, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 2:
-        raise ValueError(
-            f"commands have shape {rows.shape}, expected (n, 2): steering and throttle per frame"
-        )
+        raise ValueError(f"commands have shape {rows.shape}, expected (n, 2): steering and throttle per frame")
     model = CarModel(parameters)
     state = initial_state or CarState()
     pulses = [model.pulse(Command(0.0, 0.0))] * model.pulses_kept

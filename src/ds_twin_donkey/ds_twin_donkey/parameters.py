@@ -136,9 +136,7 @@ class DonkeyParameters:
             value = getattr(self, field.name)
             low, high = _LIMITS.get(field.name, (0.0, math.inf))
             if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(
-                    f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it"
-                )
+                raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 
     def changed(self, **values: float) -> DonkeyParameters:
         """A copy with some values changed; the others stay.
@@ -149,9 +147,7 @@ class DonkeyParameters:
         names = {field.name for field in dataclasses.fields(self)}
         for name in values:
             if name not in names:
-                raise ValueError(
-                    f"{name} is no parameter of the car: expected one of {', '.join(sorted(names))}"
-                )
+                raise ValueError(f"{name} is no parameter of the car: expected one of {', '.join(sorted(names))}")
         return dataclasses.replace(self, **values)  # type: ignore[arg-type]
 
 

@@ -32,9 +32,7 @@ class DonkeyVehicle:
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """At rest with its centre at (x, y) road metres; nothing of this car is drawn from `rng`."""
         ahead = self._centre_of_mass_ahead()
-        self._state = CarState(
-            x=x / SCALE + ahead * math.cos(yaw), y=y / SCALE + ahead * math.sin(yaw), yaw=yaw
-        )
+        self._state = CarState(x=x / SCALE + ahead * math.cos(yaw), y=y / SCALE + ahead * math.sin(yaw), yaw=yaw)
         self._pulses = [self._model.pulse(Command(0.0, 0.0))] * self._model.pulses_kept
 
     def advance(self, command: Command) -> None:
