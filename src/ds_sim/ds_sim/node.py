@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 
 from ds_interfaces.action import DriveRoad
 from ds_interfaces.msg import DriveCommand
@@ -17,6 +16,7 @@ from std_srvs.srv import Trigger
 from ds_road import Road, RoadError
 from ds_sim import messages
 from ds_sim.frames import FramePublisher
+from ds_sim.patience import Patience
 from ds_sim.registry import make_simulator
 from ds_sim.ros_runtime import run_node
 from ds_sim.session import Session
@@ -26,8 +26,6 @@ SYNC_MODES = ("lockstep", "first")
 """lockstep: only the command with the stamp of the last image counts; first: the first command after it does."""
 FEEDBACK_EVERY = 10
 """Frames between two feedback messages: twice a simulated second."""
-REPEAT_FIRST_FRAME = 0.5
-"""Seconds after which an unanswered first frame is sent again, for a driver that was not connected yet."""
 
 
 class SimulatorNode(Node):
@@ -47,21 +45,22 @@ class SimulatorNode(Node):
         if not self._timeout > 0.0:
             raise ValueError(f"parameter command_timeout is {self._timeout}: expected seconds above 0")
         self._session = Session(make_simulator(name))
-        self._frames = FramePublisher(self, self._session.simulator.spec)
+        spec = self._session.simulator.spec
+        self._frames = FramePublisher(self, spec)
         self._road: Road | None = None
         self._seed = 0
         self._goal: ServerGoalHandle | None = None
         self._handed_over = False
         self._last: Observation | None = None
         self._awaited = Header()
-        self._first_sent = self._last_sent = 0.0
+        self._patience = Patience(self._timeout)
         self._refused = ""
         # Stamps never go back over the life of the node, as tf, bags and filters expect of a clock; they begin above
         # 0, so that a driver that leaves its stamp unset never answers by chance.
         self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", self._on_command, 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
-        self.create_service(GetSimulatorInfo, "get_info", self._on_get_info)
+        self.create_service(GetSimulatorInfo, "get_info", lambda _, answer: messages.info_response(spec, answer))
         self.create_service(Trigger, "reset", self._on_reset)
         self._server = ActionServer(
             self,
@@ -79,11 +78,6 @@ class SimulatorNode(Node):
         """Close the simulator with the node."""
         self._session.simulator.close()
         super().destroy_node()
-
-    def _on_get_info(
-        self, _request: GetSimulatorInfo.Request, response: GetSimulatorInfo.Response
-    ) -> GetSimulatorInfo.Response:
-        return messages.info_response(self._session.simulator.spec, response)
 
     def _on_load_road(self, request: LoadRoad.Request, response: LoadRoad.Response) -> LoadRoad.Response:
         try:
@@ -135,15 +129,15 @@ class SimulatorNode(Node):
         self._goal = goal
         self._handed_over = False
         self._refused = ""
+        self._patience = Patience(goal.request.command_timeout or self._timeout)
         self._show(self._session.start(self._road, self._seed))
-        self._first_sent = self._last_sent
 
     def _show(self, observation: Observation | None) -> None:
         """Publish a frame and wait for its answer, or hand over the result if the run has ended."""
         self._last = observation
         if observation is not None and self._road is not None:
             self._awaited = self._frames.publish(observation, self._road, self._run_start + observation.time)
-            self._last_sent = time.monotonic()
+            self._patience.sent(observation.step)
         self._hand_over_if_ended()
 
     def _on_command(self, message: DriveCommand) -> None:
@@ -173,13 +167,11 @@ class SimulatorNode(Node):
         """End a run whose client gave up or whose driver says nothing."""
         if self._goal is None or not self._session.driving or self._last is None:
             return
-        limit = self._goal.request.command_timeout or self._timeout
-        waiting = time.monotonic() - (self._first_sent if self._last.step == 0 else self._last_sent)
         if self._goal.is_cancel_requested:
             self._finish(Outcome.CANCELLED, "cancelled by the client")
-        elif waiting > limit:
-            self._finish(Outcome.DRIVER_SILENT, f"no command within {limit:g} s{self._refused}")
-        elif self._last.step == 0 and time.monotonic() - self._last_sent > REPEAT_FIRST_FRAME:
+        elif self._patience.is_over:
+            self._finish(Outcome.DRIVER_SILENT, f"no command within {self._patience.limit:g} s{self._refused}")
+        elif self._patience.wants_repeat:
             self._show(self._last)
 
     def _finish(self, outcome: Outcome, message: str) -> None:

@@ -41,7 +41,7 @@ class RoadSimulator:
         limits: OracleLimits | None = None,
     ) -> None:
         self._spec = spec
-        self._vehicle = vehicle
+        self.vehicle = vehicle
         self._camera = Camera(spec.camera, spec.look)
         self._limits = limits or OracleLimits()
         self._run: _Run | None = None
@@ -59,7 +59,7 @@ class RoadSimulator:
         vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         lane = road.right_lane_centre
         ahead = lane[1] - lane[0]
-        self._vehicle.reset(
+        self.vehicle.reset(
             float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(vehicle_seed)
         )
         tracker = LaneTracker(lane)
@@ -80,17 +80,17 @@ class RoadSimulator:
             raise SimulatorError(f"{self._spec.name}: no road is loaded: load one before stepping")
         if run.outcome is not Outcome.RUNNING:
             raise SimulatorError(f"{self._spec.name}: the run has ended ({run.outcome.name}): load a road again")
-        self._vehicle.advance(command)
+        self.vehicle.advance(command)
         run.step += 1
         return self._observe(run)
 
     def close(self) -> None:
         """Give back what the simulator holds."""
         self._run = None
-        self._vehicle.close()
+        self.vehicle.close()
 
     def _observe(self, run: _Run) -> Observation:
-        state = self._vehicle.state()
+        state = self.vehicle.state()
         if not all(math.isfinite(v) for v in (state.x, state.y, state.yaw, state.speed)):
             self._run = None
             raise SimulatorError(f"{self._spec.name}: the physics broke at step {run.step}: a state is not finite")

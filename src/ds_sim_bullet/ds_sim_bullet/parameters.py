@@ -2,9 +2,9 @@
 
 Sources that recur below:
 
-* *sheet*: data sheet of the Renault Twingo Electric (2021), a small rear-driven city car.
+* *sheet*: published data of the Renault Twingo Electric (2021), a small rear-driven city car; steering, balance, track
+  and tyres are those published for the Twingo III of 2014, on whose platform it stands.
 * *Gillespie*: Fundamentals of Vehicle Dynamics, SAE 1992.
-* *Milliken*: Race Car Vehicle Dynamics, SAE 1995.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class BulletParameters:
         height: m; sheet.
         wheelbase: m; sheet.
         track: between the wheels of an axle, m; sheet: 1.452 front and 1.425 rear, their mean.
-        mass: ready to drive with the driver, kg; sheet.
+        mass: kg; sheet: kerb weight, in which the European rule counts the driver.
         unsprung_mass: of one corner, kg; Gillespie ch. 5: 13 to 15 % of the sprung mass.
         wheel_mass: of one wheel with tyre, part of the unsprung mass, kg; chosen: steel 15-inch wheel.
         front_share: of the static load on the front axle, 0 to 1; sheet (motor at the rear): 45 to 55.
@@ -37,7 +37,7 @@ class BulletParameters:
 
         ride_frequency: of body on springs, Hz; Gillespie ch. 5: 1 to 1.5, the stiffer end for a light car.
         damping_ratio: of that mode; Gillespie ch. 5: 0.2 to 0.4.
-        front_anti_roll: force of the bar per difference of travel, N/m; chosen: with the rear one it gives 5.5
+        front_anti_roll: force of the bar per difference of travel, N/m; chosen: with the rear one it gives 5.7
             degrees of roll per g, of the 5 to 7 of small cars (Gillespie ch. 6).
         rear_anti_roll: the same at the rear, N/m; chosen: softer than in front, the rear carries more load.
         travel: up and down until the stops touch, m; chosen: 0.07, of the 0.06 to 0.08 of the class.
@@ -66,7 +66,7 @@ class BulletParameters:
         neutral_throttle: throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal
             maps keep the first fifth or so for braking.
 
-        substeps: of the physics per frame of 1/20 s; chosen: 12 (240 Hz), see docs of `BulletVehicle`.
+        substeps: of the physics per frame of 1/20 s; chosen: 12 (240 Hz); `BulletVehicle` says why.
         solver_iterations: of projected Gauss-Seidel per substep; chosen: Bullet's 50.
     """
 
@@ -175,6 +175,11 @@ class BulletParameters:
         half = 0.5 * self.track * curvature
         ahead = self.wheelbase * curvature
         return math.atan2(ahead, 1.0 - half), math.atan2(ahead, 1.0 + half)
+
+    def mean_angle(self, left: float, right: float) -> float:
+        """The mean angle that `wheel_angles` turns into these two, rad, left positive."""
+        left_tan, right_tan, half = math.tan(left), math.tan(right), 0.5 * self.track / self.wheelbase
+        return math.atan(0.5 * (left_tan / (1.0 + half * left_tan) + right_tan / (1.0 - half * right_tan)))
 
 
 _TINY = 1e-6

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Sequence
+import weakref
 from typing import Any
 
 import numpy as np
 
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
 from ds_sim_bullet.parameters import BulletParameters
+from ds_sim_bullet.suspension import Suspension
 from ds_sim_bullet.world import build_world
 
 
@@ -18,21 +19,30 @@ class BulletVehicle:
     """A small rear-driven electric car of rigid bodies in PyBullet, on an endless plane.
 
     Body, hubs, knuckles and wheels are one multibody; springs, dampers, anti-roll bars and motor are forces on its
-    joints, the steering is a position motor, and the tyres are contacts with Coulomb friction and a vertical
-    stiffness. Each vehicle owns a physics client of its own, so that several live side by side.
+    joints, the steering is a position motor that turns the knuckles, and the tyres are contacts with Coulomb's
+    friction: they do not slip at all below its limit. Each vehicle owns a physics client, so that several live
+    side by side.
+
+    Why 240 Hz: a slalom of 20 s and 98 m ends 0.24 m from where 3,840 Hz ends; 480 Hz halves that at twice the cost.
+
+    A limit of the engine: where a tyre slides, Bullet's cone friction leans towards the direction in which the
+    contact is harder to move. A sliding wheel therefore spins faster or slower than a real one would; the car's path
+    at the limit of grip depends on its heading in the world by 0.3 % of the distance. The car has no brakes that
+    could lock its wheels.
 
     Args:
         parameters: of the car; the nominal ones if left out.
 
     Raises:
-        SimulatorError: PyBullet is not installed, or has no client left to give.
+        ImportError: PyBullet is not installed.
+        SimulatorError: PyBullet has no physics client left to give.
     """
 
     def __init__(self, parameters: BulletParameters | None = None) -> None:
         self.parameters = parameters or BulletParameters()
         self._bullet = _import_bullet()
         self._client = -1
-        self._suspension = _Suspension(self.parameters)
+        self._suspension = Suspension(self.parameters)
         self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
@@ -40,7 +50,8 @@ class BulletVehicle:
         if self._client < 0:
             self._client = self._bullet.connect(self._bullet.DIRECT)
             if self._client < 0:
-                raise SimulatorError("bullet: PyBullet gave no physics client: close vehicles that are not used")
+                raise SimulatorError("PyBullet gave no physics client: close vehicles that are not used")
+            self._release = weakref.finalize(self, self._bullet.disconnect, physicsClientId=self._client)
         self._car = build_world(self._bullet, self._client, self.parameters, x=x, y=y, yaw=yaw)
         self._yaw = yaw
         self._angle = 0.0
@@ -77,7 +88,7 @@ class BulletVehicle:
     def close(self) -> None:
         """Give the physics client back."""
         if self._client >= 0:
-            self._bullet.disconnect(physicsClientId=self._client)
+            self._release()
             self._client = -1
 
     def _steer(self) -> None:
@@ -116,40 +127,11 @@ class BulletVehicle:
             speed=vx * cos + vy * sin,
             lateral_speed=vy * cos - vx * sin,
             yaw_rate=wz,
-            steering_angle=0.5 * (left[0] + right[0]),
+            steering_angle=p.mean_angle(left[0], right[0]),
             roll=math.atan2(left_z, up_z),
             pitch=math.asin(min(max(-fz, -1.0), 1.0)),
             heave=z - ahead * fz - p.centre_of_mass_height,
         )
-
-
-class _Suspension:
-    """Forces of springs, dampers, stops and anti-roll bars on the four guides."""
-
-    def __init__(self, p: BulletParameters) -> None:
-        self._travel, self._stop = p.travel, p.stop_stiffness
-        front, rear = (
-            (p.spring_load(front=f), p.spring_stiffness(front=f), p.spring_damping(front=f)) for f in (True, False)
-        )
-        self._corners = (front, front, rear, rear)
-        self._bars = (p.front_anti_roll, p.rear_anti_roll)
-
-    def forces(self, guides: Sequence[tuple[float, ...]]) -> list[float]:
-        """Force on each hub, N, positive up.
-
-        Args:
-            guides: position, m, and velocity, m/s, of each guide, positive up (compression), as PyBullet tells them.
-        """
-        forces = []
-        for (load, stiffness, damping), guide in zip(self._corners, guides, strict=True):
-            position, velocity = guide[0], guide[1]
-            beyond = position - min(max(position, -self._travel), self._travel)
-            forces.append(-(load + stiffness * position + damping * velocity + self._stop * beyond))
-        for axle, bar in enumerate(self._bars):
-            twist = bar * (guides[2 * axle][0] - guides[2 * axle + 1][0])
-            forces[2 * axle] -= twist
-            forces[2 * axle + 1] += twist
-        return forces
 
 
 def _import_bullet() -> Any:
@@ -157,6 +139,6 @@ def _import_bullet() -> Any:
     try:
         return importlib.import_module("pybullet")
     except ImportError:
-        raise SimulatorError(
-            "bullet: PyBullet is not installed: pip install pybullet==3.2.7 (it needs a C++ compiler on Python 3.12)"
+        raise ImportError(
+            "PyBullet is not installed: pip install pybullet==3.2.7 (it needs a C++ compiler on Python 3.12)"
         ) from None

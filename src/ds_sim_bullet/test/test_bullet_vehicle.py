@@ -1,0 +1,277 @@
+"""The rigid-body car against textbooks, hand-worked numbers and itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import subprocess
+import sys
+from collections.abc import Iterator
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ds_sim.simulator import FRAME_TIME, Command, VehicleState
+from ds_sim_bullet.parameters import GRAVITY, BulletParameters
+from ds_sim_bullet.urdf import car_urdf
+from ds_sim_bullet.vehicle import BulletVehicle
+
+P = BulletParameters()
+RNG = np.random.default_rng(0)
+ROTATING_MASS = (4 * P.wheel_spin_inertia + 2 * P.rotor_inertia) / P.wheel_radius**2
+
+
+@pytest.fixture
+def car() -> Iterator[BulletVehicle]:
+    vehicle = BulletVehicle()
+    yield vehicle
+    vehicle.close()
+
+
+def drive(car: BulletVehicle, frames: int, steering: float, throttle: float) -> list[VehicleState]:
+    states = []
+    for _ in range(frames):
+        car.advance(Command(steering, throttle))
+        states.append(car.state())
+    return states
+
+
+def pace(state: VehicleState) -> float:
+    return math.hypot(state.speed, state.lateral_speed)
+
+
+def slalom(car: BulletVehicle, frames: int = 100, throttle: float = 0.5) -> NDArray[np.float64]:
+    """(frames, 4) of x, y, yaw, speed."""
+    rows = []
+    for frame in range(frames):
+        car.advance(Command(0.8 * math.sin(0.07 * frame), throttle))
+        state = car.state()
+        rows.append((state.x, state.y, state.yaw, state.speed))
+    return np.array(rows)
+
+
+def test_the_same_commands_give_the_same_bytes_in_a_fresh_process_and_after_any_history(car: BulletVehicle) -> None:
+    code = (
+        f"import sys; sys.path[:0] = {[*sys.path]!r}\n"
+        "import hashlib, math, numpy as np\n"
+        "from ds_sim.simulator import Command\n"
+        "from ds_sim_bullet.vehicle import BulletVehicle\n"
+        "car = BulletVehicle(); car.reset(125.0, 25.0, 1.5, np.random.default_rng(0)); rows = []\n"
+        "for frame in range(100):\n"
+        "    car.advance(Command(0.8 * math.sin(0.07 * frame), 0.5)); s = car.state()\n"
+        "    rows.append((s.x, s.y, s.yaw, s.speed))\n"
+        "print(hashlib.sha256(np.array(rows).tobytes()).hexdigest())\n"
+    )
+    fresh = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    drive(car, 40, -0.7, 1.0)
+    car.reset(125.0, 25.0, 1.5, RNG)
+    assert hashlib.sha256(slalom(car).tobytes()).hexdigest() == fresh.strip()
+
+
+def test_vehicles_side_by_side_do_not_disturb_each_other(car: BulletVehicle) -> None:
+    alone = slalom(car, 60)
+    car.reset(0.0, 0.0, 0.0, RNG)
+    other = BulletVehicle(dataclasses.replace(P, mass=1500.0))
+    rows = []
+    for frame in range(60):
+        car.advance(Command(0.8 * math.sin(0.07 * frame), 0.5))
+        other.advance(Command(-1.0, 1.0))
+        if frame % 20 == 10:
+            other.reset(1.0, 2.0, 3.0, RNG)
+        state = car.state()
+        rows.append((state.x, state.y, state.yaw, state.speed))
+    other.close()
+    assert np.array_equal(np.array(rows), alone)
+
+
+def test_steering_minus_one_is_left_and_the_car_is_symmetric(car: BulletVehicle) -> None:
+    left = drive(car, 80, -1.0, 0.3)[-1]
+    car.reset(0.0, 0.0, 0.0, RNG)
+    right = drive(car, 80, 1.0, 0.3)[-1]
+    assert left.yaw > 0.3
+    assert left.y > 0.5
+    assert left.steering_angle == pytest.approx(P.max_steering_angle, rel=1e-3)
+    assert left.roll > 0.001
+    assert (right.yaw, right.y, right.roll) == pytest.approx((-left.yaw, -left.y, -left.roll), rel=0.01)
+
+
+def test_straight_ahead_stays_straight_over_100_metres(car: BulletVehicle) -> None:
+    last = drive(car, 320, 0.0, 0.7)[-1]
+    assert last.x > 100.0
+    assert abs(last.y) < 0.05
+
+
+def test_speed_is_distance_over_time(car: BulletVehicle) -> None:
+    states = drive(car, 160, 0.2, 0.4)[80:]
+    path = sum(math.hypot(b.x - a.x, b.y - a.y) for a, b in zip(states[:-1], states[1:], strict=True))
+    mean = np.mean([pace(s) for s in states])
+    assert path / ((len(states) - 1) * FRAME_TIME) == pytest.approx(mean, rel=1e-3)
+
+
+def test_yaw_counts_full_turns_and_is_the_integral_of_its_rate(car: BulletVehicle) -> None:
+    states = drive(car, 300, -1.0, 0.4)
+    total = sum(s.yaw_rate for s in states) * FRAME_TIME
+    assert states[-1].yaw > math.tau
+    assert states[-1].yaw == pytest.approx(total, rel=0.01)
+
+
+def test_it_starts_where_it_is_put_and_at_rest_stays_there_whatever_the_steering(car: BulletVehicle) -> None:
+    car.reset(123.4, -56.7, 1.1, RNG)
+    start = car.state()
+    assert (start.x, start.y, start.yaw) == pytest.approx((123.4, -56.7, 1.1), abs=1e-12)
+    for frame in range(300):
+        car.advance(Command(0.7 if frame % 20 < 10 else -0.7, 0.0))
+    last = car.state()
+    assert math.hypot(last.x - start.x, last.y - start.y) < 1e-4
+    assert (last.heave, last.roll, last.pitch) == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
+
+
+def test_lifting_the_throttle_slows_it_as_regeneration_and_rolling_resistance_say(car: BulletVehicle) -> None:
+    drive(car, 80, 0.0, 1.0)
+    states = drive(car, 200, 0.0, 0.0)
+    by_hand = (P.regenerative_force + P.rolling_resistance * P.mass * GRAVITY) / (P.mass + ROTATING_MASS)
+    slowing = [(a.speed - b.speed) / FRAME_TIME for a, b in zip(states[10:25], states[11:26], strict=True)]
+    assert states[26].speed > P.fade_speed
+    assert np.mean(slowing) == pytest.approx(by_hand, rel=0.01)
+    assert 2.0 < by_hand < 2.5
+    assert abs(states[-1].speed) < 1e-3
+    assert math.hypot(states[-1].x - states[-60].x, states[-1].y - states[-60].y) < 1e-2
+
+
+def test_the_nose_dips_when_it_slows(car: BulletVehicle) -> None:
+    pushing = drive(car, 70, 0.0, 1.0)[-1]
+    slowing = drive(car, 30, 0.0, 0.0)[-1]
+    assert math.radians(-1.0) < pushing.pitch < math.radians(-0.3)
+    assert math.radians(0.3) < slowing.pitch < math.radians(1.0)
+
+
+def test_it_reaches_a_speed_and_keeps_it_under_the_papers_throttle(car: BulletVehicle) -> None:
+    speeds = [0.0]
+    for _ in range(300):
+        car.advance(Command(0.0, max(0.0, 1.0 - (speeds[-1] * 3.6 / 30.0) ** 2)))
+        speeds.append(car.state().speed)
+    kmh = 3.6 * np.array(speeds)
+    assert 3.0 < np.argmax(kmh > 20.0) * FRAME_TIME < 4.0
+    assert 22.0 < kmh[-1] < 27.0
+    assert kmh[-1] - kmh[-20] < 0.05
+
+
+@pytest.mark.parametrize("steering", [-1.0, 1.0])
+def test_little_throttle_at_full_lock_still_moves_it(car: BulletVehicle, steering: float) -> None:
+    states = drive(car, 200, steering, 0.1)
+    assert pace(states[-1]) > 0.1
+
+
+@pytest.mark.parametrize("steering", [0.2, 0.5, 1.0])
+def test_a_slow_circle_is_the_kinematic_one(car: BulletVehicle, steering: float) -> None:
+    """Ackermann: the rear axle's middle at L / tan(angle), the car's middle half a wheelbase ahead of it."""
+    last = drive(car, 200, steering, 0.2)[-1]
+    angle = steering * P.max_steering_angle
+    radius = math.hypot(P.wheelbase / math.tan(angle), P.wheelbase / 2.0)
+    assert -pace(last) / last.yaw_rate == pytest.approx(radius, rel=0.01)
+    assert math.atan2(last.lateral_speed, last.speed) == pytest.approx(-math.asin(P.wheelbase / 2.0 / radius), abs=0.01)
+
+
+def test_its_turning_circle_is_the_data_sheets() -> None:
+    """8.6 m from kerb to kerb: the outer front wheel's track."""
+    rear = P.wheelbase / math.tan(P.max_steering_angle)
+    assert 2.0 * math.hypot(rear + P.track / 2.0, P.wheelbase) == pytest.approx(8.6, abs=0.05)
+
+
+def test_a_fast_circle_is_limited_by_friction_and_widens(car: BulletVehicle) -> None:
+    states = drive(car, 250, -0.5, 0.8)[200:]
+    acceleration = np.mean([pace(s) * s.yaw_rate for s in states])
+    kinematic = math.hypot(P.wheelbase / math.tan(0.5 * P.max_steering_angle), P.wheelbase / 2.0)
+    assert 0.85 * P.friction * GRAVITY < acceleration < P.friction * GRAVITY
+    assert np.mean([pace(s) / s.yaw_rate for s in states]) > 1.2 * kinematic
+
+
+def test_the_body_leans_out_of_the_bend_as_its_springs_say(car: BulletVehicle) -> None:
+    """Roll angle = m h a / (K - m g h), K from springs and bars on a track."""
+    states = drive(car, 250, -0.2, 0.7)[200:]
+    acceleration = np.mean([pace(s) * s.yaw_rate for s in states])
+    springs = sum(P.spring_stiffness(front=front) for front in (True, False))
+    stiffness = P.track**2 * (springs / 2.0 + P.front_anti_roll + P.rear_anti_roll)
+    moment = P.sprung_mass * P.centre_of_mass_height
+    assert acceleration > 3.0
+    assert np.mean([s.roll for s in states]) == pytest.approx(
+        moment * acceleration / (stiffness - moment * GRAVITY), rel=0.06
+    )
+
+
+def test_the_wheels_turn_no_faster_than_the_steering_can(car: BulletVehicle) -> None:
+    angles = [0.0, *(s.steering_angle for s in drive(car, 30, 1.0, 0.0))]
+    assert np.abs(np.diff(angles)).max() == pytest.approx(P.steering_rate * FRAME_TIME, rel=0.05)
+    assert angles[-1] == pytest.approx(-P.max_steering_angle, rel=1e-3)
+
+
+@pytest.mark.parametrize("yaw", [0.3, math.pi / 4])
+def test_the_world_has_no_preferred_direction(car: BulletVehicle, yaw: float) -> None:
+    at_origin = slalom(car, 120, throttle=0.4)
+    car.reset(200.0, -30.0, yaw, RNG)
+    elsewhere = slalom(car, 120, throttle=0.4)
+    turned = (elsewhere[:, :2] - (200.0, -30.0)) @ np.array(
+        [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+    )
+    length = np.hypot(*np.diff(at_origin[:, :2], axis=0).T).sum()
+    assert np.abs(turned - at_origin[:, :2]).max() < 0.001 * length
+
+
+def test_halving_the_step_moves_little() -> None:
+    coarse, fine = (BulletVehicle(dataclasses.replace(P, substeps=n)) for n in (P.substeps, 2 * P.substeps))
+    paths = slalom(coarse, 150), slalom(fine, 150)
+    coarse.close()
+    fine.close()
+    length = np.hypot(*np.diff(paths[1][:, :2], axis=0).T).sum()
+    assert np.abs(paths[0][:, :2] - paths[1][:, :2]).max() < 0.005 * length
+
+
+def test_full_throttle_at_full_lock_stays_finite(car: BulletVehicle) -> None:
+    for steering in (1.0, -1.0):
+        states = drive(car, 500, steering, 1.0)
+        assert all(math.isfinite(getattr(states[-1], name)) for name in VehicleState.__slots__)
+        assert max(pace(s) for s in states) < P.max_speed + P.limiter_band
+        assert max(abs(s.roll) for s in states) < math.radians(10.0)
+
+
+def test_without_throttle_no_energy_appears(car: BulletVehicle) -> None:
+    drive(car, 120, 0.0, 1.0)
+    energy = []
+    for frame in range(160):
+        car.advance(Command(math.sin(frame), 0.0))
+        state = car.state()
+        energy.append(0.5 * P.mass * pace(state) ** 2 + 0.5 * 2000.0 * state.yaw_rate**2)
+    assert np.diff(energy).max() < 0.01 * energy[0]
+    assert energy[-1] < 1e-3 * energy[0]
+
+
+def test_it_may_be_reset_after_it_was_closed(car: BulletVehicle) -> None:
+    before = slalom(car, 20)
+    car.close()
+    car.close()
+    car.reset(0.0, 0.0, 0.0, RNG)
+    assert np.array_equal(slalom(car, 20), before)
+
+
+def test_the_urdf_weighs_what_the_car_weighs_and_is_balanced() -> None:
+    robot = ElementTree.fromstring(car_urdf(P))
+    masses = [float(mass.attrib["value"]) for mass in robot.iter("mass")]
+    assert sum(masses) == pytest.approx(P.mass)
+    moment = P.sprung_mass * P.body_forward / P.mass
+    assert 0.5 + moment / P.wheelbase == pytest.approx(P.front_share)
+
+
+def test_what_makes_no_sense_is_refused_in_one_line() -> None:
+    with pytest.raises(ValueError, match=r"^mass is nan, expected a number from 1e-06 to inf: correct it$"):
+        BulletParameters(mass=math.nan)
+    with pytest.raises(ValueError, match=r"^substeps is 0, expected"):
+        BulletParameters(substeps=0)
+
+
+def test_without_pybullet_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    with pytest.raises(ImportError, match=r"^PyBullet is not installed: pip install pybullet==\S+ \(.*\)$"):
+        BulletVehicle()
