@@ -64,7 +64,7 @@ def test_bad_input_ends_with_2_and_one_line(tmp_path: Path) -> None:
         "not valid": ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", crossing),
         "No such file": ("road", "check", tmp_path / "none.json"),
         "unknown simulator": ("campaign", "run", config, "--out", tmp_path / "out"),
-        "run a campaign": ("maps", tmp_path),
+        "no campaign": ("maps", tmp_path),
         "no drives": ("train", "--data", tmp_path, "--out", tmp_path / "t"),
     }
     for named, arguments in cases.items():

@@ -156,6 +156,15 @@ def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> G
     return response
 
 
+def drive_feedback(observation: Observation, road: Road) -> DriveRoad.Feedback:
+    """How far a run is."""
+    return DriveRoad.Feedback(
+        step=observation.step,
+        progress=min(max(observation.lane.arc_length / road.length, 0.0), 1.0),
+        lateral_position=observation.lane.lateral_position,
+    )
+
+
 def drive_result(run: RunRecord) -> DriveRoad.Result:
     """A whole run: outcome, measures, and every state and command with stamps that count from the run's start."""
     result = DriveRoad.Result(

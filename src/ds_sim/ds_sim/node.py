@@ -86,9 +86,7 @@ class SimulatorNode(Node):
             response.reason = str(error)
             self.get_logger().warning(f"road refused: {error}")
             return response
-        response.accepted = True
-        response.road_id = road.road_id
-        response.length = road.length
+        response.accepted, response.road_id, response.length = True, road.road_id, road.length
         return response
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -154,13 +152,7 @@ class SimulatorNode(Node):
             return
         observation = self._session.advance(command)
         if observation is not None and self._road is not None and observation.step % FEEDBACK_EVERY == 0:
-            self._goal.publish_feedback(
-                DriveRoad.Feedback(
-                    step=observation.step,
-                    progress=min(max(observation.lane.arc_length / self._road.length, 0.0), 1.0),
-                    lateral_position=observation.lane.lateral_position,
-                )
-            )
+            self._goal.publish_feedback(messages.drive_feedback(observation, self._road))
         self._show(observation)
 
     def _watch(self) -> None:
