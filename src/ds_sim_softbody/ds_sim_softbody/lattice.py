@@ -1,73 +1,192 @@
-"""The body: mass nodes joined by damped beams, and four wheel nodes held by softer ones, in pymunk."""
+"""The car's frame: mass nodes joined by damped beams, seen from above, in a pymunk space without gravity.
+
+Coordinates are the car's own at the start of a run: x forward, y left, origin in the middle between the axles.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
+import numpy as np
 import pymunk
+from numpy.typing import NDArray
+from pymunk import batch
 
 from ds_sim_softbody.parameters import SoftbodyParameters
 
-_ITERATIONS = 1
-"""Solver iterations: damped springs are forces, not constraints to be solved."""
+VALUES = 4
+"""Numbers per node in what `Lattice.read` gives: x, y, and their rates."""
+_FIELDS = batch.BodyFields.POSITION | batch.BodyFields.VELOCITY
+
+
+class Corner(NamedTuple):
+    """Node numbers of one wheel and of the frame's bushes before and behind its axis."""
+
+    wheel: int
+    fore: int
+    aft: int
+
+
+class Beam(NamedTuple):
+    """A damped spring between two nodes: stiffness in N/m, damping in N s/m."""
+
+    first: int
+    second: int
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blueprint:
+    """The frame at rest.
+
+    Attributes:
+        positions: (n, 2) of the nodes, m; the four wheels first.
+        masses: (n,) kg.
+        beams: between the nodes; their lengths at rest are those of `positions`.
+        corners: front left, front right, rear left, rear right.
+    """
+
+    positions: NDArray[np.float64]
+    masses: NDArray[np.float64]
+    beams: tuple[Beam, ...]
+    corners: tuple[Corner, Corner, Corner, Corner]
+
+
+def blueprint(p: SoftbodyParameters) -> Blueprint:
+    """Lay out four wheels and two side rails of eight nodes, cross-braced, with the car's mass and inertia.
+
+    Raises:
+        ValueError: no positive node masses give this mass, axle load and yaw inertia together.
+    """
+    axle = p.wheelbase / 2.0
+    stations = [
+        p.bumper_distance, axle + p.bush_spacing, axle - p.bush_spacing, p.floor_distance,
+        -p.floor_distance, -axle + p.bush_spacing, -axle - p.bush_spacing, -p.bumper_distance,
+    ]  # fmt: skip
+    wheels = [(x, y) for x in (axle, -axle) for y in (p.track / 2.0, -p.track / 2.0)]
+    widths = [p.rail_half_width] * 3 + [p.sill_half_width] * 2 + [p.rail_half_width] * 3
+    rails = [(x, y) for x, width in zip(stations, widths, strict=True) for y in (width, -width)]
+    positions = np.array(wheels + rails)
+
+    def rail(station: int, side: int) -> int:
+        return len(wheels) + 2 * station + side
+
+    front_left, front_right, rear_left, rear_right = (
+        Corner(2 * end + side, rail(first, side), rail(first + 1, side))
+        for end, first in enumerate((1, 5))
+        for side in (0, 1)
+    )
+    corners = (front_left, front_right, rear_left, rear_right)
+    arms = [
+        Beam(c.wheel, bush, p.arm_stiffness, p.arm_damping) for c in corners for bush in (c.fore, c.aft)
+    ]
+    pairs = [(rail(s, 0), rail(s, 1)) for s in range(len(stations))]
+    for s in range(len(stations) - 1):
+        pairs += [(rail(s, a), rail(s + 1, b)) for a, b in ((0, 0), (1, 1), (0, 1), (1, 0))]
+    frame = [Beam(i, j, p.frame_stiffness, p.frame_damping) for i, j in pairs]
+    return Blueprint(
+        positions=positions, masses=_masses(p, positions), beams=tuple(arms + frame), corners=corners
+    )
+
+
+def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Node masses, kg: wheels and bumpers as given, subframes and floor to meet mass, axle load and inertia."""
+    masses = np.zeros(len(positions))
+    masses[:4] = p.unsprung_mass
+    masses[[4, 5, 18, 19]] = p.bumper_mass
+    groups = ([6, 7, 8, 9], [14, 15, 16, 17], [10, 11, 12, 13])
+    ahead = p.centre_of_mass_ahead
+    arms = np.sum((positions - (ahead, 0.0)) ** 2, axis=1)
+    moments = np.vstack((np.ones(len(masses)), positions[:, 0] - ahead, arms))
+    wanted = np.array([p.mass, 0.0, p.yaw_inertia]) - moments @ masses
+    shares = np.linalg.solve(np.column_stack([moments[:, g].mean(axis=1) for g in groups]), wanted)
+    if shares.min() <= 0.0:
+        raise ValueError(
+            f"mass {p.mass:g} kg, front_share {p.front_share:g} and yaw_inertia {p.yaw_inertia:g} kg m^2 leave "
+            f"no positive node masses: expected an inertia near 0.95 x mass x (wheelbase / 2)^2"
+        )
+    for group, share in zip(groups, shares, strict=True):
+        masses[group] = share / len(group)
+    return masses
+
+
+class RigidMotion(NamedTuple):
+    """How the frame moves as a whole: its middle's place and velocity (m, m/s), yaw (rad), yaw rate (rad/s)."""
+
+    x: float
+    y: float
+    yaw: float
+    velocity_x: float
+    velocity_y: float
+    yaw_rate: float
 
 
 class Lattice:
-    """Nodes and beams at rest at a pose.
+    """The frame in motion.
 
     Args:
-        parameters: of the car.
-        x: of the car's middle, m.
-        y: of the car's middle, m.
-        yaw: heading, rad.
+        plan: the frame at rest.
+        iterations: of the solver per step.
     """
 
-    def __init__(self, parameters: SoftbodyParameters, x: float, y: float, yaw: float) -> None:
-        p = parameters
-        self.space = pymunk.Space()
-        self.space.gravity = (0.0, 0.0)
-        self.space.iterations = _ITERATIONS
-        self._cos, self._sin = math.cos(yaw), math.sin(yaw)
-        self._origin = (x, y)
-        half = p.body_half_width
-        node_mass = p.body_mass / (3 * len(p.body_rows))
-        self.rows = [[self._node(at, side, node_mass) for side in (half, 0.0, -half)] for at in p.body_rows]
-        for index, row in enumerate(self.rows):
-            self._beam(row[0], row[1], p.beam_stiffness, p.beam_damping)
-            self._beam(row[1], row[2], p.beam_stiffness, p.beam_damping)
-            self._beam(row[0], row[2], p.beam_stiffness, p.beam_damping)
-            for following in self.rows[index + 1 : index + 2]:
-                for i in range(3):
-                    for k in range(max(0, i - 1), min(3, i + 2)):
-                        self._beam(row[i], following[k], p.beam_stiffness, p.beam_damping)
-                self._beam(row[0], following[2], p.beam_stiffness, p.beam_damping)
-                self._beam(row[2], following[0], p.beam_stiffness, p.beam_damping)
-        front, rear = p.wheelbase / 2, -p.wheelbase / 2
-        self.wheels = [
-            self._wheel(p, at, side, axle) for at, axle in ((front, 3), (rear, 1)) for side in (p.half_track, -p.half_track)
-        ]
-        self.body_nodes = [node for row in self.rows for node in row]
-        self.nodes = [*self.body_nodes, *self.wheels]
-        self.beams = len(self.space.constraints)
+    def __init__(self, plan: Blueprint, *, iterations: int) -> None:
+        self._plan = plan
+        self._space = pymunk.Space()
+        self._space.iterations = iterations
+        self._bodies = []
+        for (x, y), mass in zip(plan.positions.tolist(), plan.masses.tolist(), strict=True):
+            body = pymunk.Body(mass, math.inf)
+            body.position = x, y
+            self._bodies.append(body)
+        self._space.add(*self._bodies)
+        for beam in plan.beams:
+            a, b = self._bodies[beam.first], self._bodies[beam.second]
+            dx, dy = b.position.x - a.position.x, b.position.y - a.position.y
+            # As the engine measures it, so that a frame at rest feels no force at all.
+            length = math.sqrt(dx * dx + dy * dy)
+            self._space.add(
+                pymunk.DampedSpring(a, b, (0.0, 0.0), (0.0, 0.0), length, beam.stiffness, beam.damping)
+            )
+        self._buffer = batch.Buffer()
+        self._weights = plan.masses / plan.masses.sum()
+        self._centre = self._weights @ plan.positions
+        self._rest = plan.positions - self._centre
+        self.push = [self._bodies[corner.wheel].apply_force_at_world_point for corner in plan.corners]
+        """For each wheel: takes a force (x, y) in N, which acts during the next step, and where it acts."""
+        self.step = self._space.step
+        """Advances the frame by a time in s."""
 
-    def _node(self, ahead: float, left: float, mass: float) -> pymunk.Body:
-        node = pymunk.Body(mass, math.inf)
-        node.position = (
-            self._origin[0] + ahead * self._cos - left * self._sin,
-            self._origin[1] + ahead * self._sin + left * self._cos,
+    def read(self) -> list[float]:
+        """x, y and their rates of every node, one node after the other; m and m/s."""
+        buffer = self._buffer
+        buffer.clear()
+        batch.get_space_bodies(self._space, _FIELDS, buffer)
+        values: list[float] = memoryview(buffer.float_buf()).cast("d").tolist()
+        return values
+
+    def rigid_motion(self) -> RigidMotion:
+        """The motion of the undeformed frame that fits the nodes best, weighted by mass."""
+        nodes = np.array(self.read()).reshape(-1, VALUES)
+        middle = self._weights @ nodes
+        offset, velocity = nodes[:, :2] - middle[:2], nodes[:, 2:] - middle[2:]
+        w, rest = self._weights, self._rest
+        along = w @ (rest[:, 0] * offset[:, 0] + rest[:, 1] * offset[:, 1])
+        across = w @ (rest[:, 0] * offset[:, 1] - rest[:, 1] * offset[:, 0])
+        yaw = math.atan2(across, along)
+        spin = w @ (offset[:, 0] * velocity[:, 1] - offset[:, 1] * velocity[:, 0])
+        rate = float(spin / (w @ np.sum(offset**2, axis=1)))
+        # From the centre of mass back to the middle between the axles.
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        back_x = -self._centre[0] * cos + self._centre[1] * sin
+        back_y = -self._centre[0] * sin - self._centre[1] * cos
+        return RigidMotion(
+            x=float(middle[0] + back_x),
+            y=float(middle[1] + back_y),
+            yaw=yaw,
+            velocity_x=float(middle[2] - rate * back_y),
+            velocity_y=float(middle[3] + rate * back_x),
+            yaw_rate=rate,
         )
-        self.space.add(node)
-        return node
-
-    def _wheel(self, p: SoftbodyParameters, ahead: float, left: float, axle: int) -> pymunk.Body:
-        """A wheel node on arms to the outer nodes of its own and the neighbouring rows, and to the axle's middle."""
-        node = self._node(ahead, left, p.wheel_mass)
-        side = 0 if left > 0 else 2
-        for row in (axle - 1, axle, axle + 1):
-            self._beam(node, self.rows[row][side], p.arm_stiffness, p.arm_damping)
-        self._beam(node, self.rows[axle][1], p.arm_stiffness, p.arm_damping)
-        return node
-
-    def _beam(self, a: pymunk.Body, b: pymunk.Body, stiffness: float, damping: float) -> None:
-        rest = (a.position - b.position).length
-        self.space.add(pymunk.DampedSpring(a, b, (0, 0), (0, 0), rest, stiffness, damping))

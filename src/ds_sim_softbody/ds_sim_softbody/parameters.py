@@ -1,81 +1,191 @@
-"""Constants of the soft-body car, each with its unit and its source."""
+"""Every constant of the soft car and of the engine that integrates it, in SI units.
+
+Sources that recur below:
+
+* *sheet*: data sheet of the Honda e (2020), a small rear-driven electric city car with one-pedal driving.
+* *Gillespie*: Fundamentals of Vehicle Dynamics, SAE 1992.
+* *Pacejka*: Tire and Vehicle Dynamics, 3rd edition, 2012.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
+
+GRAVITY = 9.81
+"""m/s^2."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SoftbodyParameters:
-    """A small front-driven car as nodes and beams.
+    """The car: its frame of nodes and beams, springs, tyres, steering and motor.
 
     Attributes:
-        substeps: physics steps per frame; 50 is 1 kHz, where springs of this stiffness are comfortably stable.
-        body_rows: x of the lattice's rows before the middle, m; the second and the fourth carry the axles.
-        body_half_width: y of the lattice's outer nodes, m.
-        body_mass: of the lattice, kg.
-        wheel_mass: of a wheel node with hub and half the suspension, kg.
-        beam_stiffness, beam_damping: of the body's beams, N/m and N s/m.
-        arm_stiffness, arm_damping: of the beams that hold a wheel: softer, as bushings are, N/m and N s/m.
-        wheelbase: m.
-        half_track: m.
-        length, width: over all, m.
-        max_steering_angle: of the mean front wheel at |steering| = 1, rad.
-        steering_rate: of the front wheels, rad/s.
-        tyre_radius: m.
-        wheel_inertia: of a wheel with its share of the drive line, kg m^2.
-        slip_stiffness: longitudinal force per slip and load, 1.
-        cornering_stiffness: lateral force per rad of slip angle and load, 1/rad.
-        friction: largest force per load, 1.
-        relaxation: distance over which a slip builds up, m.
-        rolling_resistance: force per load, 1.
-        max_drive_force: of both driven wheels at full throttle, N.
-        max_power: W.
-        engine_braking: of both driven wheels with the throttle closed, N.
-        drag_area: drag coefficient times frontal area, m^2.
-        gravity_height: of the centre of mass, m.
-        roll_frequency, pitch_frequency: of the body on its springs, Hz.
-        body_damping_ratio: of roll and pitch, 1.
-        roll_stiffness, pitch_stiffness: of the suspension, N m/rad.
-        front_roll_share: share of the roll moment that the front axle carries, 1.
+        length: m; sheet.
+        width: m; sheet.
+        wheelbase: m; sheet.
+        track: between the wheels of an axle, m; sheet: 1.51 front and 1.505 rear.
+        mass: ready to drive, kg; sheet.
+        front_share: of the static load on the front axle, 0 to 1; sheet: equal on both axles.
+        yaw_inertia: kg m^2; Gillespie ch. 6: close to mass times both distances from axle to centre of mass;
+            chosen: 0.95 of that.
+        centre_of_mass_height: m; chosen: 0.34 of the height of 1.512 (Gillespie: 0.35 to 0.4 of a car's), the
+            battery lying under the floor.
+
+        unsprung_mass: of one corner, a node of its own, kg; Gillespie ch. 5: 13 to 15 % of the sprung mass is
+            usual; chosen: 40, 12 %, for struts and alloy wheels.
+        bumper_mass: of each of the four outermost frame nodes, kg; chosen: bumper beam, crash box, lamps.
+        rail_half_width: from the middle to a side rail at axles and bumpers, m; chosen: just inside of the wheels.
+        sill_half_width: from the middle to a sill between the axles, m; chosen: 0.13 inside of the skin.
+        bumper_distance: of the outermost frame nodes from the middle, m; chosen: 0.2 inside of the skin.
+        bush_spacing: from a wheel's axis forward and back to the two bushes of its arm, m; chosen: that of
+            lower arms, 0.3 to 0.4 from bush to bush.
+        floor_distance: of the two floor stations from the middle, m; chosen: ends of the battery case.
+        frame_stiffness: of a beam of the frame, N/m; chosen: with it the first free mode of the frame in the
+            plane lies at 38 Hz, of the 25 to 40 Hz of trimmed bodies.
+        frame_damping: of a beam of the frame, N s/m; chosen: a few per cent of critical at that mode.
+        arm_stiffness: of a beam from wheel to bush, N/m; chosen: 0.7 mm/kN sideways and 1.1 mm/kN along at the
+            wheel, of the 0.3 to 1 and 1 to 3 of rubber-bushed struts.
+        arm_damping: of a beam from wheel to bush, N s/m; chosen: filled rubber, a loss factor of about 0.2.
+        front_arm: from a front wheel's axis forward to its track rod, m; chosen: of the 0.11 to 0.15 usual.
+        rear_arm: from a rear wheel's axis back to its toe link, m; chosen: the strut's wide-based lower links.
+
+        ride_frequency: of body on springs, Hz; Gillespie ch. 5: 1 to 1.5.
+        roll_gradient: steady roll, rad per m/s^2; Gillespie ch. 6: 5 to 7 degrees per g for small cars;
+            chosen: 4.5, the battery lies low.
+        roll_front_share: of the roll stiffness on the front axle, 0 to 1; Gillespie ch. 6: the front's share is
+            the larger, so that the car understeers.
+        roll_axis_height: m; chosen: strut axles have 0.05 to 0.15.
+        roll_inertia: of the sprung mass, kg m^2; a uniform box of 1.75 x 1.1 m about the roll axis.
+        pitch_inertia: of the sprung mass, kg m^2; a uniform box of 3.9 x 1.1 m about the ground.
+        body_damping: ratio of the roll and pitch modes; Gillespie ch. 5: 0.2 to 0.4.
+
+        wheel_radius: m; sheet: 185/60 R16 front (0.314) and 205/55 R16 rear (0.316).
+        wheel_spin_inertia: about the axle, kg m^2; chosen: a 17 kg wheel with 0.6 of its mass at the tread.
+        rotor_inertia: of the motor as seen by one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
+        friction: of tyre on dry asphalt at the static load; Pacejka ch. 1: about 1.
+        load_sensitivity: relative loss of friction per relative gain of load; Pacejka ch. 4: 0.05 to 0.2.
+        front_cornering_stiffness: over load, 1/rad; Pacejka ch. 1: 10 to 20 for passenger tyres.
+        rear_cornering_stiffness: over load, 1/rad; as above, the rear tyres are 10 % wider.
+        slip_stiffness: longitudinal over load; Pacejka ch. 4: about one and a half times the cornering one.
+        lateral_relaxation: m; Pacejka ch. 7: of the order of the wheel's radius.
+        longitudinal_relaxation: m; Pacejka ch. 7: about half the lateral one.
+        carcass_damping: time constant of the carcass as spring and damper, s; chosen: 4 ms, a loss factor of
+            0.2 to 0.8 at the frequencies at which a standing car rocks on its tyres (8 to 30 Hz).
+        rolling_resistance: force over load; Gillespie ch. 4: 0.012 to 0.015 for radial tyres on asphalt.
+        rolling_threshold: speed from which rolling resistance is whole, m/s; chosen: it eases out below it.
+
+        max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; sheet: a turning circle of
+            8.6 m from kerb to kerb puts the rear axle's centre on 2.55 m (45 degrees); chosen: 42, the angle of
+            the rack before its stops.
+        steering_rate: of the mean angle, rad/s; chosen: 100 degrees/s, 1,240 at the wheel (sheet: 3.1 turns
+            for 90 degrees), as steering robots reach (1,000 to 2,500).
+        ackermann: share of the exact Ackermann geometry, 0 parallel to 1 exact; chosen: linkages built for a
+            small turning circle come near.
+
+        drive_force: at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 to 4 s under the paper's
+            equation 2; the motor could give 9 kN (sheet: 315 N m).
+        regenerative_force: at the tyres with no throttle, N; sheet: one-pedal control slows by up to 0.18 g.
+        fade_speed: below which regeneration fades out, m/s; chosen: a brisk walk, 9 km/h.
+        motor_lag: time constant from pedal to torque, s; chosen: the filter that spares the driveline, 0.05 to
+            0.1.
+
+        frame_substeps: of nodes, beams and tyres per frame of 1/20 s; chosen: 50 (1 kHz); the fastest mode of
+            these beams is 0.07 of the shortest that a step can follow.
+        body_substeps: of roll, pitch, steering and motor per frame, a divisor of the former; chosen: 10
+            (200 Hz), a hundred times the body's modes.
+        solver_iterations: of the beams' damping per substep; chosen: 2, more change nothing that is seen.
     """
 
-    substeps: int = 50  # chosen: 20 fps x 50 = 1 kHz
-    body_rows: tuple[float, ...] = (-1.85, -1.25, 0.0, 1.25, 1.85)  # chosen: bumpers, axles and middle
-    body_half_width: float = 0.5  # chosen: the frame rails lie inside the wheels
-    body_mass: float = 900.0  # chosen: with wheels 1,040 kg, a small hatchback with its driver
-    wheel_mass: float = 35.0  # chosen: wheel, tyre, brake and hub of a small car
-    beam_stiffness: float = 6.0e5  # chosen: bends visibly less than a wheel's bushings do
-    beam_damping: float = 4.0e3  # chosen: settles within a few tens of milliseconds
-    arm_stiffness: float = 4.0e5  # chosen: a wheel yields some millimetres under cornering force
-    arm_damping: float = 4.0e3  # chosen: as the body's beams
-    wheelbase: float = 2.5  # chosen: small hatchback (2.4 to 2.6 m)
-    half_track: float = 0.725  # chosen: track 1.45 m of a small hatchback
-    length: float = 3.9  # chosen: as above
-    width: float = 1.68  # chosen: as above
-    max_steering_angle: float = math.radians(37.0)  # chosen: turning circle of about 8 m, city cars have 8.5 to 10
-    steering_rate: float = math.radians(55.0)  # chosen: a quick hand, 800 degrees/s at a ratio of 14.5
-    tyre_radius: float = 0.29  # tyre 175/65 R14: 0.5 x 14 in + 0.65 x 175 mm = 0.29 m
-    wheel_inertia: float = 1.0  # chosen: about m r^2 / 2 of wheel and tyre, plus drive shafts
-    slip_stiffness: float = 18.0  # chosen: 10 to 30 for passenger tyres (Pacejka, Tire and Vehicle Dynamics)
-    cornering_stiffness: float = 14.0  # chosen: 10 to 20 per rad for passenger tyres (the same)
-    friction: float = 0.95  # dry asphalt: 0.8 to 1.0 (the same)
-    relaxation: float = 0.25  # chosen: about a tyre radius (the same)
-    rolling_resistance: float = 0.013  # passenger tyre on asphalt: 0.010 to 0.015
-    max_drive_force: float = 3400.0  # chosen: 0 to 20 km/h in about 2.5 s under the throttle law
-    max_power: float = 55.0e3  # chosen: small hatchback
-    engine_braking: float = 2000.0  # chosen: low gear, lifts off to about 2 m/s^2
-    drag_area: float = 0.65  # chosen: 0.32 x 2.05 m^2
-    gravity_height: float = 0.52  # chosen: small hatchback
-    roll_frequency: float = 1.8  # chosen: passenger cars roll at 1.5 to 2 Hz
-    pitch_frequency: float = 1.6  # chosen: passenger cars pitch at 1.3 to 1.8 Hz
-    body_damping_ratio: float = 0.35  # chosen: dampers of passenger cars, 0.2 to 0.4
-    roll_stiffness: float = 48.0e3  # chosen: about 5.5 degrees of roll per g
-    pitch_stiffness: float = 95.0e3  # chosen: about 2.9 degrees of pitch per g
-    front_roll_share: float = 0.56  # chosen: stiffer in front, so that the car understeers at the limit
+    length: float = 3.894
+    width: float = 1.752
+    wheelbase: float = 2.53
+    track: float = 1.51
+    mass: float = 1514.0
+    front_share: float = 0.5
+    yaw_inertia: float = 2300.0
+    centre_of_mass_height: float = 0.52
+
+    unsprung_mass: float = 40.0
+    bumper_mass: float = 30.0
+    rail_half_width: float = 0.50
+    sill_half_width: float = 0.75
+    bumper_distance: float = 1.75
+    bush_spacing: float = 0.20
+    floor_distance: float = 0.40
+    frame_stiffness: float = 8e6
+    frame_damping: float = 5e3
+    arm_stiffness: float = 1.2e6
+    arm_damping: float = 2e3
+    front_arm: float = 0.13
+    rear_arm: float = 0.25
+
+    ride_frequency: float = 1.3
+    roll_gradient: float = math.radians(4.5) / GRAVITY
+    roll_front_share: float = 0.58
+    roll_axis_height: float = 0.10
+    roll_inertia: float = 720.0
+    pitch_inertia: float = 2220.0
+    body_damping: float = 0.30
+
+    wheel_radius: float = 0.315
+    wheel_spin_inertia: float = 1.0
+    rotor_inertia: float = 0.8
+    friction: float = 1.0
+    load_sensitivity: float = 0.10
+    front_cornering_stiffness: float = 15.0
+    rear_cornering_stiffness: float = 17.0
+    slip_stiffness: float = 22.0
+    lateral_relaxation: float = 0.40
+    longitudinal_relaxation: float = 0.20
+    carcass_damping: float = 0.004
+    rolling_resistance: float = 0.012
+    rolling_threshold: float = 0.05
+
+    max_steering_angle: float = math.radians(42.0)
+    steering_rate: float = math.radians(100.0)
+    ackermann: float = 0.9
+
+    drive_force: float = 4600.0
+    regenerative_force: float = 0.18 * 1514.0 * GRAVITY
+    fade_speed: float = 2.5
+    motor_lag: float = 0.06
+
+    frame_substeps: int = 50
+    body_substeps: int = 10
+    solver_iterations: int = 2
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            low, high = (0.0, 1.0) if field.name in _SHARES else (_TINY, math.inf)
+            if field.name in _MAY_BE_ZERO:
+                low = 0.0
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError(
+                    f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it"
+                )
+        if self.frame_substeps % self.body_substeps:
+            raise ValueError(
+                f"frame_substeps is {self.frame_substeps}, expected a multiple of body_substeps "
+                f"({self.body_substeps}): correct one of them"
+            )
 
     @property
-    def mass(self) -> float:
-        """Of the whole car, kg."""
-        return self.body_mass + 4 * self.wheel_mass
+    def sprung_mass(self) -> float:
+        """Of the body, kg."""
+        return self.mass - 4.0 * self.unsprung_mass
+
+    @property
+    def centre_of_mass_ahead(self) -> float:
+        """Of the centre of mass before the middle between the axles, m."""
+        return self.wheelbase * (self.front_share - 0.5)
+
+
+_TINY = 1e-9
+_SHARES = frozenset({"front_share", "roll_front_share", "ackermann"})
+_MAY_BE_ZERO = frozenset(
+    {"load_sensitivity", "carcass_damping", "rolling_resistance", "frame_damping", "arm_damping",
+     "body_damping", "roll_axis_height", "rotor_inertia", "regenerative_force", "front_share"}
+)  # fmt: skip
