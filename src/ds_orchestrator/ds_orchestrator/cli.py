@@ -144,10 +144,12 @@ def train(
     seed: Seed = 1,
     epochs: Annotated[int, typer.Option(min=1, help="At most.")] = 12,
     images: Annotated[int | None, typer.Option(min=1, help="At most so many per simulator.")] = None,
+    learning_rate: Annotated[float, typer.Option(min=1e-7, max=1.0, help="Of Adam.")] = 1e-4,
     threads: Annotated[int, typer.Option(min=1, help="Of the mathematics.")] = 2,
 ) -> None:
     """Train one network for all simulators of a data set."""
-    commands.train(data, out, network=network, seed=seed, epochs=epochs, images=images, threads=threads)
+    plan = {"network": network, "seed": seed, "epochs": epochs, "images_per_simulator": images}
+    commands.train(data, out, learning_rate=learning_rate, threads=threads, **plan)
 
 
 @app.command()

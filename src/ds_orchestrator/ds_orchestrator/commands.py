@@ -299,14 +299,14 @@ def collect(out: Path, *, roads: int, seed: int, every: int, simulators: list[st
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
 
 
-def train(data: Path, out: Path, *, network: str, seed: int, epochs: int, images: int | None, threads: int) -> None:
-    """Train a network."""
+def train(data: Path, out: Path, **settings: Any) -> None:
+    """Train a network; the settings are those of `ds_driver.training.TrainingPlan`."""
     from ds_driver.training import TrainingPlan
     from ds_driver.training import train as train_network
 
-    plan = TrainingPlan(network=network, seed=seed, epochs=epochs, images_per_simulator=images, threads=threads)
+    plan = TrainingPlan(**settings)
     train_network(data, out, plan, _crops(), _say)
-    print(out / f"{network}.safetensors")
+    print(out / f"{plan.network}.safetensors")
 
 
 def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Result:

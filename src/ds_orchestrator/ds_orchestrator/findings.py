@@ -12,7 +12,7 @@ from ds_orchestrator.pictures import VALUE_TITLES, Value
 from ds_orchestrator.store import Execution
 
 _CHANCE = 0.05
-"""p-value from which a correlation is called compatible with chance (the usual level; the paper's too)."""
+"""p-value from which a correlation is called compatible with chance (paper 4.2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,13 +158,14 @@ def _comparison(config: CampaignConfig, correlations: Sequence[Correlation], val
         return f"{subject}, the merged map has r = {merged.r:.2f}; not every sibling can be compared.{chance}"
     beaten = [name for name, r in known.items() if merged.r > r]
     if len(known) == 1:
-        return f"{subject}, r = {merged.r:.2f}; with one sibling, the merged map is that sibling's.{chance}"
-    if len(beaten) == len(known):
+        return f"{subject}, the only sibling's map has r = {merged.r:.2f}, and the merged map is the same.{chance}"
+    if merged.r <= 0:
+        verdict = "no positive correlation, so it does not foretell the twin's failures"
+    elif len(beaten) == len(known):
         verdict = "it foretells the twin's failures better than every sibling alone"
     elif beaten:
-        verdict = (
-            f"better than {_listed(beaten)} alone, not better than {_listed([n for n in known if n not in beaten])}"
-        )
+        others = _listed([name for name in known if name not in beaten])
+        verdict = f"it foretells the twin's failures better than {_listed(beaten)} alone, but not better than {others}"
     else:
-        verdict = "it foretells the twin's failures no better than any sibling alone"
+        verdict = "every sibling alone foretells the twin's failures as well or better"
     return f"{subject}, the merged map has r = {merged.r:.2f}: {verdict}.{chance}"

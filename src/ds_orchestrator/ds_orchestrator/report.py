@@ -265,8 +265,8 @@ def _run(execution: Execution, road: Road) -> dict[str, Any]:
     run: dict[str, Any] = {
         "outcome": in_words(execution.outcome),
         "failed": execution.outcome.is_failure,
-        "fitness": round(execution.fitness, 3),
-        "maxLateral": round(execution.max_lateral_position, 3),
+        "fitness": round(execution.fitness, 4),
+        "maxLateral": round(execution.max_lateral_position, 4),
         "seconds": round(execution.simulated_seconds, 2),
         "message": execution.message,
         "path": _line(path),

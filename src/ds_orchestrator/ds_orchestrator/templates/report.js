@@ -189,7 +189,7 @@
       if (!run) return html("tr", {}, name, html("td", { colspan: 4 }, "not driven, or ended in an error"));
       const outcome = html("td", run.failed ? { class: "failed" } : {}, run.failed ? `✗ ${run.outcome}` : `✓ ${run.outcome}`);
       if (run.message) outcome.title = run.message;
-      const numbers = [run.fitness.toFixed(2), run.maxLateral.toFixed(2), run.seconds.toFixed(1)];
+      const numbers = [run.fitness.toFixed(3), run.maxLateral.toFixed(3), run.seconds.toFixed(1)];
       return html("tr", {}, name, outcome, ...numbers.map((text) => html("td", { class: "number" }, text)));
     });
     const heads = head.map((text, index) => html("th", index > 1 ? { class: "number" } : {}, text));
