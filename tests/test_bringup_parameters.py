@@ -23,6 +23,15 @@ def test_every_simulator_has_a_file_and_every_file_a_simulator() -> None:
     assert {file.stem for file in FOLDER.glob("*.yaml")} == set(SIMULATORS)
 
 
+def test_the_one_driver_of_all_gets_every_crop() -> None:
+    """Siblings in the order of the demo, then the twin, as the README starts them by hand."""
+    specs = [make_simulator(name).spec for name in ("bullet", "softbody", "donkey")]
+    driver = yaml.safe_load((FOLDER.parent / "driver.yaml").read_text())["/driver"]["ros__parameters"]
+    assert driver["namespaces"] == ["/ds1", "/ds2", "/twin"]
+    assert driver["crop_top"] == [spec.crop_top for spec in specs]
+    assert driver["crop_bottom"] == [spec.crop_bottom for spec in specs]
+
+
 @pytest.mark.parametrize("name", SIMULATORS)
 def test_the_nodes_around_a_simulator_get_its_crop_and_gains(name: str) -> None:
     spec = make_simulator(name).spec

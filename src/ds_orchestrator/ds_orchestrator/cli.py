@@ -73,10 +73,12 @@ def drive(
     max_angle: MaxAngle = 270,
     bag: Annotated[Path | None, typer.Option(help="Write a rosbag2 folder here.")] = None,
     attach: AttachFlag = False,
+    namespace: Annotated[str, typer.Option(help="Of the simulator.")] = "/ds1",
     as_json: JsonFlag = False,
 ) -> None:
     """Drive one road and say how it went."""
-    _end(commands.drive(sim, driver, road_file=road, seed=seed, max_angle=max_angle, bag=bag, attach=attach), as_json)
+    chosen = commands.one_road(road, seed, max_angle)
+    _end(commands.drive(sim, driver, chosen, seed=seed, bag=bag, attach=attach, namespace=namespace), as_json)
 
 
 @app.command()

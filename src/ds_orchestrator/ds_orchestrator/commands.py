@@ -142,29 +142,22 @@ def status(folder: Path) -> Result:
 
 
 def drive(
-    sim: str,
-    driver: str,
-    *,
-    road_file: Path | None,
-    seed: int,
-    max_angle: int,
-    bag: Path | None,
-    attach: bool,
+    sim: str, driver: str, road: ds_road.Road, *, seed: int, bag: Path | None, attach: bool, namespace: str
 ) -> Result:
-    """Drive one road through the graph."""
+    """Drive one road through the graph; with `attach`, whatever driver runs there drives."""
     from ds_orchestrator.bags import BagError, write_bag
     from ds_orchestrator.graph_plan import check_driver, namespaces_of
     from ds_orchestrator.running import running_graph
     from ds_sim.registry import make_simulator
 
     make_simulator(sim)
-    check_driver(driver)
-    road = _one_road(road_file, seed, max_angle)
+    if not attach:
+        check_driver(driver)
     if not road.validity.valid:
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
     if bag is not None and bag.exists():
         raise BagError(f"{bag} exists already: choose another folder")
-    namespaces = namespaces_of([sim], None)
+    namespaces = {sim: namespace}
     with tempfile.TemporaryDirectory(prefix="ds_drive_") as logs:
         try:
             with running_graph(namespaces, driver, command_timeout=10.0, logs=Path(logs), attach=attach) as executor:
@@ -178,7 +171,7 @@ def drive(
     execution = execution_of("", sim, run)
     document: dict[str, Any] = {
         "simulator": sim,
-        "driver": driver,
+        "driver": "attached" if attach else driver,
         "road_id": road.road_id,
         "seed": seed,
         "outcome": run.outcome.name,
@@ -274,7 +267,7 @@ def check_roads(file: Path) -> Result:
 
 def show_road(file: Path | None, seed: int, max_angle: int, out: Path) -> Path:
     """Draw one road as a PNG."""
-    picture = ds_road.draw(_one_road(file, seed, max_angle))
+    picture = ds_road.draw(one_road(file, seed, max_angle))
     done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     if not done:
         raise ds_road.RoadError("the picture could not be encoded")
@@ -371,7 +364,8 @@ def shipped_config(name: str) -> CampaignConfig:
     raise ConfigError(f"{name}.yaml of ds_bringup is not on AMENT_PREFIX_PATH: build and source the workspace")
 
 
-def _one_road(file: Path | None, seed: int, max_angle: int) -> ds_road.Road:
+def one_road(file: Path | None, seed: int, max_angle: int) -> ds_road.Road:
+    """The road of a file that holds just one, or a random one."""
     if file is None:
         return ds_road.generate(np.random.default_rng(seed), max_angle=max_angle)
     roads = ds_road.read_roads(file)

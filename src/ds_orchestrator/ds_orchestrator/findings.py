@@ -12,7 +12,7 @@ from ds_orchestrator.pictures import VALUE_TITLES, Value
 from ds_orchestrator.store import Execution
 
 _CHANCE = 0.05
-"""p-value from which a correlation is called compatible with chance (paper 4.2)."""
+"""p-value from which a correlation is called compatible with chance (paper 4.3.1)."""
 
 
 @dataclass(frozen=True, kw_only=True)

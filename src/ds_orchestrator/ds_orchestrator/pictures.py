@@ -21,7 +21,7 @@ VALUE_TITLES: dict[Value, str] = {
     "quality": "lack of driving quality",
 }
 COLOURS: tuple[Rgb, Rgb, Rgb] = ((120, 198, 121), (254, 224, 130), (178, 24, 43))
-"""At 0, 0.5 and 1: green to red (paper 4.3); the red end is the darker one, so the order survives in greys too."""
+"""At 0, 0.5 and 1: green to red (paper 4.4.2); the red end is the darker one, so the order survives in greys too."""
 EMPTY: Rgb = (240, 240, 240)
 _HATCH: Rgb = (205, 205, 205)
 _INK: Rgb = (30, 30, 30)

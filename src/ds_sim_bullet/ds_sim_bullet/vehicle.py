@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import math
+import os
+import sys
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -137,8 +142,23 @@ class BulletVehicle:
 def _import_bullet() -> Any:
     """PyBullet, which has no wheels for some Pythons and so may be missing where all else is there."""
     try:
-        return importlib.import_module("pybullet")
+        with _standard_output_to_error():
+            return importlib.import_module("pybullet")
     except ImportError:
         raise ImportError(
             "PyBullet is not installed: pip install pybullet==3.2.7 (it needs a C++ compiler on Python 3.12)"
         ) from None
+
+
+@contextmanager
+def _standard_output_to_error() -> Iterator[None]:
+    """PyBullet greets on standard output, from C, when it is imported; that stream belongs to whoever runs."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+        ctypes.CDLL(None).fflush(None)
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)

@@ -80,16 +80,12 @@ def blueprint(p: SoftbodyParameters) -> Blueprint:
         for side in (0, 1)
     )
     corners = (front_left, front_right, rear_left, rear_right)
-    arms = [
-        Beam(c.wheel, bush, p.arm_stiffness, p.arm_damping) for c in corners for bush in (c.fore, c.aft)
-    ]
+    arms = [Beam(c.wheel, bush, p.arm_stiffness, p.arm_damping) for c in corners for bush in (c.fore, c.aft)]
     pairs = [(rail(s, 0), rail(s, 1)) for s in range(len(stations))]
     for s in range(len(stations) - 1):
         pairs += [(rail(s, a), rail(s + 1, b)) for a, b in ((0, 0), (1, 1), (0, 1), (1, 0))]
     frame = [Beam(i, j, p.frame_stiffness, p.frame_damping) for i, j in pairs]
-    return Blueprint(
-        positions=positions, masses=_masses(p, positions), beams=tuple(arms + frame), corners=corners
-    )
+    return Blueprint(positions=positions, masses=_masses(p, positions), beams=tuple(arms + frame), corners=corners)
 
 
 def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -147,9 +143,7 @@ class Lattice:
             dx, dy = b.position.x - a.position.x, b.position.y - a.position.y
             # As the engine measures it, so that a frame at rest feels no force at all.
             length = math.sqrt(dx * dx + dy * dy)
-            self._space.add(
-                pymunk.DampedSpring(a, b, (0.0, 0.0), (0.0, 0.0), length, beam.stiffness, beam.damping)
-            )
+            self._space.add(pymunk.DampedSpring(a, b, (0.0, 0.0), (0.0, 0.0), length, beam.stiffness, beam.damping))
         self._buffer = batch.Buffer()
         self._weights = plan.masses / plan.masses.sum()
         self._centre = self._weights @ plan.positions

@@ -1,69 +1,69 @@
-"""The soft-body sibling as a simulator: the car, its camera on the bonnet and the look of a dull day."""
+"""The soft car as a simulator: its camera at the front bumper and the look of a dull day."""
 
 from __future__ import annotations
 
 import math
-from importlib import metadata
+from importlib.metadata import version
 
 from ds_sim.camera_spec import CameraSpec
 from ds_sim.look import Look
 from ds_sim.road_simulator import RoadSimulator
-from ds_sim.simulator import FRAME_RATE, AutopilotGains, SimulatorSpec
+from ds_sim.simulator import FRAME_TIME, AutopilotGains, SimulatorSpec
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 
 PREVIEW_DISTANCE = 4.0
-"""m; chosen: about two thirds of a second at 22 km/h."""
-GAINS = AutopilotGains(proportional=0.5)
-"""Chosen by driving random roads; the preview stands in for the derivative."""
+"""m ahead of the car's middle; chosen: about 0.6 s at 23 km/h."""
+GAINS = AutopilotGains(proportional=0.4)
+"""Chosen by driving random roads; preview stands in for the derivative."""
 CAMERA = CameraSpec(
-    # maxitwo's BeamNG camera: 120 degrees, 1.7 m before the vehicle's reference, 1.0 m high, looking straight ahead.
+    # maxitwo, BeamNG: 120 degrees, 1.7 m forward and 1.0 m up, looking straight ahead; chosen: 3 degrees down.
     horizontal_fov=math.radians(120.0),
     height=1.0,
     forward=1.7,
-    # Chosen: a little down, so that less of the image is sky.
-    pitch=math.radians(4.0),
-    # Chosen: dull light.
-    gain=0.95,
-    noise=2.5,
+    pitch=math.radians(3.0),
+    # Chosen: an overcast day and a clean rendered image.
+    gain=0.90,
+    gamma=1.05,
+    noise=1.0,
 )
 LOOK = Look(
-    asphalt=(74, 76, 80),
-    grass=(70, 104, 48),
-    edge_line=(216, 218, 216),
-    centre_line=(206, 168, 40),
-    sky_top=(150, 164, 182),
-    horizon=(188, 198, 206),
+    asphalt=(62, 62, 64),
+    grass=(66, 84, 44),
+    edge_line=(214, 214, 210),
+    centre_line=(200, 164, 44),
+    sky_top=(112, 140, 176),
+    horizon=(178, 190, 198),
     line_width=0.15,
-    asphalt_grain=8.0,
+    asphalt_grain=7.0,
     grass_grain=18.0,
-    grain_seed=3,
+    grain_seed=7,
 )
 
 
 class SoftbodySimulator(RoadSimulator):
-    """A small car of nodes and beams in pymunk.
+    """A small electric car of nodes and damped beams.
 
     Args:
         parameters: of the car; the nominal ones if left out.
     """
 
     def __init__(self, parameters: SoftbodyParameters | None = None) -> None:
-        parameters = parameters or SoftbodyParameters()
+        p = parameters or SoftbodyParameters()
         spec = SimulatorSpec(
             name="softbody",
-            physics="mass nodes and damped beams on four slipping tyres, with load transfer and body attitude",
-            vehicle_length=parameters.length,
-            vehicle_width=parameters.width,
-            wheelbase=parameters.wheelbase,
-            max_steering_angle=parameters.max_steering_angle,
+            physics="soft body: mass nodes joined by damped beams, brush tyres at the wheel nodes",
+            vehicle_length=p.length,
+            vehicle_width=p.width,
+            wheelbase=p.wheelbase,
+            max_steering_angle=p.max_steering_angle,
             camera=CAMERA,
             look=LOOK,
-            crop_top=66,
-            crop_bottom=0,
+            # maxitwo, BeamNG: rows 80 to -1.
+            crop_top=80,
+            crop_bottom=1,
             autopilot=GAINS,
             preview_distance=PREVIEW_DISTANCE,
-            engine=f"pymunk {metadata.version('pymunk')}",
-            extra={"physics_rate": f"{FRAME_RATE * parameters.substeps:g} Hz"},
+            engine=f"pymunk {version('pymunk')} at {p.frame_substeps / FRAME_TIME:g} Hz",
         )
-        super().__init__(spec, SoftbodyVehicle(parameters))
+        super().__init__(spec, SoftbodyVehicle(p))

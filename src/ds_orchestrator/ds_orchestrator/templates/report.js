@@ -52,16 +52,17 @@
   function mapFigure(name, value) {
     const title = `${data.maps[name].title}: ${data.values[value]}`;
     const table = html("table", { role: "grid", "aria-label": `${title}; columns are turns counts, rows curvatures` });
-    const top = html("th", { colspan: turnsCounts.length + 1 }, "curvature, 1/m");
-    table.append(html("thead", {}, html("tr", {}, top)));
+    const top = html("th", { class: "name", colspan: turnsCounts.length + 1 }, "curvature, 1/m");
+    const widths = [html("col", { style: "width: 34px" }), ...turnsCounts.map(() => html("col"))];
+    table.append(html("colgroup", {}, ...widths), html("thead", {}, html("tr", {}, top)));
     const body = html("tbody");
     for (const curvature of curvatures) {
       const row = html("tr", {}, html("th", { scope: "row" }, (curvature / 100).toFixed(2)));
       for (const turns of turnsCounts) row.append(tableCell(name, value, turns, curvature));
       body.append(row);
     }
-    const feet = turnsCounts.map((turns) => html("th", { scope: "col" }, String(turns)));
-    const axis = html("th", { colspan: turnsCounts.length }, "turns count");
+    const feet = turnsCounts.map((turns) => html("th", { scope: "col", class: "name" }, String(turns)));
+    const axis = html("th", { class: "name", colspan: turnsCounts.length }, "turns count");
     table.append(body, html("tfoot", {}, html("tr", {}, html("th"), ...feet), html("tr", {}, html("th"), axis)));
     return html("figure", { class: "map" }, html("figcaption", {}, data.maps[name].title), table);
   }
@@ -182,7 +183,7 @@
   function testCard(test) {
     const road = data.roads[test.road];
     const origin = `road ${test.road}, ${road.length} m, ${plural(road.turns, "turn")}, largest curvature ${road.curvature} 1/m; found by the search on ${test.sibling}, run ${test.run}, test ${test.number}; seed ${test.seed}`;
-    const head = ["simulator", "outcome", "fitness, m", "largest lateral position, m", "s"];
+    const head = ["simulator", "outcome", "fitness, m", "max lateral position, m", "time, s"];
     const rows = data.simulators.map((simulator, index) => {
       const run = test.runs[index];
       const name = html("td", {}, simulator.name);
@@ -219,8 +220,10 @@
     paths.forEach((one, index) => one.length && picture.append(svg("polyline", { points: path(one, project), ...stroke(index) })));
     const lane = right[0].map((v, k) => (v + points(road.centre)[0][k]) / 2);
     picture.append(svg("circle", { cx: project(lane)[0], cy: project(lane)[1], r: size / 110, fill: "#1e2329" }));
-    const start = svg("text", { x: project(lane)[0] + size / 60, y: project(lane)[1] + size / 30, style: `font-size:${size / 32}px` }, "start");
-    picture.append(start);
+    const [x, y] = project(lane);
+    const side = x > 0.8 * (highX - lowX) ? -1 : 1;
+    const anchor = side > 0 ? "start" : "end";
+    picture.append(svg("text", { x: x + (side * size) / 60, y: y + size / 30, "text-anchor": anchor, style: `font-size:${size / 32}px` }, "start"));
     test.runs.forEach((run, index) => {
       if (run && run.failedAt) picture.append(mark(...project(run.failedAt.map((v) => v / 100)), size / 70, data.simulators[index].colour));
     });
@@ -262,12 +265,14 @@
 
   // ---- start ------------------------------------------------------------------------------------------------------
   for (const scale of document.querySelectorAll("svg.scale")) {
-    data.scale.forEach(([colour], index) => scale.append(svg("rect", { x: index, y: 0, width: 1.2, height: 8, fill: colour })));
+    data.scale.forEach(([colour], index) => scale.append(svg("rect", { x: index, y: 0, width: 1, height: 8, fill: colour, "shape-rendering": "crispEdges" })));
   }
   const explorer = document.querySelector(".groups");
   for (const group of explorer.querySelectorAll(".maps")) {
+    group.style.setProperty("--maps", Math.min(6, data[group.dataset.maps].length));
     for (const name of data[group.dataset.maps]) group.append(mapFigure(name, group.dataset.value));
   }
+  explorer.style.setProperty("--columns", turnsCounts.length);
   explorer.addEventListener("keydown", onKey);
   explorer.addEventListener("click", (event) => {
     const td = event.target.closest("td[data-cell]");
@@ -283,7 +288,7 @@
     const found = /^#cell=(\d+)-(\d+)$/.exec(location.hash);
     if (!found || !places[key(Number(found[1]), Number(found[2]))]) return false;
     choose(Number(found[1]), Number(found[2]));
-    document.getElementById("maps").scrollIntoView();
+    document.getElementById("maps").scrollIntoView({ behavior: "instant" });
     return true;
   }
   window.addEventListener("hashchange", chooseFromAddress);
