@@ -144,7 +144,7 @@ def _train_epoch(
     for index, (images, labels) in enumerate(_loaded(samples, batches, crops, (plan.seed, number)), start=1):
         optimizer.zero_grad(set_to_none=True)
         with torch.autocast("cpu", dtype=torch.bfloat16):
-            predicted = network(images.float())
+            predicted = network(images.to(torch.bfloat16))
         loss = nn.functional.mse_loss(predicted.float()[:, 0], labels)
         loss.backward()
         optimizer.step()
@@ -162,7 +162,7 @@ def _validate(network: nn.Module, samples: list[Sample], crops: dict[str, Crop],
     total = 0.0
     for images, labels in _loaded(samples, batches, crops, None):
         with torch.autocast("cpu", dtype=torch.bfloat16):
-            predicted = network(images.float())
+            predicted = network(images.to(torch.bfloat16))
         total += float(nn.functional.mse_loss(predicted.float()[:, 0], labels, reduction="sum"))
     return total / len(samples)
 

@@ -146,7 +146,7 @@ def drive(
 ) -> Result:
     """Drive one road through the graph; with `attach`, whatever driver runs there drives."""
     from ds_orchestrator.bags import BagError, write_bag
-    from ds_orchestrator.graph_plan import check_driver, namespaces_of
+    from ds_orchestrator.graph_plan import check_driver
     from ds_orchestrator.running import running_graph
     from ds_sim.registry import make_simulator
 

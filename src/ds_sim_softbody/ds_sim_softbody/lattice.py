@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pymunk
@@ -158,7 +158,8 @@ class Lattice:
         buffer = self._buffer
         buffer.clear()
         batch.get_space_bodies(self._space, _FIELDS, buffer)
-        values: list[float] = memoryview(buffer.float_buf()).cast("d").tolist()
+        numbers: Any = memoryview(buffer.float_buf()).cast("d")
+        values: list[float] = numbers.tolist()
         return values
 
     def rigid_motion(self) -> RigidMotion:
