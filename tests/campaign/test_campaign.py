@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from ds_driver.control import Autopilot
@@ -195,6 +196,14 @@ def test_a_bag_holds_the_whole_run_for_another_reader(tmp_path: Path) -> None:
     assert [(p.x, p.y) for p in messages["/ds1/road"][0][1].control_points] == list(record.road.control_points)
     metadata = (tmp_path / "bag" / "metadata.yaml").read_text()
     assert "version: 9" in metadata and "TIMEOUT" in metadata and "autopilot" in metadata
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
+        reader_of_mcap = make_reader(file)
+        assert reader_of_mcap.get_header().profile == "ros2"
+        summary = reader_of_mcap.get_summary()
+        assert summary is not None and summary.statistics is not None
+        assert summary.statistics.message_count == 123
+        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
+        assert all("topic_type_hash" in c.metadata for c in summary.channels.values())
     first = (tmp_path / "bag" / "bag.mcap").read_bytes()
     write_bag(tmp_path / "bag", "/ds1", record, {"driver": "autopilot"})
     assert (tmp_path / "bag" / "bag.mcap").read_bytes() == first

@@ -10,16 +10,21 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from ds_orchestrator.rosbag2_writer import Rosbag2Writer
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation
 
 _MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
-_NEVER = QosTime(sec=9223372036, nsec=854775807)
+_CHANNELS = (
+    ("Road", "road", 1, True),
+    ("VehicleState", "state", 50, False),
+    ("DriveCommand", "drive", 10, False),
+    ("Outcome", "outcome", 1, True),
+)
+"""Message, topic, depth and latching of what a bag of level `telemetry` holds."""
 
 
 class BagError(ValueError):
@@ -72,53 +77,39 @@ def write_bag(folder: Path, namespace: str, run: RunRecord, about: dict[str, str
 def _write(path: Path, namespace: str, run: RunRecord, about: dict[str, str]) -> None:
     store = typestore()
     types: Any = store.types
-    outcome = types["ds_interfaces/msg/Outcome"]
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        facts = {
-            "road": json.dumps(run.road.control_points),
-            "road_id": run.road.road_id,
-            "seed": str(run.seed),
-            "outcome": run.outcome.name,
-            **about,
-        }
-        for key, value in facts.items():
-            writer.set_custom_data(key, value)
-
-        def channel(topic: str, name: str, qos: Qos) -> Any:
-            return writer.add_connection(
-                f"{namespace}/{topic}", f"ds_interfaces/msg/{name}", typestore=store, offered_qos_profiles=[qos]
-            )
-
+    writer = Rosbag2Writer(path, store)
+    try:
         channels = {
-            "Road": channel("road", "Road", _qos(1, QosDurability.TRANSIENT_LOCAL)),
-            "VehicleState": channel("state", "VehicleState", _qos(50, QosDurability.VOLATILE)),
-            "DriveCommand": channel("drive", "DriveCommand", _qos(10, QosDurability.VOLATILE)),
-            "Outcome": channel("outcome", "Outcome", _qos(1, QosDurability.TRANSIENT_LOCAL)),
+            name: writer.channel(f"{namespace}/{topic}", f"ds_interfaces/msg/{name}", depth=depth, latched=latched)
+            for name, topic, depth, latched in _CHANNELS
         }
 
         def put(name: str, time: float, **fields: Any) -> None:
-            message = types[f"ds_interfaces/msg/{name}"](**fields)
-            data = store.serialize_cdr(message, f"ds_interfaces/msg/{name}")
-            writer.write(channels[name], round(time * 1e9), data)
+            writer.write(channels[name], round(time * 1e9), types[f"ds_interfaces/msg/{name}"](**fields))
 
         point = types["geometry_msgs/msg/Point"]
         points = [point(x=x, y=y, z=0.0) for x, y in run.road.control_points]
         put("Road", 0.0, road_id=run.road.road_id, control_points=points)
         for index, observation in enumerate(run.observations):
-            header = _header(types, observation.time)
+            time, header = observation.time, _header(types, observation.time)
+            value = types["ds_interfaces/msg/Outcome"](value=int(observation.outcome))
             state = _state_fields(observation)
-            value = outcome(value=int(observation.outcome))
-            put("VehicleState", observation.time, header=header, road_id=run.road.road_id, outcome=value, **state)
+            put("VehicleState", time, header=header, road_id=run.road.road_id, outcome=value, **state)
             if index < len(run.commands):
                 command = run.commands[index]
-                put(
-                    "DriveCommand",
-                    observation.time,
-                    header=header,
-                    steering=command.steering,
-                    throttle=command.throttle,
-                )
+                put("DriveCommand", time, header=header, steering=command.steering, throttle=command.throttle)
         put("Outcome", run.simulated_seconds, value=int(run.outcome))
+        facts = {
+            "road": json.dumps(run.road.control_points),
+            "road_id": run.road.road_id,
+            "seed": str(run.seed),
+            "outcome": run.outcome.name,
+            "message": run.message,
+        }
+        writer.close(facts | about)
+    except BaseException:
+        writer.abort()
+        raise
 
 
 def _header(types: Any, time: float) -> Any:
@@ -135,17 +126,3 @@ def _state_fields(observation: Observation) -> dict[str, Any]:
         **{name: getattr(vehicle, name) for name in vehicle.__dataclass_fields__},
         **{name: getattr(lane, name) for name in lane.__dataclass_fields__},
     }
-
-
-def _qos(depth: int, durability: QosDurability) -> Qos:
-    return Qos(
-        history=QosHistory.KEEP_LAST,
-        depth=depth,
-        reliability=QosReliability.RELIABLE,
-        durability=durability,
-        deadline=_NEVER,
-        lifespan=_NEVER,
-        liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=_NEVER,
-        avoid_ros_namespace_conventions=False,
-    )
