@@ -68,7 +68,7 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
 
     Args:
         data: folder of a data set.
-        out: folder for `<network>.safetensors` (the best epoch), the checkpoint and `training.json`.
+        out: folder for `<network>.safetensors` (the best epoch), the checkpoint, and `training.json` at the end.
         plan: how to train.
         crops: rows cut off per simulator.
         report: takes a line now and then.
@@ -106,8 +106,8 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
         if validation_loss == min(e.validation_loss for e in history):
             save_weights(network, out / f"{plan.network}.safetensors", architecture=plan.network)
         _save(out / "checkpoint.pt", network, optimizer, plan, history)
-        record = {"plan": asdict(plan), "history": [asdict(e) for e in history]}
-        (out / "training.json").write_text(json.dumps(record, indent=1) + "\n")
+    record = {"plan": asdict(plan), "history": [asdict(e) for e in history]}
+    (out / "training.json").write_text(json.dumps(record, indent=1) + "\n")
     return history
 
 
