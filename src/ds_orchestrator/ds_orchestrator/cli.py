@@ -132,10 +132,11 @@ def collect(
     roads: Annotated[int, typer.Option(min=1, help="Random roads, each driven both ways.")] = 25,
     seed: Seed = 1,
     every: Annotated[int, typer.Option(min=1, help="Keep one frame of so many.")] = 1,
+    disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Steering pushes while driving.")] = 0.0,
     sims: Annotated[str, typer.Option(help="Simulators, separated by commas.")] = "bullet,softbody,donkey",
 ) -> None:
     """Labelled driving data from the autopilot."""
-    commands.collect(out, roads=roads, seed=seed, every=every, simulators=sims.split(","))
+    commands.collect(out, sims.split(","), roads=roads, seed=seed, every=every, disturbance=disturbance)
 
 
 @app.command()

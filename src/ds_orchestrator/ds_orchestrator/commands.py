@@ -275,13 +275,13 @@ def show_road(file: Path | None, seed: int, max_angle: int, out: Path) -> Path:
     return out
 
 
-def collect(out: Path, *, roads: int, seed: int, every: int, simulators: list[str]) -> None:
-    """Collect a data set."""
+def collect(out: Path, simulators: list[str], **settings: Any) -> None:
+    """Collect a data set; the settings are those of `ds_driver.collection.CollectionPlan`."""
     from ds_driver.collection import CollectionPlan
     from ds_driver.collection import collect as collect_drives
     from ds_driver.dataset import write_manifest
 
-    plan = CollectionPlan(roads=roads, seed=seed, every=every)
+    plan = CollectionPlan(**settings)
     started = time.monotonic()
 
     def progress(done: int, total: int, line: str) -> None:

@@ -1,4 +1,9 @@
-"""Roads as JSON: a list of roads, each a list of [x, y] control points in metres."""
+"""Roads as JSON.
+
+A file is a list of roads, or one road. A road is a list of [x, y] control points in metres, in driving order, or an
+object with either `control_points` or `road_points` (the centre line itself, as other tools exchange it), and where
+they are not the usual ones `lane_width` and `published`; what else the object holds is not looked at.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,42 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ds_road.road import Road, RoadError
+from ds_road.road import LANE_WIDTH, Road, RoadError, shown
+
+
+def road_from_json(raw: Any) -> Road:
+    """The road that a JSON value stands for.
+
+    Raises:
+        RoadError: one line that says what is wrong and what was expected.
+    """
+    if not isinstance(raw, dict):
+        return Road(raw)
+    kinds = [kind for kind in ("control_points", "road_points") if kind in raw]
+    if len(kinds) != 1:
+        found = "both" if kinds else "neither"
+        raise RoadError(f"a road has {found} of control_points and road_points, expected one of them")
+    lane_width, published = raw.get("lane_width", LANE_WIDTH), raw.get("published", False)
+    if not isinstance(published, bool):
+        raise RoadError(f"published is {shown(published)}, expected true or false")
+    if kinds == ["control_points"]:
+        return Road(raw["control_points"], lane_width=lane_width, published=published)
+    if published:
+        raise RoadError("a road of road_points is published, expected control_points")
+    return Road.from_road_points(raw["road_points"], lane_width=lane_width)
+
+
+def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
+    """What `road_from_json` takes: a plain list of control points where that says all."""
+    points = [list(point) for point in road.control_points]
+    if not road.sampled and not road.published and road.lane_width == LANE_WIDTH:
+        return points
+    raw: dict[str, Any] = {"road_points" if road.sampled else "control_points": points}
+    if road.published:
+        raw["published"] = True
+    if road.lane_width != LANE_WIDTH:
+        raw["lane_width"] = road.lane_width
+    return raw
 
 
 def parse_roads(text: str, source: str) -> list[Any]:
@@ -17,44 +57,50 @@ def parse_roads(text: str, source: str) -> list[Any]:
     """
     try:
         raw = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise RoadError(f"{source}: not JSON ({error}): expected a list of roads") from None
+    if _is_one_road(raw):
+        return [raw]
     if not isinstance(raw, list):
         raise RoadError(f"{source}: {type(raw).__name__}, expected a list of roads, each a list of [x, y]")
-    return [raw] if _is_one_road(raw) else raw
+    return raw
 
 
 def read_raw_roads(path: Path) -> list[Any]:
     """The raw roads of a file, unchecked; see `parse_roads`."""
     try:
-        return parse_roads(path.read_text(), str(path))
+        return parse_roads(path.read_text("utf-8-sig"), str(path))
     except UnicodeDecodeError:
         raise RoadError(f"{path}: not a text file: expected JSON") from None
 
 
-def read_roads(path: Path) -> list[Road]:
-    """Every road of a file.
+def read_roads(path_or_text: Path | str) -> list[Road]:
+    """Every road of a file, or of a JSON text: a string that begins with a bracket or a brace is the text itself.
 
     Raises:
         RoadError: names the road, what is wrong with it and what was expected.
         OSError: the file cannot be read.
     """
+    if isinstance(path_or_text, str) and path_or_text.lstrip().startswith(("[", "{")):
+        source, raw_roads = "text", parse_roads(path_or_text, "text")
+    else:
+        source, raw_roads = str(path_or_text), read_raw_roads(Path(path_or_text))
     roads = []
-    for index, raw in enumerate(read_raw_roads(path)):
+    for index, raw in enumerate(raw_roads):
         try:
-            roads.append(Road(raw))
+            roads.append(road_from_json(raw))
         except RoadError as error:
-            raise RoadError(f"{path}: road {index}: {error}") from None
+            raise RoadError(f"{source}: road {index}: {error}") from None
     return roads
 
 
 def write_roads(roads: list[Road], path: Path) -> None:
-    """Write roads as `read_roads` takes them."""
-    path.write_text(json.dumps([road.control_points for road in roads]) + "\n")
+    """Write roads as `read_roads` takes them; every number comes back exactly."""
+    path.write_text(json.dumps([road_to_json(road) for road in roads]) + "\n", "utf-8")
 
 
 def check(raw: Any) -> dict[str, Any]:
-    """What can be said of any JSON value as a road; never raises.
+    """What can be said of any JSON value as a road; never raises, and takes less than a second.
 
     Returns:
         valid, reason, length (m), curvature (1/m), turns_count, turns_count_published; the measures are None when
@@ -62,13 +108,17 @@ def check(raw: Any) -> dict[str, Any]:
     """
     measures = dict.fromkeys(("length", "curvature", "turns_count", "turns_count_published"))
     try:
-        road = Road(raw)
+        road = road_from_json(raw)
     except RoadError as error:
         return {"valid": False, "reason": str(error), **measures}
     measures = {name: getattr(road, name) for name in measures}
     return {"valid": road.validity.valid, "reason": road.validity.reason, **measures}
 
 
-def _is_one_road(raw: list[Any]) -> bool:
-    """A list of pairs of numbers is one road; a list of lists of pairs is several."""
-    return bool(raw) and all(isinstance(p, list) and p and all(isinstance(v, int | float) for v in p) for p in raw)
+def _is_one_road(raw: Any) -> bool:
+    """A list of points is one road, also when a coordinate is no number; a list of lists of points is several."""
+    if isinstance(raw, dict):
+        return "control_points" in raw or "road_points" in raw
+    if not isinstance(raw, list) or not raw:
+        return False
+    return all(isinstance(p, list) and p and not any(isinstance(v, list | dict) for v in p) for p in raw)

@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from ds_road.road import LANE_WIDTH, Road, RoadError
-from ds_road.validity import BOX, check_surface
+from ds_road.validity import BOX, check_surface, fits
 
 SEGMENT_LENGTH = 25.0
 """m between two control points (maxitwo)."""
 NODES = 8
 """Control points after the first one (maxitwo)."""
-START = ((125.0, -25.0), (125.0, 0.0))
-"""The point behind the first control point, and that point (maxitwo)."""
+SMALLEST_BOX = 100.0
+"""m; chosen: the smallest box in which a road of this length is found within a second."""
 MAX_ATTEMPTS = 20
 """Headings tried before a road is begun again (maxitwo)."""
 MAX_RESTARTS = 2000
@@ -29,38 +29,47 @@ class MutationError(RoadError):
     """A road of which no valid mutant was found."""
 
 
-def generate(rng: np.random.Generator, *, max_angle: int = 270) -> Road:
-    """A random valid road of nine control points, 25 m apart, that starts at (125, 25) and heads north.
+def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX) -> Road:
+    """A random valid road of nine control points, 25 m apart, that starts at (box / 2, 25) and heads north.
 
     Args:
         rng: source of every choice.
         max_angle: degrees by which the heading may change from one segment to the next, 1 to 360.
+        box: side of the square from the origin that holds the road, m, 100 to 250.
 
     Raises:
-        RoadError: the angle is out of range, or no valid road was found.
+        RoadError: angle or box are out of range, or no valid road was found.
     """
     if not 1 <= max_angle <= 360:
         raise RoadError(f"maximum angle is {max_angle}, expected 1 to 360 degrees")
+    if not SMALLEST_BOX <= box <= BOX:
+        raise RoadError(f"box is {box:g} m, expected {SMALLEST_BOX:g} to {BOX:g}")
     for _ in range(MAX_RESTARTS):
-        nodes = _random_nodes(rng, max_angle)
+        nodes = _random_nodes(rng, max_angle, box)
         if nodes is not None:
             road = Road(nodes[1:])
-            if road.validity.valid:
+            if fits(road.left_edge, road.right_edge, box) and road.validity.valid:
                 return road
-    raise RoadError(f"no valid road found in {MAX_RESTARTS} attempts: choose a smaller maximum angle")
+    raise RoadError(f"no valid road found in {MAX_RESTARTS} attempts: choose another maximum angle or a larger box")
 
 
 def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6) -> Road:
     """A valid road that differs in one coordinate of one of the control points 4, 5 and 6.
 
     Args:
-        road: of at least seven control points; it stays as it is.
+        road: of at least seven control points; it stays as it is. The mutant uses all of them, also when `road`
+            is a `published` one.
         rng: source of every choice.
-        extent: m, largest move; moves are whole metres.
+        extent: m, largest move, at least 1; moves are whole metres.
 
     Raises:
+        RoadError: the extent is out of range.
         MutationError: no valid mutant was found.
     """
+    if extent < 1:
+        raise RoadError(f"mutation extent is {extent}, expected at least 1 m")
+    if road.sampled:
+        raise MutationError(f"road {road.road_id} is made of road points, expected control points to move")
     genes = [gene for gene in GENES if gene < len(road.control_points)]
     for gene in rng.permutation(genes)[: len(genes) - 1]:
         for _ in range(TRIES_PER_GENE):
@@ -69,7 +78,7 @@ def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6) -> Road:
             points = [list(point) for point in road.control_points]
             points[gene][axis] += delta
             try:
-                mutant = Road(points)
+                mutant = Road(points, lane_width=road.lane_width)
             except RoadError:
                 continue
             if mutant.validity.valid:
@@ -77,16 +86,16 @@ def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6) -> Road:
     raise MutationError(f"no valid mutant of road {road.road_id} found: choose another road or a smaller extent")
 
 
-def _random_nodes(rng: np.random.Generator, max_angle: int) -> list[tuple[float, float]] | None:
+def _random_nodes(rng: np.random.Generator, max_angle: int, box: float) -> list[tuple[float, float]] | None:
     """Nodes of a road whose straight pieces are valid, or None when the attempts are used up."""
-    nodes = list(START)
+    nodes = [(box / 2, -SEGMENT_LENGTH), (box / 2, 0.0)]  # the first is behind the first control point (maxitwo)
     attempt = 0
     while len(nodes) - 2 < NODES and attempt <= MAX_ATTEMPTS:
         accepted = len(nodes) - 2
         for proposal in range(1 + NODES - accepted):
             attempt += proposal > 0
             nodes.append(_next_node(rng, nodes, max_angle if accepted not in (0, 1, NODES - 1) else 0))
-            if _piece_is_valid(nodes, first=accepted == 0):
+            if _piece_is_valid(nodes, box, first=accepted == 0):
                 break
             nodes.pop()
         else:
@@ -103,7 +112,7 @@ def _next_node(rng: np.random.Generator, nodes: list[tuple[float, float]], angle
     return x1 + SEGMENT_LENGTH * math.cos(heading), y1 + SEGMENT_LENGTH * math.sin(heading)
 
 
-def _piece_is_valid(nodes: list[tuple[float, float]], *, first: bool) -> bool:
+def _piece_is_valid(nodes: list[tuple[float, float]], box: float, *, first: bool) -> bool:
     """The straight pieces so far do not meet each other, and the newest one is in the box (the first one enters it)."""
     points = np.array(nodes)
     steps = np.diff(points, axis=0)
@@ -111,6 +120,6 @@ def _piece_is_valid(nodes: list[tuple[float, float]], *, first: bool) -> bool:
     across = LANE_WIDTH * np.stack((steps[:, 1], -steps[:, 0]), axis=1)
     left, right = points - across, points + across
     newest = np.vstack((left[-2:], right[-2:]))
-    if not first and (newest.min() < 0.0 or newest.max() > BOX):
+    if not first and (newest.min() < 0.0 or newest.max() > box):
         return False
-    return check_surface(left, right, inside=None).valid
+    return check_surface(left, right, box=None).valid

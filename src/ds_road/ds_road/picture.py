@@ -2,21 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road.road import Road
+from ds_road.road import Road, RoadError
 
 GRASS, ASPHALT, WHITE, YELLOW = (120, 165, 105), (105, 105, 110), (245, 245, 245), (235, 200, 40)
 RED, BLACK = (215, 40, 40), (20, 20, 20)
 PALETTE = ((31, 119, 180), (255, 127, 14), (214, 39, 140), (148, 103, 189), (0, 190, 190))
 """Colours of trajectories, in order; told apart by readers who do not see red or green."""
-Pixels = Callable[[NDArray[np.float64]], NDArray[np.int32]]
-_MARGIN = 8.0
+SMALLEST, LARGEST = 320, 4000
+"""Pixels of the longer side; chosen: room for the caption, and at most some hundred megabytes while drawing."""
+_MARGIN = 10.0
+_STRAY = 30.0
+_SUPERSAMPLING = 3
 _SHIFT = 4
+_FAR = 2.0**28
+_ROW = 20
+_STRIP = 30
+
+
+@dataclass(frozen=True)
+class _View:
+    """A large canvas, made smaller in the end so that lines come out smooth, and where it lies in the road frame."""
+
+    canvas: NDArray[np.uint8]
+    left: float
+    top: float
+    scale: float
+
+    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Road frame, m, to canvas, in units of 1/16 pixel."""
+        flipped = np.stack((points[:, 0] - self.left, self.top - points[:, 1]), axis=1)
+        return np.round(np.clip((flipped * self.scale - 0.5) * (1 << _SHIFT), -_FAR, _FAR)).astype(np.int32)
+
+    def fill(self, points: NDArray[np.float64], colour: tuple[int, int, int]) -> None:
+        cv2.fillPoly(self.canvas, [self.pixels(points)], colour, cv2.LINE_8, _SHIFT)
+
+    def line(self, points: NDArray[np.float64], colour: tuple[int, int, int], width: float) -> None:
+        thickness = max(round(width * _SUPERSAMPLING), 1)
+        cv2.polylines(self.canvas, [self.pixels(points)], False, colour, thickness, cv2.LINE_8, _SHIFT)
 
 
 def draw(
@@ -26,76 +55,118 @@ def draw(
 
     Args:
         road: to draw, valid or not.
-        trajectories: name -> (n, 2) positions, m, drawn over the road with a legend.
-        size: of the longer side of the picture, pixels.
+        trajectories: name -> (n, 2) positions, m, drawn over the road with a legend. Where one strays more than 30 m
+            from what the road covers, it leaves the picture.
+        size: of the longer side of the picture without its caption, pixels, 320 to 4000.
         caption: write id, length and features below.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
+
+    Raises:
+        RoadError: size out of range, or a trajectory that is no array of finite positions.
     """
-    control = np.array(road.control_points)
-    paths = {name: np.asarray(path)[:, :2] for name, path in (trajectories or {}).items()}
-    everything = np.vstack((road.left_edge, road.right_edge, control, *paths.values()))
-    low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
-    scale = size / float((high - low).max())
-    width, height = (max(int(round(v)), 320) for v in (high - low) * scale)
-    image = np.full((height, width, 3), GRASS, np.uint8)
-
-    def pixels(points: NDArray[np.float64]) -> NDArray[np.int32]:
-        flipped = np.stack((points[:, 0] - low[0], high[1] - points[:, 1]), axis=1)
-        return np.round(flipped * scale * (1 << _SHIFT)).astype(np.int32)
-
-    def line(points: NDArray[np.float64], colour: tuple[int, int, int], thickness: int) -> None:
-        cv2.polylines(image, [pixels(points)], False, colour, thickness, cv2.LINE_AA, _SHIFT)
-
-    quads = np.stack((road.left_edge[:-1], road.left_edge[1:], road.right_edge[1:], road.right_edge[:-1]), axis=1)
-    for quad in quads:
-        cv2.fillConvexPoly(image, pixels(quad), ASPHALT, cv2.LINE_8, _SHIFT)
+    if not SMALLEST <= size <= LARGEST:
+        raise RoadError(f"picture size is {size}, expected {SMALLEST} to {LARGEST} pixels")
+    paths = {name: _path(name, path) for name, path in (trajectories or {}).items()}
+    view = _view_of(road, list(paths.values()), size)
+    for quad in np.stack((road.left_edge[:-1], road.left_edge[1:], road.right_edge[1:], road.right_edge[:-1]), axis=1):
+        view.fill(quad, ASPHALT)
     for edge in (road.left_edge, road.right_edge):
-        line(edge, WHITE, 2)
-    line(road.points, YELLOW, 2)
-    for (name, path), colour in zip(paths.items(), PALETTE * (1 + len(paths) // len(PALETTE)), strict=False):
-        line(path, colour, 2)
-        row = 22 + 20 * list(paths).index(name)
+        view.line(edge, WHITE, 2)
+    view.line(road.points, YELLOW, 2)
+    colours = [PALETTE[index % len(PALETTE)] for index in range(len(paths))]
+    for path, colour in zip(paths.values(), colours, strict=True):
+        view.line(path, colour, 2)
+    if not road.sampled:
+        for point in road.control_points:
+            _star(view, np.array(point))
+    _ends(view, road)
+    rows, columns = (side // _SUPERSAMPLING for side in view.canvas.shape[:2])
+    image = np.asarray(cv2.resize(view.canvas, (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
+    _legend(image, dict(zip(paths, colours, strict=True)))
+    _scale_bar(image, view.scale / _SUPERSAMPLING)
+    return np.vstack((image, _caption(road, columns))) if caption else image
+
+
+def _path(name: str, path: NDArray[np.float64]) -> NDArray[np.float64]:
+    positions = np.asarray(path, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1] < 2 or not np.isfinite(positions[:, :2]).all():
+        raise RoadError(f"trajectory {name}: array of shape {positions.shape}, expected (n, 2) finite metres")
+    return positions[:, :2]
+
+
+def _view_of(road: Road, paths: list[NDArray[np.float64]], size: int) -> _View:
+    """An empty canvas that shows all of the road, and the trajectories as far as they stay near it."""
+    surface = np.vstack((road.left_edge, road.right_edge, np.array(road.control_points)))
+    low, high = surface.min(axis=0), surface.max(axis=0)
+    near = np.vstack((surface, *(np.clip(path, low - _STRAY, high + _STRAY) for path in paths)))
+    low, high = near.min(axis=0) - _MARGIN, near.max(axis=0) + _MARGIN
+    width, height = (float(side) for side in high - low)
+    scale = min(size / width, (size - _STRIP) / height)
+    columns, rows = max(round(width * scale), size * 5 // 8), max(round(height * scale) + _STRIP, size * 5 // 8)
+    middle = (low + high) / 2 - (0.0, _STRIP / 2 / scale)  # room for the scale bar below the road
+    canvas = np.full((rows * _SUPERSAMPLING, columns * _SUPERSAMPLING, 3), GRASS, np.uint8)
+    left, top = middle + np.array((-columns, rows)) / (2 * scale)
+    return _View(canvas, float(left), float(top), scale * _SUPERSAMPLING)
+
+
+def _star(view: _View, centre: NDArray[np.float64]) -> None:
+    """A red star with five points and a dark rim, the same size in every picture."""
+    angle = np.pi / 2 + np.arange(10) * np.pi / 5
+    radius = np.where(np.arange(10) % 2 == 0, 1.0, 0.42)
+    shape = np.stack((radius * np.cos(angle), radius * np.sin(angle)), axis=1)
+    for pixels, colour in ((9.5, BLACK), (7.0, RED)):
+        view.fill(centre + shape * pixels * _SUPERSAMPLING / view.scale, colour)
+
+
+def _ends(view: _View, road: Road) -> None:
+    """A black triangle where the vehicle starts, pointing ahead, and a black square at the end."""
+    lane, half = road.right_lane_centre, 0.4 * road.lane_width
+    triangle = np.array(((2.4, 0.0), (0.0, 1.0), (0.0, -1.0)))
+    square = np.array(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)))
+    for shape, at, step in ((triangle, lane[0], lane[1] - lane[0]), (square, lane[-1], lane[-1] - lane[-2])):
+        ahead = step / np.hypot(*step)
+        axes = np.array((ahead, (ahead[1], -ahead[0])))
+        view.fill(at + half * shape @ axes, BLACK)
+
+
+def _legend(image: NDArray[np.uint8], colours: Mapping[str, tuple[int, int, int]]) -> None:
+    """Names of the trajectories at the upper left."""
+    for index, (name, colour) in enumerate(colours.items()):
+        row = 22 + _ROW * index
         cv2.line(image, (10, row - 5), (34, row - 5), colour, 3, cv2.LINE_AA)
         _write(image, name, (42, row))
-    for x, y in pixels(control) / (1 << _SHIFT):
-        cv2.drawMarker(image, (int(x), int(y)), RED, cv2.MARKER_STAR, 10, 1, cv2.LINE_AA)
-    _ends(image, road, pixels)
-    _scale_bar(image, scale)
-    if not caption:
-        return image
+
+
+def _scale_bar(image: NDArray[np.uint8], scale: float) -> None:
+    """A round number of metres at the lower right, about a sixth of the picture."""
+    longest = image.shape[1] / 5 / scale
+    power = 10.0 ** np.floor(np.log10(longest))
+    metres = max(factor * power for factor in (1, 2, 5) if factor * power <= longest)
+    right, row = image.shape[1] - 14, image.shape[0] - 14
+    left = round(right - metres * scale)
+    cv2.line(image, (left, row), (right, row), BLACK, 2)
+    for end in (left, right):
+        cv2.line(image, (end, row - 4), (end, row + 4), BLACK, 2)
+    _write(image, f"{metres:g} m", (left, row - 10))
+
+
+def _caption(road: Road, width: int) -> NDArray[np.uint8]:
+    """Identity, features and validity on white."""
     text = [
         f"{road.road_id}   {road.length:.0f} m",
         f"turns {road.turns_count}   curvature {road.curvature:.3f} /m",
         "valid" if road.validity.valid else f"not valid: {road.validity.reason}",
     ]
-    footer = np.full((16 + 20 * len(text), width, 3), 255, np.uint8)
+    footer = np.full((16 + _ROW * len(text), width, 3), 255, np.uint8)
     for index, content in enumerate(text):
-        _write(footer, content, (10, 22 + 20 * index))
-    return np.vstack((image, footer))
-
-
-def _ends(image: NDArray[np.uint8], road: Road, pixels: Pixels) -> None:
-    """A black triangle where the vehicle starts, pointing ahead, and a black square at the end."""
-    lane = road.right_lane_centre
-    ahead = lane[1] - lane[0]
-    ahead = ahead / np.hypot(*ahead)
-    across = np.array((ahead[1], -ahead[0]))
-    triangle = np.stack((lane[0] + 4.0 * ahead, lane[0] + 1.6 * across, lane[0] - 1.6 * across))
-    square = lane[-1] + 1.5 * np.array(((-1, -1), (1, -1), (1, 1), (-1, 1)))
-    for shape in (triangle, square):
-        cv2.fillConvexPoly(image, pixels(shape), BLACK, cv2.LINE_AA, _SHIFT)
-
-
-def _scale_bar(image: NDArray[np.uint8], scale: float) -> None:
-    """Ten or fifty metres at the lower right."""
-    metres = 10 if 10 * scale > 40 else 50
-    right, row = image.shape[1] - 12, image.shape[0] - 12
-    left = int(right - metres * scale)
-    cv2.line(image, (left, row), (right, row), BLACK, 2, cv2.LINE_AA)
-    _write(image, f"{metres} m", (left, row - 6))
+        _write(footer, content, (10, 22 + _ROW * index))
+    return footer
 
 
 def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
-    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, BLACK, 1, cv2.LINE_AA)
+    """Black text, smaller where it would not fit the picture's width."""
+    room = image.shape[1] - at[0] - 6
+    width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * min(1.0, room / max(width, 1)), BLACK, 1, cv2.LINE_AA)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import reprlib
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,8 @@ LANE_WIDTH = 4.0
 """m (maxitwo: a road of 8 m with two lanes)."""
 MAX_POINTS = 1000
 """Control points at most; chosen: a hundred times the paper's nine, and checked within a second."""
+MIN_SPACING = 1e-3
+"""m between two neighbours at least; chosen: nearer ones have no direction that floating point can tell."""
 _LARGEST = 1e6
 
 
@@ -25,42 +30,91 @@ class RoadError(ValueError):
     """Something of which no road can be made, or a road on which nobody can drive."""
 
 
+@dataclass(frozen=True, init=False, repr=False)
 class Road:
     """A two-lane road through control points (paper 3.1.1), driven in the right lane.
 
     The first and the last control point only give the spline its direction: the road starts at the second and ends
-    at the second last. Equal control points make equal roads.
+    at the second last. Roads of equal content are equal, and have the same `road_id`.
 
     Args:
         control_points: (n, 2) numbers, m, 4 <= n <= 1000.
+        lane_width: m, of each of the two lanes.
+        published: the centre line as maxitwo has it for mutants: the spline ignores the first control point, so
+            that the road starts at the third (n >= 5). It does not touch the way turns are counted:
+            `turns_count_published` exists for every road.
 
     Raises:
-        RoadError: not such numbers, or two neighbours that are equal.
+        RoadError: not such numbers, or two neighbours less than a millimetre apart.
     """
 
-    def __init__(self, control_points: Iterable[Sequence[float]] | NDArray[np.float64]) -> None:
-        self.control_points = _checked(control_points)
-        self.lane_width = LANE_WIDTH
+    control_points: tuple[tuple[float, float], ...]
+    lane_width: float
+    published: bool
+    sampled: bool
+    """The control points are the centre line itself; see `from_road_points`."""
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Road) and self.control_points == other.control_points
+    def __init__(
+        self,
+        control_points: Iterable[Sequence[float]] | NDArray[np.float64],
+        *,
+        lane_width: float = LANE_WIDTH,
+        published: bool = False,
+    ) -> None:
+        self._set(_checked(control_points, "control point", least=5 if published else 4), lane_width, published, False)
 
-    def __hash__(self) -> int:
-        return hash(self.control_points)
+    @classmethod
+    def from_road_points(
+        cls, points: Iterable[Sequence[float]] | NDArray[np.float64], *, lane_width: float = LANE_WIDTH
+    ) -> Road:
+        """A road whose centre line is these points as they are, the way other tools of this field exchange roads.
+
+        Its `control_points` are the points, and `sampled` is true: no spline is laid through them.
+
+        Args:
+            points: (n, 2) numbers, m, 2 <= n <= 1000, in driving order.
+            lane_width: m, of each of the two lanes.
+
+        Raises:
+            RoadError: not such numbers, or two neighbours less than a millimetre apart.
+        """
+        road = cls.__new__(cls)
+        road._set(_checked(points, "road point", least=2), lane_width, False, True)
+        return road
+
+    def _set(
+        self, control_points: tuple[tuple[float, float], ...], lane_width: float, published: bool, sampled: bool
+    ) -> None:
+        """Fill in the fields, which nobody can change afterwards."""
+        if isinstance(lane_width, str | bool) or not isinstance(lane_width, int | float) or not 1 <= lane_width <= 20:
+            raise RoadError(f"lane width is {shown(lane_width)}, expected 1 to 20 metres")
+        values = (control_points, float(lane_width), bool(published), sampled)
+        for field, value in zip(fields(self), values, strict=True):
+            object.__setattr__(self, field.name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What makes the road, without what follows from it."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __repr__(self) -> str:
-        return f"Road({self.road_id}, {len(self.control_points)} control points)"
+        kind = "road points" if self.sampled else "control points"
+        return f"Road({self.road_id}, {len(self.control_points)} {kind}{', published' if self.published else ''})"
 
     @cached_property
     def road_id(self) -> str:
-        """Twelve hexadecimal digits that stand for the control points."""
-        data = np.asarray(self.control_points, dtype="<f8").tobytes()
-        return hashlib.sha256(data).hexdigest()[:12]
+        """Twelve hexadecimal digits that stand for the control points, and for how the road is made of them."""
+        content = hashlib.sha256(np.asarray(self.control_points, dtype="<f8").tobytes())
+        if self.sampled or self.published or self.lane_width != LANE_WIDTH:
+            content.update(f"{self.lane_width} {self.published} {self.sampled}".encode())
+        return content.hexdigest()[:12]
 
     @cached_property
     def points(self) -> NDArray[np.float64]:
-        """Samples of the centre line, (20 + 19 (n - 4), 2), m."""
-        return _frozen(catmull_rom(np.array(self.control_points)))
+        """Samples of the centre line, (20 + 19 (n - 4), 2), m; of n points, less the one a published road ignores."""
+        given = np.array(self.control_points)
+        if self.sampled:
+            return _frozen(given)
+        return _frozen(catmull_rom(given[1:] if self.published else given))
 
     @cached_property
     def _across(self) -> NDArray[np.float64]:
@@ -116,8 +170,19 @@ class Road:
         return check_surface(self.left_edge, self.right_edge)
 
     def reversed(self) -> Road:
-        """The same control points driven the other way."""
-        return Road(self.control_points[::-1])
+        """The same centre line driven the other way; of a published road without the point that its spline ignores."""
+        if self.sampled:
+            return Road.from_road_points(self.control_points[::-1], lane_width=self.lane_width)
+        used = self.control_points[1:] if self.published else self.control_points
+        return Road(used[::-1], lane_width=self.lane_width)
+
+
+def shown(value: Any) -> str:
+    """Some value in an error's one line, cut to what fits."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # an integer of thousands of digits
+        return f"a huge {type(value).__name__}"
 
 
 def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -125,24 +190,32 @@ def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
     return array
 
 
-def _checked(raw: Any) -> tuple[tuple[float, float], ...]:
-    """Control points as pairs of finite floats."""
+def _checked(raw: Any, what: str, *, least: int) -> tuple[tuple[float, float], ...]:
+    """Points as pairs of finite floats."""
+    if isinstance(raw, str | bytes | dict) or not isinstance(raw, Iterable):
+        raise RoadError(f"a road is {type(raw).__name__}, expected a list of [x, y] {what}s in metres")
     try:
         points = list(raw)
-    except TypeError:
-        raise RoadError(f"a road is {type(raw).__name__}, expected a list of [x, y] control points in metres") from None
-    if not 4 <= len(points) <= MAX_POINTS:
-        raise RoadError(f"a road has {len(points)} control points, expected 4 to {MAX_POINTS}")
-    pairs: list[tuple[float, float]] = []
-    for index, point in enumerate(points):
-        try:
-            x, y = point
-            pair = (float(x), float(y))
-        except (TypeError, ValueError, OverflowError):
-            raise RoadError(f"control point {index} is {str(point)[:40]!r}, expected two numbers [x, y]") from None
-        if isinstance(x, str | bool) or isinstance(y, str | bool) or not all(abs(v) <= _LARGEST for v in pair):
-            raise RoadError(f"control point {index} is {str(point)[:40]}, expected finite metres up to {_LARGEST:g}")
-        if pairs and pair == pairs[-1]:
-            raise RoadError(f"control points {index - 1} and {index} are equal: remove one of them")
-        pairs.append(pair)
-    return tuple(pairs)
+    except TypeError:  # an array without a dimension
+        raise RoadError(f"a road is a single value, expected a list of [x, y] {what}s in metres") from None
+    if not least <= len(points) <= MAX_POINTS:
+        raise RoadError(f"a road has {len(points)} {what}s, expected {least} to {MAX_POINTS}")
+    pairs = tuple(_pair(point, f"{what} {index}") for index, point in enumerate(points))
+    for index, ((x0, y0), (x1, y1)) in enumerate(pairwise(pairs)):
+        if abs(x1 - x0) < MIN_SPACING and abs(y1 - y0) < MIN_SPACING:
+            raise RoadError(f"{what}s {index} and {index + 1} are the same place: remove one of them")
+    return pairs
+
+
+def _pair(point: Any, name: str) -> tuple[float, float]:
+    """One point; adding zero turns -0.0 into 0.0, so that equal points are equal bytes."""
+    try:
+        x, y = point
+        pair = (float(x) + 0.0, float(y) + 0.0)
+    except (TypeError, ValueError, OverflowError):
+        raise RoadError(f"{name} is {shown(point)}, expected two numbers [x, y]") from None
+    if isinstance(point, str | dict) or any(isinstance(v, str | bytes | bool | np.bool_) for v in (x, y)):
+        raise RoadError(f"{name} is {shown(point)}, expected two numbers [x, y]")
+    if not all(abs(v) <= _LARGEST for v in pair):
+        raise RoadError(f"{name} is {shown(point)}, expected finite metres up to {_LARGEST:g}")
+    return pair

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
+import pickle
 import time
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from ds_road import MutationError, Road, RoadError, check, draw, generate, mutate, read_roads, write_roads
+from ds_road import (
+    MutationError,
+    Road,
+    RoadError,
+    check,
+    draw,
+    generate,
+    mutate,
+    read_roads,
+    road_from_json,
+    road_to_json,
+    write_roads,
+)
 
 seeds = st.integers(0, 10_000)
 
@@ -90,18 +104,90 @@ def test_spline_equals_a_hermite_spline_with_catmull_rom_tangents() -> None:
     np.testing.assert_allclose(Road(points).points, hermite(np.linspace(t[1], t[2], 20)), atol=1e-9)
 
 
-def test_reversed_twice_is_the_same_road() -> None:
-    road = random_road(3)
-    assert road.reversed() != road and road.reversed().reversed() == road
-    assert road.reversed().length == pytest.approx(road.length)
+@settings(max_examples=30, deadline=None)
+@given(seeds)
+def test_the_other_way_is_the_same_road_with_its_lanes_swapped(seed: int) -> None:
+    road = random_road(seed)
+    back = road.reversed()
+    assert back != road and back.reversed() == road
+    np.testing.assert_allclose(back.points, road.points[::-1], atol=1e-9)
+    assert back.length == pytest.approx(road.length)
+    # Each way leaves out its own last window. With one more point behind it, the road's last window counts, too.
+    longer = Road.from_road_points(np.vstack((road.points, 2 * road.points[-1] - road.points[-2])))
+    assert longer.curvature == pytest.approx(max(road.curvature, back.curvature), rel=1e-9)
 
 
-def test_json_round_trip_is_exact(tmp_path: Path) -> None:
-    roads = [random_road(seed) for seed in range(3)]
+def test_the_last_window_does_not_count() -> None:
+    """Seven points have three windows of five; a bend that only the last one sees leaves no trace, as in maxitwo."""
+    straight = [(10.0 + i, 10.0) for i in range(6)]
+    bent = Road.from_road_points([*straight, (16.0, 10.5)])
+    assert bent.curvature == 0.0
+    # Seen from the other end it is in the first window: points (16, 10.5), (14, 10), (12, 10).
+    circumradius = math.sqrt(4.25) * 2.0 * math.sqrt(16.25) / (4 * 0.5)
+    assert bent.reversed().curvature == pytest.approx(1 / circumradius)
+
+
+def test_a_road_cannot_be_changed_and_travels_whole() -> None:
+    road = random_road(1)
+    assert road.validity.valid and not road.left_edge.flags.writeable
+    with pytest.raises(AttributeError):
+        road.lane_width = 3.0  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        road.points[0] = 0.0
+    for other in (pickle.loads(pickle.dumps(road)), copy.deepcopy(road)):
+        assert other == road and other.road_id == road.road_id and not other.points.flags.writeable
+    assert (
+        Road([(0.0, 0.0), (9, 9), (20, 20), (30, 30)]).road_id == Road([(-0.0, 0), (9, 9), (20, 20), (30, 30)]).road_id
+    )
+
+
+def test_edges_lie_across_the_next_step() -> None:
+    road = Road.from_road_points([(100, 100), (110, 100), (110, 110)], lane_width=3.0)
+    np.testing.assert_allclose(road.left_edge, [(100, 103), (107, 100), (107, 110)])
+    np.testing.assert_allclose(road.right_edge, [(100, 97), (113, 100), (113, 110)])
+    np.testing.assert_allclose(road.right_lane_centre, [(100, 98.5), (111.5, 100), (111.5, 110)])
+    assert road.length == pytest.approx(20.0)
+
+
+def test_road_points_are_the_centre_line_itself() -> None:
+    road = random_road(2)
+    same = Road.from_road_points(road.points)
+    assert same.sampled and not road.sampled
+    np.testing.assert_array_equal(same.points, road.points)
+    assert (same.validity, same.curvature, same.turns_count) == (road.validity, road.curvature, road.turns_count)
+    assert same.reversed().reversed() == same
+    with pytest.raises(MutationError, match="road points"):
+        mutate(same, np.random.default_rng(0))
+
+
+variants = st.sampled_from(["plain", "published", "wide", "sampled"])
+
+
+def variant_of(seed: int, kind: str) -> Road:
+    road = random_road(seed)
+    if kind == "sampled":
+        return Road.from_road_points(road.points, lane_width=3.5)
+    return Road(road.control_points, published=kind == "published", lane_width=5.0 if kind == "wide" else 4.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, variants)
+def test_json_round_trip_is_exact(seed: int, kind: str) -> None:
+    road = variant_of(seed, kind)
+    text = json.dumps(road_to_json(road))
+    assert road_from_json(json.loads(text)) == road
+    assert read_roads(text) == [road]
+    assert read_roads(f" [{text}, {text}]") == [road, road]
+    assert isinstance(json.loads(text), list) == (kind == "plain")
+
+
+def test_files_hold_several_roads_or_one(tmp_path: Path) -> None:
+    roads = [variant_of(seed, kind) for seed, kind in enumerate(("plain", "published", "wide", "sampled"))]
     write_roads(roads, tmp_path / "roads.json")
-    assert read_roads(tmp_path / "roads.json") == roads
+    assert read_roads(tmp_path / "roads.json") == read_roads(str(tmp_path / "roads.json")) == roads
     (tmp_path / "one.json").write_text(json.dumps(roads[0].control_points))
     assert read_roads(tmp_path / "one.json") == roads[:1]
+    assert read_roads("[]") == []
 
 
 BAD: dict[str, Any] = {
@@ -119,18 +205,84 @@ BAD: dict[str, Any] = {
     "nothing": None,
     "an object": {"road": 1},
     "empty": [],
+    "no points": {"control_points": None},
+    "both kinds": {"control_points": [[0, 0]] * 4, "road_points": [[0, 0]] * 4},
+    "one road point": {"road_points": [[1, 1]]},
+    "a published road of road points": {"road_points": [[1, 1], [2, 2]], "published": True},
+    "a published road too short": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "published": True},
+    "published as text": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "published": "no"},
+    "no lane width": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": None},
+    "lane width nan": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": math.nan},
+    "neighbours too near": [[0, 0], [10, 10], [10, 10 + 1e-14], [40, 40]],
+    "thousands of digits": [[0, 10**5000], [1, 1], [2, 2], [3, 3]],
+    "a long string": "x" * 100_000,
+    "strings of two": ["12", "34", "56", "78"],
+    "objects of two": [{"1": 0, "2": 0}] * 5,
+    "booleans": [[True, False]] * 5,
+    "nothing inside": [None] * 5,
+    "a long point": [[0.0] * 100_000] * 5,
+    "a new line": [["\n", 1]] * 5,
 }
 
 
 @pytest.mark.parametrize("raw", BAD.values(), ids=BAD.keys())
 def test_what_is_no_road_is_refused_in_one_line(raw: Any) -> None:
     with pytest.raises(RoadError) as refused:
-        Road(raw)
-    assert "\n" not in str(refused.value) and "expected" in str(refused.value) or "remove" in str(refused.value)
+        road_from_json(raw)
+    told = str(refused.value)
+    assert "\n" not in told and len(told) < 200 and ("expected" in told or "remove" in told)
     started = time.monotonic()
     answer = check(raw)
     assert time.monotonic() - started < 1.0
     assert answer["valid"] is False and answer["reason"] and answer["length"] is None
+    json.dumps(answer, allow_nan=False)
+
+
+WORST: dict[str, Any] = {
+    "a hundred times round": [(125 + 30 * math.cos(i * 0.63), 125 + 30 * math.sin(i * 0.63)) for i in range(1000)],
+    "a spiral": [
+        (125 + (20 + i / 12) * math.cos(i * 0.63), 125 + (20 + i / 12) * math.sin(i * 0.63)) for i in range(1000)
+    ],
+    "a point a centimetre": [(50 + i / 100, 50 + i / 100) for i in range(1000)],
+    "a millimetre on a bend": [
+        (100 + 9 * math.cos(i * 0.0002), 100 + 9 * math.sin(i * 0.0002)) for i in range(0, 10_000, 10)
+    ],
+    "noise": np.random.default_rng(0).uniform(10, 240, (1000, 2)).tolist(),
+    "there and back": [(100 + i % 2, 100) for i in range(1000)],
+    "far away": [(9e5 + i, -9e5 + i % 7) for i in range(1000)],
+}
+
+
+@pytest.mark.parametrize("points", WORST.values(), ids=WORST.keys())
+@pytest.mark.parametrize("kind", ["control_points", "road_points"])
+def test_the_longest_roads_are_checked_in_a_second(points: Any, kind: str) -> None:
+    started = time.process_time()
+    answer = check({kind: points})
+    assert time.process_time() - started < 1.0
+    json.dumps(answer, allow_nan=False)
+    assert answer["length"] > 0
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=8)
+        | st.dictionaries(
+            st.sampled_from(["control_points", "road_points", "lane_width", "published"]), inner, max_size=3
+        )
+    ),
+    max_leaves=30,
+)
+numbers = st.floats(-10, 260) | st.integers(0, 9) | st.floats(0, 1e-9)
+near_roads = st.lists(st.lists(numbers, min_size=2, max_size=2), min_size=2, max_size=12)
+
+
+@settings(max_examples=300, deadline=None)
+@given(values | near_roads | near_roads.map(lambda points: {"road_points": points}))
+def test_any_json_value_can_be_checked(raw: Any) -> None:
+    answer = check(raw)
+    assert list(answer) == ["valid", "reason", "length", "curvature", "turns_count", "turns_count_published"]
+    assert answer["valid"] is not bool(answer["reason"])
     json.dumps(answer, allow_nan=False)
 
 
@@ -140,6 +292,7 @@ def test_what_is_no_road_is_refused_in_one_line(raw: Any) -> None:
         ([(125, 25 * i) for i in range(15)], "box"),
         ([(50, 50), (50, 100), (50, 150), (100, 150), (100, 110), (20, 110), (10, 60)], "crosses"),
         ([(50, 50), (50, 75), (50, 100), (51, 76), (50, 52), (50, 30)], "folds"),
+        ([(50, 20), (50, 50), (90, 50), (90, 90), (50, 90), (50, 50), (10, 50)], "start is its end"),
     ],
 )
 def test_why_a_road_is_not_valid(points: list[tuple[float, float]], reason: str) -> None:
@@ -157,7 +310,38 @@ def test_generation_refuses_angles_out_of_range(angle: int) -> None:
         generate(np.random.default_rng(0), max_angle=angle)
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"a": 1}', "nonsense"])
+@pytest.mark.parametrize("box", [99, 251, math.nan])
+def test_generation_refuses_boxes_out_of_range(box: float) -> None:
+    with pytest.raises(RoadError, match="100 to 250"):
+        generate(np.random.default_rng(0), box=box)
+
+
+def test_roads_fit_a_smaller_box() -> None:
+    for seed in range(5):
+        road = generate(np.random.default_rng(seed), box=150)
+        assert road.control_points[0] == (75.0, 0.0) and road.validity.valid
+        edges = np.vstack((road.left_edge, road.right_edge))
+        assert edges.min() >= 0.0 and edges.max() <= 150.0
+
+
+def test_mutation_keeps_the_lanes_and_refuses_no_extent() -> None:
+    wide = Road(random_road(3).control_points, lane_width=3.5)
+    assert mutate(wide, np.random.default_rng(0)).lane_width == 3.5
+    with pytest.raises(RoadError, match="at least 1"):
+        mutate(wide, np.random.default_rng(0), extent=0)
+
+
+def test_a_bad_road_in_a_file_is_named() -> None:
+    good = random_road(1).control_points
+    with pytest.raises(RoadError, match="road 1: a road has 2 control points, expected 4 to 1000"):
+        read_roads(json.dumps([good, good[:2]]))
+    with pytest.raises(RoadError, match=r"road 2: control point 1 is \[nan, 0\]"):
+        read_roads(json.dumps([good, good, [[0, 0], [math.nan, 0], [1, 1], [2, 2]]]))
+    with pytest.raises(RoadError, match=r"road 0: control point 1 is \['a', 0\]"):
+        read_roads('[[0, 0], ["a", 0], [1, 1], [2, 2]]')
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"a": 1}', "nonsense", "1" * 5000, "[" * 100_000])
 def test_a_file_that_is_no_list_of_roads_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "roads.json"
     path.write_text(text)
@@ -169,7 +353,34 @@ def test_the_picture_shows_road_grass_and_trajectory() -> None:
     road = random_road(5)
     plain = draw(road)
     assert plain.dtype == np.uint8 and plain.shape[2] == 3
+    assert max(draw(road, size=400, caption=False).shape) == 400
     colours = {tuple(c) for c in plain.reshape(-1, 3)[::7].tolist()}
-    assert {(105, 105, 110), (120, 165, 105)} <= colours
+    assert {(105, 105, 110), (120, 165, 105), (255, 255, 255)} <= colours
     assert not np.array_equal(plain, draw(road, trajectories={"bullet": road.right_lane_centre}))
     np.testing.assert_array_equal(plain, draw(road))
+
+
+def test_every_control_point_has_a_star() -> None:
+    """Each lies where the picture's scale puts it: 25 m apart on a straight road, in the middle of the picture."""
+    picture = draw(Road([(125.0, 25.0 * i) for i in range(9)]), caption=False)
+    red = (np.abs(picture.astype(int) - (215, 40, 40)).max(axis=2) < 10).any(axis=1)
+    rows = np.flatnonzero(red)
+    stars = np.split(rows, np.flatnonzero(np.diff(rows) > 3) + 1)
+    assert len(stars) == 9
+    spacing = np.diff([float(np.mean(star)) for star in stars])
+    np.testing.assert_allclose(spacing, spacing.mean(), atol=2.0)
+
+
+@pytest.mark.parametrize("path", [np.zeros(4), np.full((3, 2), np.nan), np.zeros((3, 1))])
+def test_the_picture_refuses_what_is_no_trajectory(path: Any) -> None:
+    with pytest.raises(RoadError, match="trajectory car"):
+        draw(random_road(1), trajectories={"car": path})
+
+
+def test_a_trajectory_far_away_does_not_shrink_the_road() -> None:
+    road = random_road(5)
+    lane = road.right_lane_centre
+    near, far = (draw(road, trajectories={"car": np.vstack((lane, lane[-1] + (0, d)))}) for d in (60.0, 1e12))
+    assert near.shape == far.shape
+    with pytest.raises(RoadError, match="320 to 4000"):
+        draw(road, size=10)
