@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
-from ds_road import Road, generate, mutate
+sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "ds_road"))  # so that it runs without the workspace
+
+from ds_road import Road, generate, mutate  # noqa: E402
 
 
 def timed(name: str, calls: list[Callable[[], object]]) -> None:

@@ -60,7 +60,7 @@ def test_road_equals_the_published_one(vector: dict[str, Any]) -> None:
 def test_the_fast_check_of_the_surface_equals_the_slow_one() -> None:
     """Random roads inside the box, about as many that cross or fold as that do not."""
     rng = np.random.default_rng(1)
-    answers = []
+    answers: list[tuple[bool, bool]] = []
     while len(answers) < 80:
         turn = np.radians(rng.uniform(20, 140))
         heading = np.cumsum(rng.uniform(-turn, turn, 8))
