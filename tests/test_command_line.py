@@ -51,6 +51,8 @@ def test_bad_input_ends_with_2_and_one_line(tmp_path: Path) -> None:
     write_roads([generate(np.random.default_rng(s)) for s in (1, 2)], two)
     crossing = tmp_path / "crossing.json"
     crossing.write_text(json.dumps([[50, 50], [50, 100], [50, 150], [100, 150], [100, 110], [20, 110], [10, 60]]))
+    sampled = tmp_path / "sampled.json"
+    sampled.write_text(json.dumps([{"road_points": [[125, 10 * i] for i in range(1, 9)]}]))
     config = tmp_path / "c.yaml"
     config.write_text("siblings: [bulett]")
     cut = tmp_path / "cut.safetensors"
@@ -61,6 +63,7 @@ def test_bad_input_ends_with_2_and_one_line(tmp_path: Path) -> None:
         "missing": ("drive", "--sim", "donkey", "--driver", tmp_path / "none.safetensors"),
         "damaged": ("drive", "--sim", "donkey", "--driver", cut),
         "2 roads": ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", two),
+        "give its control points": ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", sampled),
         "not valid": ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", crossing),
         "No such file": ("road", "check", tmp_path / "none.json"),
         "unknown simulator": ("campaign", "run", config, "--out", tmp_path / "out"),

@@ -1,7 +1,7 @@
 """Put a trained network into ds_driver, with a card that says what it was made of and how well it drives.
 
-`python tools/ship_network.py --data DATA --training DIR [--network dave2] [--roads 25] [--seed 424242]`: drives roads that
-no training has seen on every simulator, then writes weights and card to `src/ds_driver/ds_driver/models`.
+`python tools/ship_network.py --data DATA --training DIR [--network dave2] [--roads 25] [--seed 424242]` drives roads
+that no training has seen on every simulator, then writes weights and card to `src/ds_driver/ds_driver/models`.
 """
 
 from __future__ import annotations

@@ -153,6 +153,9 @@ def drive(
     make_simulator(sim)
     if not attach:
         check_driver(driver)
+    if road.sampled or road.published:
+        # A road travels to a simulator as its control points alone, which would give another centre line here.
+        raise ds_road.RoadError("a road of road points can be checked and shown, not driven: give its control points")
     if not road.validity.valid:
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
     if bag is not None and bag.exists():
