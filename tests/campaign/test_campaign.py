@@ -124,6 +124,12 @@ def test_a_store_of_another_campaign_version_or_kind_is_refused(tmp_path: Path) 
     (tmp_path / "b" / "campaign.sqlite").write_bytes(b"not a database, but long enough to look at" * 100)
     with pytest.raises(StoreError, match="cannot be used"):
         Store(tmp_path / "b" / "campaign.sqlite")
+    # What a process leaves that was killed before it wrote anything.
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "campaign.sqlite").touch()
+    with pytest.raises(StoreError, match="stopped before it began"):
+        Store(tmp_path / "c" / "campaign.sqlite")
+    assert Store(tmp_path / "c" / "campaign.sqlite", config="{}").config == "{}"
 
 
 @pytest.mark.parametrize(

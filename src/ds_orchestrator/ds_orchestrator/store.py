@@ -102,22 +102,34 @@ class Store:
     def __init__(self, path: Path, *, config: str | None = None) -> None:
         self._lock = threading.Lock()
         try:
-            new = not path.exists()
-            if new and config is None:
+            if config is None and not path.exists():
                 raise StoreError(f"no campaign in {path.parent}: run one there first")
             self._db = sqlite3.connect(path, check_same_thread=False, isolation_level=None)
             self._db.execute("PRAGMA journal_mode=WAL")
-            if new:
-                self._db.executescript(f"BEGIN; {_SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
+            if self._is_empty():
+                if config is None:
+                    raise StoreError(f"no campaign in {path.parent}: it was stopped before it began, run it again")
+                self._begin(config)
             version = self._db.execute("PRAGMA user_version").fetchone()[0]
         except sqlite3.Error as error:
             raise StoreError(f"{path} cannot be used ({error}): check the folder, or choose another --out") from None
         if version != SCHEMA_VERSION:
             raise StoreError(f"{path} has version {version}, expected {SCHEMA_VERSION}: choose another --out folder")
-        if config is not None:
-            self._db.execute("INSERT OR IGNORE INTO about VALUES ('config', ?)", (config,))
-            if self.config != config:
-                raise StoreError(f"{path.parent} holds a campaign with another configuration: choose another --out")
+        if config is not None and self.config != config:
+            raise StoreError(f"{path.parent} holds a campaign with another configuration: choose another --out")
+
+    def _is_empty(self) -> bool:
+        """Whether the file was made just now, or by a process that was killed before it made the tables."""
+        return bool(self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0)
+
+    def _begin(self, config: str) -> None:
+        """Tables, version and configuration, all or nothing."""
+        self._db.execute("BEGIN IMMEDIATE")
+        for statement in filter(str.strip, _SCHEMA.split(";")):
+            self._db.execute(statement)
+        self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+        self._db.execute("INSERT INTO about VALUES ('config', ?)", (config,))
+        self._db.execute("COMMIT")
 
     @property
     def config(self) -> str:

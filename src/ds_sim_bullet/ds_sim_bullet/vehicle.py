@@ -142,7 +142,7 @@ class BulletVehicle:
 def _import_bullet() -> Any:
     """PyBullet, which has no wheels for some Pythons and so may be missing where all else is there."""
     try:
-        with _standard_output_closed():
+        with _standard_error_closed():
             return importlib.import_module("pybullet")
     except ImportError:
         raise ImportError(
@@ -151,15 +151,15 @@ def _import_bullet() -> Any:
 
 
 @contextmanager
-def _standard_output_closed() -> Iterator[None]:
-    """PyBullet greets on standard output, from C, when it is imported; that stream belongs to whoever runs."""
-    sys.stdout.flush()
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+def _standard_error_closed() -> Iterator[None]:
+    """PyBullet greets on standard error, from C, when it is imported; that stream belongs to whoever runs."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
     os.close(nowhere)
     try:
         yield
         ctypes.CDLL(None).fflush(None)
     finally:
-        os.dup2(kept, 1)
+        os.dup2(kept, 2)
         os.close(kept)
