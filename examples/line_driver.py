@@ -1,3 +1,5 @@
+import contextlib
+
 import numpy as np
 import rclpy
 from ds_interfaces.msg import DriveCommand
@@ -5,9 +7,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 
-class LineDriver(Node):
-    """Steers so that the yellow line stays at the lower left of the image."""
-
+class LineDriver(Node):  # steers so that the yellow line stays at the lower left of the image
     def __init__(self) -> None:
         super().__init__("line_driver")
         self.publisher = self.create_publisher(DriveCommand, "drive", 1)
@@ -21,4 +21,5 @@ class LineDriver(Node):
 
 
 rclpy.init()
-rclpy.spin(LineDriver())
+with contextlib.suppress(KeyboardInterrupt):
+    rclpy.spin(LineDriver())
