@@ -72,13 +72,15 @@ def drive(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the run, and of the road if no file is given.")] = 0,
     max_angle: MaxAngle = 270,
     bag: Annotated[Path | None, typer.Option(help="Write a rosbag2 folder here.")] = None,
+    video: Annotated[Path | None, typer.Option(help="Write an .mp4 of the drive here.")] = None,
     attach: AttachFlag = False,
     namespace: Annotated[str, typer.Option(help="Of the simulator.")] = "/ds1",
     as_json: JsonFlag = False,
 ) -> None:
     """Drive one road and say how it went."""
     chosen = commands.one_road(road, seed, max_angle)
-    _end(commands.drive(sim, driver, chosen, seed=seed, bag=bag, attach=attach, namespace=namespace), as_json)
+    result = commands.drive(sim, driver, chosen, seed=seed, bag=bag, video=video, attach=attach, namespace=namespace)
+    _end(result, as_json)
 
 
 @app.command()

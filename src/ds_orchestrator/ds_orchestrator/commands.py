@@ -142,12 +142,22 @@ def status(folder: Path) -> Result:
 
 
 def drive(
-    sim: str, driver: str, road: ds_road.Road, *, seed: int, bag: Path | None, attach: bool, namespace: str
+    sim: str,
+    driver: str,
+    road: ds_road.Road,
+    *,
+    seed: int,
+    bag: Path | None,
+    video: Path | None,
+    attach: bool,
+    namespace: str,
 ) -> Result:
     """Drive one road through the graph; with `attach`, whatever driver runs there drives."""
     from ds_orchestrator.bags import BagError, write_bag
     from ds_orchestrator.graph_plan import check_driver
+    from ds_orchestrator.redriving import redrive
     from ds_orchestrator.running import running_graph
+    from ds_orchestrator.video import check_path, write_video
     from ds_sim.registry import make_simulator
 
     make_simulator(sim)
@@ -160,6 +170,8 @@ def drive(
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
     if bag is not None and bag.exists():
         raise BagError(f"{bag} exists already: choose another folder")
+    if video is not None:
+        check_path(video)
     namespaces = {sim: namespace}
     with tempfile.TemporaryDirectory(prefix="ds_drive_") as logs:
         try:
@@ -171,10 +183,14 @@ def drive(
             raise Interrupted from None
     if bag is not None:
         write_bag(bag, namespaces[sim], run, {"simulator": sim, "driver": driver})
+    whose = "attached" if attach else driver
+    if video is not None:
+        # The images travelled to the driver only; the same commands show them again.
+        write_video(video, f"{sim}, {Path(whose).name}", road, redrive(sim, run), run.commands)
     execution = execution_of("", sim, run)
     document: dict[str, Any] = {
         "simulator": sim,
-        "driver": "attached" if attach else driver,
+        "driver": whose,
         "road_id": road.road_id,
         "seed": seed,
         "outcome": run.outcome.name,
