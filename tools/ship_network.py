@@ -13,8 +13,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from ds_driver.assessment import success_rate, unseen_roads
-from ds_driver.network_driver import NetworkDriver
+from ds_driver.assessment import success_rates, unseen_roads
 from ds_driver.networks import count_parameters
 from ds_driver.weights import SHIPPED, load_network
 from ds_sim.registry import SIMULATORS
@@ -32,13 +31,14 @@ def main() -> None:
     weights = arguments.training / f"{arguments.network}.safetensors"
     manifest = json.loads((arguments.data / "manifest.json").read_text())
     training = json.loads((arguments.training / "training.json").read_text())
-    driver = NetworkDriver(str(weights))
     roads = unseen_roads(arguments.roads, arguments.seed)
     trained_on = {path.name.rpartition("-")[0] for path in arguments.data.glob("*/*.parquet")}
     seen = [road.road_id for road in roads if road.road_id in trained_on]
     if seen:
         sys.exit(f"roads {', '.join(seen)} were trained on: choose another --seed")
-    success = {name: success_rate(driver, name, roads, arguments.seed, print) for name in SIMULATORS}
+    success = success_rates(
+        str(weights), list(SIMULATORS), roads, arguments.seed, lambda done, total, line: print(f"{done}/{total} {line}")
+    )
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]

@@ -6,13 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ds_driver.network_driver import NetworkDriver
-from ds_driver.preprocessing import Crop
+from ds_driver.driving import Drive, drive_all
 from ds_road import Road, generate
-from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome
 
-Progress = Callable[[str], None]
+Progress = Callable[[int, int, str], None]
+"""Called with drives done, drives in all, and a line about the last one."""
 
 
 def unseen_roads(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
@@ -21,16 +20,23 @@ def unseen_roads(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
     return [generate(rng, max_angle=max_angle) for _ in range(count)]
 
 
-def success_rate(driver: NetworkDriver, simulator_name: str, roads: list[Road], seed: int, progress: Progress) -> float:
-    """Share of the roads that a network completes on one simulator, in this process, without ROS."""
-    simulator = make_simulator(simulator_name)
-    crop = Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
-    completed = 0
-    for index, road in enumerate(roads):
-        observation = simulator.load(road, seed=seed + index)
-        while observation.outcome is Outcome.RUNNING:
-            observation = simulator.step(driver.command(observation.image, observation.vehicle.speed, crop))
-        completed += observation.outcome is Outcome.COMPLETED
-        progress(f"{simulator_name} {road.road_id}: {observation.outcome.name.lower()} after {observation.step} frames")
-    simulator.close()
-    return completed / len(roads)
+def success_rates(
+    driver: str, simulators: list[str], roads: list[Road], seed: int, progress: Progress
+) -> dict[str, float]:
+    """Share of the roads that a driver completes on each simulator, without ROS.
+
+    Args:
+        driver: `autopilot`, a shipped network, or a weights file.
+        simulators: names.
+        roads: to drive.
+        seed: of the first road's run; the next one's is one more.
+        progress: told after every drive.
+    """
+    drives = [Drive(name, driver, road, seed + i) for name in simulators for i, road in enumerate(roads)]
+    completed = dict.fromkeys(simulators, 0)
+    for done, (drive, run) in enumerate(zip(drives, drive_all(drives), strict=True), start=1):
+        completed[drive.simulator] += run.outcome is Outcome.COMPLETED
+        progress(
+            done, len(drives), f"{drive.simulator} {run.road.road_id}: {run.outcome.name.lower()}, {run.steps} frames"
+        )
+    return {name: count / len(roads) for name, count in completed.items()}

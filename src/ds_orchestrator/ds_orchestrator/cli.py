@@ -24,6 +24,8 @@ app = typer.Typer(
 )
 road_app = typer.Typer(help="Roads: generate, check, show.", no_args_is_help=True)
 campaign_app = typer.Typer(help="Campaigns: run, resume, look at.", no_args_is_help=True)
+siblings_app = typer.Typer(help="Siblings: how differently they behave.", no_args_is_help=True)
+app.add_typer(siblings_app, name="siblings")
 app.add_typer(road_app, name="road")
 app.add_typer(campaign_app, name="campaign")
 
@@ -167,6 +169,21 @@ def assess(
 ) -> None:
     """Share of unseen roads that a network completes on each simulator."""
     _show(commands.assess(network, roads=roads, seed=seed, simulators=sims.split(",")), as_json)
+
+
+@siblings_app.command("compare")
+def siblings_compare(
+    driver: Annotated[str, typer.Option(help="autopilot, dave2, or a weights file.")] = "dave2",
+    roads: Annotated[int, typer.Option(min=1, help="Random roads.")] = 40,
+    seed: Seed = 40,
+    max_angle: MaxAngle = 270,
+    sims: Annotated[str, typer.Option(help="Simulators, separated by commas.")] = "bullet,softbody,donkey",
+    out: Annotated[Path | None, typer.Option(help="Folder for numbers, roads and pictures.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """The same roads with the same driver: which fail where, and how far apart the vehicles drive."""
+    found = commands.compare_siblings(driver, sims.split(","), roads=roads, seed=seed, max_angle=max_angle, out=out)
+    _end(found, as_json)
 
 
 @app.command()

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -20,9 +19,15 @@ import ds_road
 from ds_orchestrator import results
 from ds_orchestrator.campaign import Campaign, Stopped, execution_of
 from ds_orchestrator.config import CampaignConfig, ConfigError
+from ds_orchestrator.pictures import png
 from ds_orchestrator.progress import ScreenWatcher
 from ds_orchestrator.store import Store
 from ds_orchestrator.versions import versions
+from ds_road import write_roads
+from ds_sim.session import RunRecord
+
+PICTURED = 6
+"""Roads that a comparison draws; chosen: what one looks at in a minute."""
 
 
 class Interrupted(Exception):
@@ -46,6 +51,17 @@ class Result:
 
 def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
+
+
+def _countdown() -> Callable[[int, int, str], None]:
+    """Says what is done, and for how long it will go on if it goes on like this."""
+    started = time.monotonic()
+
+    def progress(done: int, total: int, line: str) -> None:
+        left = (time.monotonic() - started) / done * (total - done)
+        _say(f"{done}/{total} {line}; about {left:.0f} s left")
+
+    return progress
 
 
 def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Result:
@@ -286,11 +302,7 @@ def check_roads(file: Path) -> Result:
 
 def show_road(file: Path | None, seed: int, max_angle: int, out: Path) -> Path:
     """Draw one road as a PNG."""
-    picture = ds_road.draw(one_road(file, seed, max_angle))
-    done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-    if not done:
-        raise ds_road.RoadError("the picture could not be encoded")
-    out.write_bytes(data.tobytes())
+    out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle))))
     return out
 
 
@@ -301,13 +313,7 @@ def collect(out: Path, simulators: list[str], **settings: Any) -> None:
     from ds_driver.dataset import write_manifest
 
     plan = CollectionPlan(**settings)
-    started = time.monotonic()
-
-    def progress(done: int, total: int, line: str) -> None:
-        left = (time.monotonic() - started) / done * (total - done)
-        _say(f"{done}/{total} {line}; about {left:.0f} s left")
-
-    collect_drives(plan, simulators, out, progress)
+    collect_drives(plan, simulators, out, _countdown())
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
 
 
@@ -323,16 +329,15 @@ def train(data: Path, out: Path, **settings: Any) -> None:
 
 def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Result:
     """Drive unseen roads with a network, without ROS."""
-    from ds_driver.assessment import success_rate, unseen_roads
-    from ds_driver.network_driver import NetworkDriver
+    from ds_driver.assessment import success_rates, unseen_roads
+    from ds_orchestrator.graph_plan import check_driver
 
-    driver = NetworkDriver(network)
-    chosen = unseen_roads(roads, seed)
+    check_driver(network)
     document: dict[str, Any] = {
         "network": network,
         "roads": roads,
         "seed": seed,
-        "success": {name: success_rate(driver, name, chosen, seed, _say) for name in simulators},
+        "success": success_rates(network, simulators, unseen_roads(roads, seed), seed, _countdown()),
     }
 
     def show() -> None:
@@ -342,6 +347,84 @@ def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Res
         Console().print(table)
 
     return Result(document=document, show=show)
+
+
+def compare_siblings(
+    driver: str, simulators: list[str], *, roads: int, seed: int, max_angle: int, out: Path | None
+) -> Result:
+    """Drive the same roads with the same driver on every simulator, and say how differently it went."""
+    from ds_driver.assessment import unseen_roads
+    from ds_driver.driving import Drive, drive_all
+    from ds_orchestrator.comparison import APART, compare, most_different, summary
+    from ds_orchestrator.graph_plan import check_driver
+    from ds_sim.registry import make_simulator
+
+    if len(set(simulators)) < 2:
+        raise ConfigError(f"simulators {', '.join(simulators)}: expected at least two different ones, as --sims a,b")
+    for name in simulators:
+        make_simulator(name).close()
+    check_driver(driver)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    chosen = unseen_roads(roads, seed, max_angle=max_angle)
+    drives = [Drive(name, driver, road, seed + i) for i, road in enumerate(chosen) for name in simulators]
+    runs: dict[str, list[RunRecord]] = {name: [] for name in simulators}
+    say = _countdown()
+    try:
+        for done, (drive, run) in enumerate(zip(drives, drive_all(drives), strict=True), start=1):
+            runs[drive.simulator].append(run)
+            say(done, len(drives), f"{run.road.road_id} on {drive.simulator}: {run.outcome.name.lower()}")
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    pairs = compare(runs)
+    document: dict[str, Any] = {
+        "driver": driver,
+        "roads": roads,
+        "seed": seed,
+        "max_angle": max_angle,
+        "simulators": {name: summary(of) for name, of in runs.items()},
+        "pairs": [asdict(pair) for pair in pairs],
+        "failed_on": {
+            road.road_id: [n for n in simulators if runs[n][i].outcome.is_failure] for i, road in enumerate(chosen)
+        },
+    }
+    if out is not None:
+        (out / "comparison.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_roads(chosen, out / "roads.json")
+        for rank, index in enumerate(most_different(runs, PICTURED)):
+            paths = {
+                name: np.array([(o.vehicle.x, o.vehicle.y) for o in runs[name][index].observations])
+                for name in simulators
+            }
+            (out / f"most_different_{rank + 1}.png").write_bytes(png(ds_road.draw(chosen[index], trajectories=paths)))
+
+    def show() -> None:
+        table = Table("simulator", "roads", "failures", "errors", "median of max |lateral|, m")
+        for name, row in document["simulators"].items():
+            median = row["median_max_lateral_position"]
+            table.add_row(name, str(row["roads"]), str(row["failures"]), str(row["errors"]), _number(median))
+        Console().print(table)
+        verdicts = Table("pair", "both fail", "first only", "second only", "neither", "Cohen's kappa")
+        distances = Table("pair", "median apart, m", "95 %, m", f"over {APART:g} m apart", "correlation")
+        for pair in pairs:
+            names = f"{pair.first}, {pair.second}"
+            counts = (pair.both_fail, pair.only_first_fails, pair.only_second_fails, pair.both_complete)
+            kappa = _number(pair.kappa) or "undefined"
+            if pair.kappa_interval:
+                kappa += " ({:.2f} to {:.2f})".format(*pair.kappa_interval)
+            verdicts.add_row(names, *map(str, counts), kappa)
+            share = "" if pair.share_apart is None else f"{pair.share_apart:.0%}"
+            distances.add_row(
+                names, _number(pair.median_apart), _number(pair.apart_95), share, _number(pair.correlation)
+            )
+        Console().print(verdicts)
+        for reason in sorted({pair.reason for pair in pairs if pair.reason}):
+            print(f"kappa undefined: {reason}")
+        Console().print(distances)
+        if out is not None:
+            print(out)
+
+    return Result(document=document, show=show, error=any(row["errors"] for row in document["simulators"].values()))
 
 
 def models() -> Result:
@@ -391,6 +474,10 @@ def one_road(file: Path | None, seed: int, max_angle: int) -> ds_road.Road:
     if len(roads) != 1:
         raise ds_road.RoadError(f"{file}: {len(roads)} roads, expected one")
     return roads[0]
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
 
 
 def _crops() -> dict[str, Any]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
+from ds_driver.driving import AUTOPILOT
 from ds_orchestrator.supervisor import ProcessSpec
 from ds_sim.registry import make_simulator
-
-AUTOPILOT = "autopilot"
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:

@@ -1,0 +1,159 @@
+"""How differently simulators behave under the same driver on the same roads: complementary, not copies (paper 3.2)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from statsmodels.stats.inter_rater import cohens_kappa
+
+from ds_sim.session import RunRecord
+from ds_sim.simulator import HALF_LANE, Outcome
+
+GRID = 0.5
+"""Metres of arc length between two places at which lateral positions are compared; chosen: two camera frames' way."""
+APART = 0.5
+"""Metres between lateral positions that count as apart; chosen: a quarter of half a lane."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairComparison:
+    """Two simulators on the same roads.
+
+    Attributes:
+        first: name.
+        second: name.
+        roads: on which both runs ended with a verdict.
+        both_fail: roads on which both runs failed.
+        only_first_fails: roads.
+        only_second_fails: roads.
+        both_complete: roads.
+        kappa: Cohen's kappa of the verdicts with its 95 % interval; None where it is not defined.
+        kappa_interval: of kappa, asymptotic (statsmodels).
+        reason: why there is no kappa, or "".
+        median_apart: m, median over all places of the distance between the lateral positions.
+        apart_95: m, 95th percentile of the same.
+        most_apart: m, largest.
+        share_apart: share of places where they are more than `APART` apart.
+        correlation: Pearson r of the lateral positions over all places, None where one is constant.
+    """
+
+    first: str
+    second: str
+    roads: int
+    both_fail: int
+    only_first_fails: int
+    only_second_fails: int
+    both_complete: int
+    kappa: float | None
+    kappa_interval: tuple[float, float] | None
+    reason: str
+    median_apart: float | None
+    apart_95: float | None
+    most_apart: float | None
+    share_apart: float | None
+    correlation: float | None
+
+
+def compare(runs: Mapping[str, Sequence[RunRecord]]) -> list[PairComparison]:
+    """Compare every pair of simulators.
+
+    Args:
+        runs: simulator -> its runs, the same roads in the same order for all.
+
+    Returns:
+        One comparison per pair, in the order of the mapping. Runs that ended in an error say nothing and are left out.
+    """
+    return [_pair(a, b, list(zip(runs[a], runs[b], strict=True))) for a, b in combinations(runs, 2)]
+
+
+def summary(runs: Sequence[RunRecord]) -> dict[str, Any]:
+    """Outcomes and driving quality of one simulator, as JSON values."""
+    judged = [run for run in runs if run.outcome.is_verdict]
+    return {
+        "roads": len(judged),
+        "errors": len(runs) - len(judged),
+        "failures": sum(run.outcome.is_failure for run in judged),
+        "outcomes": {o.name: n for o in Outcome if (n := sum(run.outcome is o for run in runs))},
+        "median_max_lateral_position": float(np.median([r.max_lateral_position for r in judged])) if judged else None,
+    }
+
+
+def most_different(runs: Mapping[str, Sequence[RunRecord]], count: int) -> list[int]:
+    """Indices of the roads on which two simulators get farthest apart, the farthest first."""
+    total = len(next(iter(runs.values())))
+    widest = [
+        max((float(gap.max()) for a, b in combinations(runs, 2) if len(gap := gaps(runs[a][i], runs[b][i]))), default=0)
+        for i in range(total)
+    ]
+    return sorted(range(total), key=lambda i: (-widest[i], i))[:count]
+
+
+def gaps(one: RunRecord, other: RunRecord) -> NDArray[np.float64]:
+    """Distance between the lateral positions of two runs, m, at every `GRID` of arc length that both covered."""
+    first, second = _lateral(one, other)
+    return np.abs(first - second)
+
+
+def _lateral(one: RunRecord, other: RunRecord) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lateral positions of two runs at the same places."""
+    profiles = []
+    for run in (one, other):
+        arc = np.maximum.accumulate([o.lane.arc_length for o in run.observations])
+        lateral = np.array([o.lane.lateral_position for o in run.observations])
+        # Beyond the lane's edge a run is lost: how far it flies says nothing of where it failed.
+        profiles.append((arc, np.clip(lateral, -HALF_LANE, HALF_LANE)))
+    end = min((float(arc[-1]) for arc, _ in profiles if len(arc)), default=0.0)
+    places = np.arange(GRID, end, GRID)
+    if not all(len(arc) for arc, _ in profiles):
+        places = places[:0]
+    first, second = (np.interp(places, arc, lateral) if len(places) else places for arc, lateral in profiles)
+    return np.asarray(first, np.float64), np.asarray(second, np.float64)
+
+
+def _pair(first: str, second: str, pairs: list[tuple[RunRecord, RunRecord]]) -> PairComparison:
+    judged = [(a, b) for a, b in pairs if a.outcome.is_verdict and b.outcome.is_verdict]
+    table = np.zeros((2, 2), int)
+    for a, b in judged:
+        table[int(a.outcome.is_failure), int(b.outcome.is_failure)] += 1
+    kappa, interval, reason = _kappa(first, second, table)
+    laterals = [_lateral(a, b) for a, b in judged]
+    ones, others = (np.concatenate([pair[i] for pair in laterals]) if laterals else np.empty(0) for i in (0, 1))
+    apart = np.abs(ones - others)
+    known = len(apart) > 0
+    varied = known and ones.std() > 0 and others.std() > 0
+    return PairComparison(
+        first=first,
+        second=second,
+        roads=len(judged),
+        both_fail=int(table[1, 1]),
+        only_first_fails=int(table[1, 0]),
+        only_second_fails=int(table[0, 1]),
+        both_complete=int(table[0, 0]),
+        kappa=kappa,
+        kappa_interval=interval,
+        reason=reason,
+        median_apart=float(np.median(apart)) if known else None,
+        apart_95=float(np.percentile(apart, 95)) if known else None,
+        most_apart=float(apart.max()) if known else None,
+        share_apart=float((apart > APART).mean()) if known else None,
+        correlation=float(np.corrcoef(ones, others)[0, 1]) if varied else None,
+    )
+
+
+def _kappa(first: str, second: str, table: NDArray[np.int_]) -> tuple[float | None, tuple[float, float] | None, str]:
+    """Cohen's kappa of a table of verdicts (rows: first, columns: second), its interval, or why there is none."""
+    if table.sum() == 0:
+        return None, None, "no road was driven to a verdict on both"
+    for name, counts in ((first, table.sum(axis=1)), (second, table.sum(axis=0))):
+        if 0 in counts:
+            verdict = "completes" if counts[1] == 0 else "fails"
+            return None, None, f"{name} {verdict} every road: agreement beyond chance is not defined"
+    found = cohens_kappa(table)
+    interval = float(found.kappa_low), float(found.kappa_upp)
+    return float(found.kappa), interval if all(map(math.isfinite, interval)) else None, ""
