@@ -20,6 +20,7 @@ from ds_orchestrator.config import CampaignConfig
 from ds_orchestrator.search import DeepHyperion
 from ds_orchestrator.store import Execution, Store, Test
 from ds_road import Road
+from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -119,7 +120,7 @@ class Campaign:
             rng = np.random.default_rng(_seed(self._config.seed, "search", sibling, run))
             search = DeepHyperion(self._config.search.settings(), rng)
             for number in range(search.budget):
-                test_id = f"{sibling.partition(':')[0]}-{run}-{number:04d}"
+                test_id = f"{label_of(sibling)}-{run}-{number:04d}"
                 test = Test(
                     test_id=test_id,
                     sibling=sibling,
@@ -163,7 +164,7 @@ class Campaign:
         """Write the bag, then the store."""
         bag = ""
         if self._config.record != "none":
-            bag = f"bags/{test.test_id}-on-{simulator.partition(':')[0]}"
+            bag = f"bags/{test.test_id}-on-{label_of(simulator)}"
             about = {"test_id": test.test_id, "simulator": simulator, "driver": self._config.driver}
             write_bag(self._folder / bag, self._namespaces[simulator], run, about)
         execution = execution_of(test.test_id, simulator, run, bag)

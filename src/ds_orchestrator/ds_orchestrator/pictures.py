@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_orchestrator.maps import FeatureMap, MapCell
+from ds_sim.registry import label_of
 
 Value = Literal["probability", "quality"]
 Rgb = tuple[int, int, int]
@@ -140,7 +141,7 @@ def write_maps(maps: Mapping[str, FeatureMap], folder: Path) -> None:
     values: tuple[Value, ...] = ("probability", "quality")
     for name, feature_map in maps.items():
         for value in values:
-            _save(folder / f"{name.replace(':', '_')}_{value}.png", draw_map(feature_map, value, bounds=bounds))
+            _save(folder / f"{label_of(name)}_{value}.png", draw_map(feature_map, value, bounds=bounds))
     compared = [m for name, m in maps.items() if name == "merged" or name.startswith(("union_", "twin_"))]
     if compared:
         rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in values]

@@ -10,6 +10,7 @@ from ds_orchestrator.config import CampaignConfig, parse_config
 from ds_orchestrator.evaluation import Correlation, evaluate
 from ds_orchestrator.maps import FeatureMap, campaign_maps, to_json
 from ds_orchestrator.store import Store, StoreError
+from ds_sim.registry import label_of
 
 
 def open_store(folder: Path) -> Store:
@@ -45,7 +46,7 @@ def write_json(folder: Path, maps: dict[str, FeatureMap], correlations: list[Cor
     out.mkdir(exist_ok=True)
     document = to_json(maps)
     for name, content in document.items():
-        (out / f"{name.replace(':', '_')}.json").write_text(_text(content))
+        (out / f"{label_of(name)}.json").write_text(_text(content))
     (out / "maps.json").write_text(_text(document))
     (out / "correlations.json").write_text(_text([asdict(c) for c in correlations]))
 

@@ -105,7 +105,7 @@ def test_write_maps_writes_every_map_and_the_overview_with_equal_bytes(tmp_path:
     for folder in ("one", "two"):
         write_maps(maps, tmp_path / folder)
     written = {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()}
-    expected = {f"{n.replace(':', '_')}_{v}.png" for n in names for v in ("probability", "quality")} | {"overview.png"}
+    expected = {f"{n.replace(':', '.')}_{v}.png" for n in names for v in ("probability", "quality")} | {"overview.png"}
     assert set(written) == expected
     assert written == {path.name: path.read_bytes() for path in (tmp_path / "two").iterdir()}
     single = cv2.imdecode(np.frombuffer(written["merged_quality.png"], np.uint8), cv2.IMREAD_COLOR)

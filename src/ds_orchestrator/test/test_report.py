@@ -21,6 +21,7 @@ from ds_orchestrator.maps import FeatureMap, MapCell, campaign_maps
 from ds_orchestrator.report import TOLERANCE, camera_pictures, page_data, write_report
 from ds_orchestrator.store import Execution, Store, Test
 from ds_road import Road, generate
+from ds_sim.registry import label_of
 from ds_sim.simulator import Outcome
 
 EVIL = "nowhere:</script><script>alert('&')</script>"
@@ -54,7 +55,7 @@ def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> l
     made = []
     for k, sibling in enumerate(config.siblings):
         for number in range(per_sibling):
-            test_id = f"{sibling.partition(':')[0]}-0-{number:04d}"
+            test_id = f"{label_of(sibling)}-0-{number:04d}"
             chosen = road((len(config.siblings) * number + k) % roads)
             test = Test(test_id=test_id, sibling=sibling, run=0, number=number, road=chosen, seed=3)
             driven = [make_execution(test, name, float(rng.uniform(0.2, 2.6))) for name in config.simulators]

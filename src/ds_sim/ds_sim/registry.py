@@ -14,6 +14,11 @@ SIMULATORS = {
 """Name on the command line -> `module:Class`, a class without constructor arguments."""
 
 
+def label_of(name: str) -> str:
+    """A simulator's name as a part of file names and test ids; different names keep different labels."""
+    return "".join(c if c.isalnum() or c in "_-." else "." for c in name)
+
+
 class UnknownSimulatorError(ValueError):
     """A name that stands for no simulator."""
 
