@@ -101,7 +101,10 @@ def parse_config(raw: object, source: str) -> CampaignConfig:
     try:
         return CampaignConfig.model_validate(raw)
     except ValidationError as error:
-        problems = [f"{'.'.join(map(str, e['loc'])) or 'top level'}: {e['msg']}" for e in error.errors()]
+        problems = [
+            f"{'.'.join(map(str, e['loc'])) or 'top level'}: {e['msg'].removeprefix('Value error, ')}"
+            for e in error.errors()
+        ]
         keys = ", ".join(CampaignConfig.model_fields)
         hint = f" (keys: {keys})" if any(e["type"] == "extra_forbidden" for e in error.errors()) else ""
         raise ConfigError(f"{source}: {'; '.join(problems)}{hint}") from None

@@ -1,0 +1,33 @@
+"""The example of docs/add_a_simulator.md as a third sibling, by the one line that the document shows."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.graph
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "add_a_simulator.md"
+
+
+def test_the_whole_method_takes_a_third_sibling(tmp_path: Path) -> None:
+    line = re.search(r"^siblings: .*$", DOCUMENT.read_text(), re.MULTILINE)
+    assert line is not None
+    search = "search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}"
+    (tmp_path / "c.yaml").write_text("\n".join((line.group(), "twin: donkey", "driver: autopilot", search)))
+    command = [sys.executable, "-m", "ds_orchestrator.cli", "campaign", "run", "c.yaml", "--out", "out", "--json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr[-2000:]
+    document = json.loads(done.stdout)
+    # Two tests from each of three searches, each on three siblings and on the twin.
+    assert document["executions"] == 3 * 2 * 4 and document["executions_in_error"] == 0
+    maps = json.loads((tmp_path / "out" / "maps" / "maps.json").read_text())
+    unions = [maps[f"union_{name}"] for name in ("bullet", "softbody", "bicycle:BicycleSimulator")]
+    assert all(sum(cell["tests"] for cell in union["cells"]) == 6 for union in unions)
+    assert (tmp_path / "out" / "maps" / "union_bicycle.BicycleSimulator.json").is_file()
+    assert "bicycle" in (tmp_path / "out" / "report.html").read_text()

@@ -1,0 +1,119 @@
+"""What every simulator promises through its node: the same bits as without ROS, REP-103 signs, honest information."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ds_driver.driving import drive_road, make_driver
+from ds_orchestrator.campaign import trajectory_sha256
+from ds_road import generate
+from ds_sim.registry import make_simulator
+from ds_sim.simulator import Outcome
+
+pytestmark = pytest.mark.graph
+
+ROAD = generate(np.random.default_rng(21), max_angle=120)
+
+
+@pytest.fixture(scope="module")
+def graph(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Every simulator with the autopilot, in one graph; gives (executor, simulator -> namespace)."""
+    from ds_orchestrator.running import running_graph
+
+    names = request.getfixturevalue("all_simulator_names")
+    spaces = {name: f"/sim{index}" for index, name in enumerate(names)}
+    logs: Path = tmp_path_factory.mktemp("logs")
+    with running_graph(spaces, "autopilot", command_timeout=10.0, logs=logs) as executor:
+        yield executor, spaces
+
+
+def test_a_node_drives_as_its_simulator_does(graph: Any, simulator_name: str) -> None:
+    """Bit for bit, and again after another road."""
+    executor, _ = graph
+    simulator = make_simulator(simulator_name)
+    here = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 5)
+    simulator.close()
+    assert here.outcome is Outcome.COMPLETED
+    runs = [executor.execute(simulator_name, *what) for what in ((ROAD, 5), (ROAD.reversed(), 6), (ROAD, 5))]
+    assert [run.outcome for run in runs] == [Outcome.COMPLETED] * 3
+    assert [trajectory_sha256(run) == trajectory_sha256(here) for run in runs] == [True, False, True]
+    assert runs[0].commands == here.commands
+
+
+def test_a_node_tells_what_its_simulator_is(graph: Any, simulator_name: str) -> None:
+    executor, _ = graph
+    simulator = make_simulator(simulator_name)
+    spec, info = simulator.spec, executor.info(simulator_name)
+    simulator.close()
+    assert (info.name, info.physics) == (spec.name, spec.physics)
+    assert info.wheelbase == pytest.approx(spec.wheelbase)
+    assert info.max_steering_angle == pytest.approx(spec.max_steering_angle)
+
+
+def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
+    """Odometry turns left where the road does, frames carry the namespace, image and info belong together."""
+    import rclpy
+    from nav_msgs.msg import Odometry
+    from rclpy.node import Node
+    from sensor_msgs.msg import CameraInfo, Image
+
+    executor, spaces = graph
+    space = spaces[simulator_name]
+    heard: dict[str, list[Any]] = {"odom": [], "info": [], "image": []}
+    node = Node("listener")
+    node.create_subscription(Odometry, f"{space}/odom", heard["odom"].append, 1000)
+    node.create_subscription(CameraInfo, f"{space}/camera/camera_info", heard["info"].append, 1000)
+    node.create_subscription(Image, f"{space}/camera/image_raw", heard["image"].append, 5)
+    deadline = time.monotonic() + 10.0
+    while node.count_publishers(f"{space}/odom") == 0 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    import threading
+
+    done = threading.Event()
+
+    def listen() -> None:
+        while not done.is_set() and rclpy.ok():
+            rclpy.spin_once(node, timeout_sec=0.05)
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    run = executor.execute(simulator_name, ROAD, 5)
+    time.sleep(0.5)
+    done.set()
+    listener.join(5.0)
+    node.destroy_node()
+    assert run.outcome is Outcome.COMPLETED
+    assert len(heard["odom"]) > 50 and len(heard["info"]) > 50 and heard["image"]
+    name = space.strip("/")
+    odom = heard["odom"][-1]
+    assert odom.child_frame_id == f"{name}/base_link" and odom.header.frame_id
+    image = heard["image"][-1]
+    assert (image.height, image.width, image.encoding, image.step) == (160, 320, "rgb8", 960)
+    assert image.header.frame_id == f"{name}/camera"
+    stamps = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in heard["info"]}
+    assert (image.header.stamp.sec, image.header.stamp.nanosec) in stamps
+    info = heard["info"][-1]
+    assert (info.height, info.width) == (160, 320) and info.k[0] > 0.0
+    # Against the recorded run: x, y as they are, the yaw rate left positive, the quaternion the heading's.
+    states = {round(o.vehicle.x, 9): o.vehicle for o in run.observations}
+    matched = 0
+    for message in heard["odom"]:
+        vehicle = states.get(round(message.pose.pose.position.x, 9))
+        if vehicle is None or abs(vehicle.y - message.pose.pose.position.y) > 1e-9:
+            continue
+        matched += 1
+        q = message.pose.pose.orientation
+        yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+        assert np.cos(yaw - vehicle.yaw) == pytest.approx(1.0, abs=1e-4)
+        assert message.twist.twist.angular.z == pytest.approx(vehicle.yaw_rate, abs=1e-6)
+        assert message.twist.twist.linear.x == pytest.approx(vehicle.speed, abs=1e-6)
+    assert matched > 50
+    turned = run.observations[-1].vehicle.yaw - run.observations[0].vehicle.yaw
+    summed = sum(m.twist.twist.angular.z for m in heard["odom"]) / len(heard["odom"]) * run.simulated_seconds
+    assert summed == pytest.approx(turned, abs=0.15 + 0.1 * abs(turned))
