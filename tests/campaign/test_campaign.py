@@ -34,15 +34,16 @@ SPACES = {DONKEYS[0]: "/ds1", DONKEYS[1]: "/ds2"}
 class LocalExecutor:
     """Drives in this process; stops after so many runs, and has so many errors to hand out first."""
 
-    def __init__(self, *, runs: int = 10_000, errors: int = 0) -> None:
+    def __init__(self, *, runs: int = 10_000, errors: int = 0, errors_after: int = 0) -> None:
         self.roads: list[tuple[str, str]] = []
         self._left = runs
         self._errors = errors
+        self._errors_after = errors_after
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         if self._left == 0:
             return RunRecord(road=road, seed=seed, outcome=Outcome.CANCELLED)
-        if self._errors:
+        if self._errors and len(self.roads) >= self._errors_after:
             self._errors -= 1
             return RunRecord(road=road, seed=seed, outcome=Outcome.DRIVER_SILENT, message="no command within 1 s")
         self._left -= 1
@@ -109,6 +110,24 @@ def test_errors_are_retried_so_often_and_never_enter_a_map(tmp_path: Path) -> No
     again = LocalExecutor()
     campaign, store = run(tmp_path / "a", again, config)
     assert campaign.failed_executions == 0 and len(store.executions()) == 4
+
+
+def test_a_search_that_went_on_without_an_outcome_does_so_again(tmp_path: Path) -> None:
+    """The second test has no outcome at first; when it has one, the roads that followed are still those."""
+    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
+    _, store = run(tmp_path / "a", LocalExecutor(errors=2, errors_after=1), config)
+    roads = [test.road.road_id for test in store.tests()]
+    assert len(store.executions()) == 3 and len(store.given_up()) == 1
+    again = LocalExecutor()
+    _, store = run(tmp_path / "a", again, config)
+    assert again.roads == [(DONKEYS[1], roads[1])]
+    assert [test.road.road_id for test in store.tests()] == roads
+    assert len(store.executions()) == 4
+    # Each outcome belongs to the road that the store holds for it.
+    driven = {e.test_id: e.trajectory for e in store.executions()}
+    for test in store.tests():
+        start = test.road.right_lane_centre[0]
+        assert driven[test.test_id][0, :2] == pytest.approx(start, abs=0.05)
 
 
 def test_a_store_of_another_campaign_version_or_kind_is_refused(tmp_path: Path) -> None:

@@ -115,7 +115,12 @@ class Campaign:
                 raise
 
     def _search(self, sibling: str) -> None:
-        """Every run of the search on one sibling, with what the store knows already."""
+        """Every run of the search on one sibling, with what the store knows already.
+
+        A search that went on without a test's outcome does so again, even if the test has one by now: the roads that
+        followed are in the store.
+        """
+        given_up = self._store.given_up()
         for run in range(self._config.search.runs):
             rng = np.random.default_rng(_seed(self._config.seed, "search", sibling, run))
             search = DeepHyperion(self._config.search.settings(), rng)
@@ -131,7 +136,9 @@ class Campaign:
                 )
                 self._store.add_test(test)
                 execution = self._execute(test, sibling)
-                search.tell(execution.fitness if execution else None)
+                if execution is None:
+                    self._store.give_up(test_id)
+                search.tell(execution.fitness if execution and test_id not in given_up else None)
 
     def _migrate(self, simulator: str, tests: Sequence[Test]) -> None:
         """Every test that another sibling's search made (paper 3.4); all of them on the twin (paper 3.6)."""

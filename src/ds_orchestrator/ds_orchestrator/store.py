@@ -31,6 +31,7 @@ CREATE TABLE executions (
 CREATE TABLE errors (
     test_id TEXT NOT NULL, simulator TEXT NOT NULL, attempt INTEGER NOT NULL, outcome TEXT NOT NULL,
     message TEXT NOT NULL);
+CREATE TABLE given_up (test_id TEXT PRIMARY KEY);
 """
 
 
@@ -171,6 +172,16 @@ class Store:
         with self._lock:
             row = (test_id, simulator, attempt, outcome.name, message)
             self._db.execute("INSERT INTO errors VALUES (?,?,?,?,?)", row)
+
+    def give_up(self, test_id: str) -> None:
+        """Remember that the search went on without the outcome of a test."""
+        with self._lock:
+            self._db.execute("INSERT OR IGNORE INTO given_up VALUES (?)", (test_id,))
+
+    def given_up(self) -> set[str]:
+        """Tests without whose outcome the search went on; they may have one now."""
+        with self._lock:
+            return {row[0] for row in self._db.execute("SELECT test_id FROM given_up")}
 
     def errors(self) -> list[tuple[str, str, int, str, str]]:
         """Attempts that ended in an error: test, simulator, attempt, outcome, message."""
