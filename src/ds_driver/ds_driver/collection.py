@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from zlib import crc32
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from ds_driver.control import Autopilot
 from ds_driver.dataset import drive_path, encode, write_drive
+from ds_driver.workers import in_workers
 from ds_road import Road, generate
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Command, Outcome, Simulator
@@ -51,30 +53,60 @@ def training_roads(plan: CollectionPlan) -> list[Road]:
     return roads
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    plan: CollectionPlan
+    folder: Path
+    simulator: str
+    road: Road
+    road_id: str
+    direction: str
+    index: int
+
+    @property
+    def path(self) -> Path:
+        return drive_path(self.folder, self.simulator, self.road_id, self.direction)
+
+
 def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
     """Drive every road; a drive whose file exists is not driven again, so that a stopped collection goes on."""
-    roads = training_roads(plan)
-    drives = [
-        (name, road if direction == "forward" else road.reversed(), road.road_id, direction, index)
-        for index, road in enumerate(roads)
+    jobs = [
+        _Job(
+            plan=plan,
+            folder=folder,
+            simulator=name,
+            road=road if direction == "forward" else road.reversed(),
+            road_id=road.road_id,
+            direction=direction,
+            index=index,
+        )
+        for index, road in enumerate(training_roads(plan))
         for direction in ("forward", "reverse")
         for name in simulators
     ]
-    made: dict[str, Simulator] = {}
-    for done, (name, road, road_id, direction, index) in enumerate(drives, start=1):
-        path = drive_path(folder, name, road_id, direction)
-        if path.exists():
-            progress(done, len(drives), f"{name} {road_id} {direction}: there already")
-            continue
-        simulator = made.setdefault(name, make_simulator(name))
-        rng = np.random.default_rng([plan.seed, index, direction == "reverse", crc32(name.encode())])
-        rows, outcome = _drive(simulator, road, rng, plan)
-        for row in rows:
-            row.update(simulator=name, road_id=road_id, direction=direction)
-        write_drive(path, rows)
-        progress(done, len(drives), f"{name} {road_id} {direction}: {outcome.name.lower()}, {len(rows)} images")
-    for simulator in made.values():
-        simulator.close()
+    missing = [job for job in jobs if not job.path.exists()]
+    known = len(jobs) - len(missing)
+    if known:
+        progress(known, len(jobs), f"{known} drives are there already")
+    for done, line in enumerate(in_workers(_collect, missing), start=known + 1):
+        progress(done, len(jobs), line)
+
+
+@cache
+def _simulator(name: str) -> Simulator:
+    """One per worker: they take a while to make."""
+    return make_simulator(name)
+
+
+def _collect(job: _Job) -> str:
+    """Drive one road and write its file; what a person wants to read of it."""
+    simulator = _simulator(job.simulator)
+    rng = np.random.default_rng([job.plan.seed, job.index, job.direction == "reverse", crc32(job.simulator.encode())])
+    rows, outcome = _drive(simulator, job.road, rng, job.plan)
+    for row in rows:
+        row.update(simulator=job.simulator, road_id=job.road_id, direction=job.direction)
+    write_drive(job.path, rows)
+    return f"{job.simulator} {job.road_id} {job.direction}: {outcome.name.lower()}, {len(rows)} images"
 
 
 def _drive(

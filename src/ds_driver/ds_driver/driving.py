@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 
 from ds_driver.control import Autopilot
+from ds_driver.workers import in_workers
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
@@ -64,49 +61,25 @@ def drive_road(simulator: Simulator, driver: Driver, road: Road, seed: int) -> R
 
 
 def drive_all(drives: Sequence[Drive], *, workers: int | None = None) -> Iterator[RunRecord]:
-    """Drive every road, in order, in worker processes with one maths thread each.
-
-    Args:
-        drives: what to drive.
-        workers: processes; the processors of this machine if left out. The records do not depend on their number.
-
-    Yields:
-        Each drive's record as soon as it and all before it are there.
-    """
-    context = multiprocessing.get_context("spawn")
-    count = min(workers or len(os.sched_getaffinity(0)), max(len(drives), 1))
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
-        try:
-            yield from pool.map(_drive, drives)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    """Drive every road, in order, in worker processes; the records do not depend on their number."""
+    return in_workers(_drive, drives, workers=workers)
 
 
-_made: dict[tuple[str, str], tuple[Simulator, Driver]] = {}
+@cache
+def _simulator(name: str) -> Simulator:
+    """One per worker: they take a while to make."""
+    return make_simulator(name)
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the parent and die with it; one maths thread, so that workers do not fight."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ["OMP_NUM_THREADS"] = "1"
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """A parent that was killed cannot stop its pool."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+@cache
+def _network(driver: str, simulator: str) -> Driver:
+    """One per worker; a network keeps nothing of a drive."""
+    return make_driver(driver, _simulator(simulator).spec)
 
 
 def _drive(drive: Drive) -> RunRecord:
-    key = (drive.simulator, drive.driver)
-    if key not in _made:
-        simulator = make_simulator(drive.simulator)
-        _made[key] = simulator, make_driver(drive.driver, simulator.spec)
-    simulator, driver = _made[key]
-    if drive.driver == AUTOPILOT:  # it keeps the last error; networks keep nothing
-        driver = make_driver(AUTOPILOT, simulator.spec)
+    simulator = _simulator(drive.simulator)
+    # The autopilot remembers its last error, so every drive gets a new one.
+    alone = drive.driver == AUTOPILOT
+    driver = make_driver(AUTOPILOT, simulator.spec) if alone else _network(drive.driver, drive.simulator)
     return drive_road(simulator, driver, drive.road, drive.seed)

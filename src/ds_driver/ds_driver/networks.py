@@ -41,7 +41,67 @@ class Dave2(nn.Module):
         return result
 
 
-NETWORKS: dict[str, Callable[[], nn.Module]] = {"dave2": Dave2}
+class Chauffeur(nn.Module):
+    """Chauffeur, of Udacity's second challenge, as the paper uses it: six convolutions, 104,905 parameters.
+
+    Input and output as those of `Dave2`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        channels = 3
+        # Filters and kernel sizes (maxitwo); each block halves the image.
+        for filters, kernel in ((16, 5), (20, 5), (40, 3), (60, 3), (80, 2)):
+            layers += [_same(channels, filters, kernel), nn.ReLU(), nn.Dropout(0.05), nn.MaxPool2d(2)]
+            channels = filters
+        self.features = nn.Sequential(*layers, _same(channels, 128, 2), nn.ReLU())
+        # maxitwo's signature says 0.1, but its training passes 0.5.
+        self.steering = nn.Sequential(nn.Flatten(), nn.Dropout(0.5), nn.Linear(6400, 1))
+        for layer in self.features.modules():
+            if isinstance(layer, nn.Conv2d):
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Steering for a batch of images."""
+        result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
+        return result
+
+
+class Epoch(nn.Module):
+    """Epoch, of Udacity's second challenge, reduced as in the paper: three convolutions, 26,239,009 parameters.
+
+    Input and output as those of `Dave2`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        channels = 3
+        for filters in (16, 32, 64):
+            layers += [_same(channels, filters, 3), nn.ReLU(), nn.MaxPool2d(2), nn.Dropout(0.1)]
+            channels = filters
+        self.features = nn.Sequential(*layers)
+        self.steering = nn.Sequential(
+            nn.Flatten(),
+            nn.Linear(51200, 512), nn.ReLU(), nn.Dropout(0.5),
+            nn.Linear(512, 1),
+        )  # fmt: skip
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Steering for a batch of images."""
+        result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
+        return result
+
+
+def _same(channels: int, filters: int, kernel: int) -> nn.Module:
+    """A convolution that keeps the image's size; an even kernel pads right and below, as Keras does."""
+    if kernel % 2:
+        return nn.Conv2d(channels, filters, kernel, padding=kernel // 2)
+    return nn.Sequential(nn.ZeroPad2d((0, 1, 0, 1)), nn.Conv2d(channels, filters, kernel))
+
+
+NETWORKS: dict[str, Callable[[], nn.Module]] = {"dave2": Dave2, "chauffeur": Chauffeur, "epoch": Epoch}
 """Name on the command line -> architecture."""
 
 

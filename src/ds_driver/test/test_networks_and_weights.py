@@ -11,19 +11,21 @@ import torch
 from safetensors.torch import save_file
 
 from ds_driver.network_driver import NetworkDriver
-from ds_driver.networks import UnknownNetworkError, count_parameters, make_network
+from ds_driver.networks import NETWORKS, UnknownNetworkError, count_parameters, make_network
 from ds_driver.preprocessing import Crop, ImageError, prepare
 from ds_driver.weights import WeightsError, load_network, save_weights, shipped_networks
 
 
-def test_dave2_has_the_papers_parameters() -> None:
-    assert count_parameters(make_network("dave2")) == 2_882_619
+@pytest.mark.parametrize(("name", "parameters"), [("dave2", 2_882_619), ("chauffeur", 104_905), ("epoch", 26_239_009)])
+def test_the_networks_have_the_papers_parameters(name: str, parameters: int) -> None:
+    assert count_parameters(make_network(name)) == parameters
 
 
-def test_weights_survive_the_way_to_disk_and_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", sorted(NETWORKS))
+def test_weights_survive_the_way_to_disk_and_back(tmp_path: Path, name: str) -> None:
     torch.manual_seed(1)
-    network = make_network("dave2").eval()
-    save_weights(network, tmp_path / "a.safetensors", architecture="dave2")
+    network = make_network(name).eval()
+    save_weights(network, tmp_path / "a.safetensors", architecture=name)
     image = torch.rand(1, 3, 160, 320) * 255
     with torch.inference_mode():
         assert load_network(str(tmp_path / "a.safetensors"))(image).item() == pytest.approx(

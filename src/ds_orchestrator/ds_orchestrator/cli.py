@@ -212,13 +212,21 @@ def _one_line(error: BaseException) -> str:
     return f"{where}{' '.join(str(text).split())}"
 
 
+def _say_stopped() -> None:
+    print("stopped: what was finished is kept, the same command goes on from there", file=sys.stderr)
+
+
 def main() -> None:
     """Run `ds`; whatever goes wrong ends in one line on standard error."""
     try:
         app(prog_name="ds")
     except commands.Interrupted:
-        print("stopped: what was finished is kept, the same command goes on from there", file=sys.stderr)
+        _say_stopped()
         sys.exit(130)
+    except SystemExit as end:
+        if end.code == 130:  # typer's answer to Ctrl-C
+            _say_stopped()
+        raise
     except (ValueError, OSError) as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
         sys.exit(2)
