@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from ds_driver.driving import drive_road, make_driver
 from ds_orchestrator.campaign import trajectory_sha256
 from ds_road import generate
 from ds_sim.registry import make_simulator
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import FRAME_TIME, Outcome
 
 pytestmark = pytest.mark.graph
 
@@ -70,10 +71,6 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     node.create_subscription(Odometry, f"{space}/odom", heard["odom"].append, 1000)
     node.create_subscription(CameraInfo, f"{space}/camera/camera_info", heard["info"].append, 1000)
     node.create_subscription(Image, f"{space}/camera/image_raw", heard["image"].append, 5)
-    deadline = time.monotonic() + 10.0
-    while node.count_publishers(f"{space}/odom") == 0 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    import threading
 
     done = threading.Event()
 
@@ -83,13 +80,18 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
 
     listener = threading.Thread(target=listen)
     listener.start()
+    # Until both sides of every topic know of each other, nothing is promised: one run to get acquainted.
+    executor.execute(simulator_name, ROAD, 5)
+    time.sleep(0.5)
+    for messages in heard.values():
+        messages.clear()
     run = executor.execute(simulator_name, ROAD, 5)
     time.sleep(0.5)
     done.set()
     listener.join(5.0)
     node.destroy_node()
     assert run.outcome is Outcome.COMPLETED
-    assert len(heard["odom"]) > 50 and len(heard["info"]) > 50 and heard["image"]
+    assert len(heard["odom"]) == len(heard["info"]) == run.steps + 1 and heard["image"]
     name = space.strip("/")
     odom = heard["odom"][-1]
     assert odom.child_frame_id == f"{name}/base_link" and odom.header.frame_id
@@ -101,19 +103,13 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     info = heard["info"][-1]
     assert (info.height, info.width) == (160, 320) and info.k[0] > 0.0
     # Against the recorded run: x, y as they are, the yaw rate left positive, the quaternion the heading's.
-    states = {round(o.vehicle.x, 9): o.vehicle for o in run.observations}
-    matched = 0
-    for message in heard["odom"]:
-        vehicle = states.get(round(message.pose.pose.position.x, 9))
-        if vehicle is None or abs(vehicle.y - message.pose.pose.position.y) > 1e-9:
-            continue
-        matched += 1
-        q = message.pose.pose.orientation
+    for message, observation in zip(heard["odom"], run.observations, strict=True):
+        vehicle, place, q = observation.vehicle, message.pose.pose.position, message.pose.pose.orientation
+        assert (place.x, place.y) == pytest.approx((vehicle.x, vehicle.y), abs=1e-9)
         yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
         assert np.cos(yaw - vehicle.yaw) == pytest.approx(1.0, abs=1e-4)
-        assert message.twist.twist.angular.z == pytest.approx(vehicle.yaw_rate, abs=1e-6)
         assert message.twist.twist.linear.x == pytest.approx(vehicle.speed, abs=1e-6)
-    assert matched > 50
+        assert message.twist.twist.angular.z == pytest.approx(vehicle.yaw_rate, abs=1e-6)
     turned = run.observations[-1].vehicle.yaw - run.observations[0].vehicle.yaw
-    summed = sum(m.twist.twist.angular.z for m in heard["odom"]) / len(heard["odom"]) * run.simulated_seconds
-    assert summed == pytest.approx(turned, abs=0.15 + 0.1 * abs(turned))
+    summed = sum(m.twist.twist.angular.z for m in heard["odom"]) * FRAME_TIME
+    assert summed == pytest.approx(turned, abs=0.05)

@@ -75,6 +75,31 @@ def test_a_run_through_ros_equals_a_run_in_this_process(graph: Any) -> None:
     assert runs[0].fitness == session.run.fitness
 
 
+def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
+    """The goal's answer is there before the request has been noted down: a slow sender, as on a busy machine."""
+
+    class Slow:
+        def __init__(self, handle: Any) -> None:
+            self._handle = handle
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._handle, name)
+
+        def send_goal_request(self, request: Any) -> Any:
+            number = self._handle.send_goal_request(request)
+            time.sleep(0.5)
+            return number
+
+    client = graph._simulators["donkey"].drive
+    handle = client._client_handle
+    client._client_handle = Slow(handle)
+    started = time.monotonic()
+    run = graph.execute("donkey", ROAD, 5)
+    client._client_handle = handle
+    assert run.outcome is Outcome.COMPLETED, run.message
+    assert time.monotonic() - started < 20.0
+
+
 def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:
     """What ds_road would not even build is sent as a message, as anybody could."""
     from ds_interfaces.msg import Road as RoadMessage

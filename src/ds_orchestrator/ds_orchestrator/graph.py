@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,8 @@ class GraphExecutor:
         rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("orchestrator")
         self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
         self._spinner = threading.Thread(target=self._spin, name="spinner", daemon=True)
         self._spinner.start()
 
@@ -127,20 +130,22 @@ class GraphExecutor:
             return Outcome.SIM_ERROR, f"road refused: {loaded.reason}"
         simulator.alive = time.monotonic()
         goal = DriveRoad.Goal(command_timeout=self._timeout)
-        handle = self._wait(simulator.drive.send_goal_async(goal, simulator.heard), SERVICE_TIME)
+        handle = self._call(lambda: simulator.drive.send_goal_async(goal, simulator.heard), SERVICE_TIME)
         if handle is None or not handle.accepted:
             return Outcome.SIM_ERROR, "the goal was not accepted: is another run under way?"
         result = self._await_result(simulator, handle)
         if result is None:
             if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
-                self._wait(handle.cancel_goal_async(), 1.0)
+                self._call(handle.cancel_goal_async, 1.0)
             return Outcome.SIM_ERROR, "the simulator fell silent during the run"
         _fill(record, result.result)
         return Outcome(result.result.outcome.value), result.result.message
 
     def _await_result(self, simulator: _Simulator, handle: Any) -> Any:
         """Wait for a result for as long as the simulator shows signs of life."""
-        future = handle.get_result_async()
+        future = self._wait(self._executor.create_task(handle.get_result_async), SERVICE_TIME)
+        if future is None:
+            return None
         silence = self._timeout + SERVICE_TIME
         while not future.done():
             if self._stopped.is_set() or time.monotonic() - simulator.alive > silence:
@@ -153,10 +158,20 @@ class GraphExecutor:
     def _ask(self, client: Any, request: Any) -> Any:
         """The answer of a service that may be asked again, or None."""
         for _ in range(ATTEMPTS):
-            answer = self._wait(client.call_async(request), SERVICE_TIME / ATTEMPTS)
+            answer = self._call(lambda: client.call_async(request), SERVICE_TIME / ATTEMPTS)
             if answer is not None or self._stopped.is_set():
                 return answer
         return None
+
+    def _call(self, begin: Callable[[], Future], limit: float) -> Any:
+        """The answer to a request, or None when the time is up or we were stopped.
+
+        It is sent by the spinner's thread: rclpy's action client has no lock, and an answer that comes before the
+        request is noted down is thrown away.
+        """
+        deadline = time.monotonic() + limit
+        begun = self._wait(self._executor.create_task(begin), limit)
+        return None if begun is None else self._wait(begun, max(0.0, deadline - time.monotonic()))
 
     def _wait(self, future: Future, limit: float) -> Any:
         """A future's result, or None when the time is up or we were stopped."""
@@ -169,11 +184,9 @@ class GraphExecutor:
         return future.result()
 
     def _spin(self) -> None:
-        executor = SingleThreadedExecutor()
-        executor.add_node(self._node)
         try:
             while rclpy.ok():
-                executor.spin_once(timeout_sec=0.2)
+                self._executor.spin_once(timeout_sec=0.2)
         except ExternalShutdownException:
             pass
 
