@@ -163,6 +163,8 @@ def _textures(look: Look) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Repeatable textures of grass and asphalt, (TEXTURE_SIZE, TEXTURE_SIZE, 3) each."""
     rng = np.random.default_rng(look.grain_seed)
     grass = _texture(rng, look.grass, look.grass_grain, (1.0, 6.0))
+    if look.relief > 0.0:
+        grass = _lit(grass, look)
     return grass, _texture(rng, look.asphalt, look.asphalt_grain, (0.0, 10.0))
 
 
@@ -179,6 +181,17 @@ def _texture(
         total += noise / noise.std()
     shade = grain * total / math.sqrt(len(blurs))
     return np.clip(np.asarray(colour) + shade[:, :, None], 0, 255).round().astype(np.uint8)
+
+
+def _lit(texture: NDArray[np.uint8], look: Look) -> NDArray[np.uint8]:
+    """A texture shaded as a relief of its own brightness: lighter on the slopes that face the light."""
+    height = cv2.copyMakeBorder(texture.mean(axis=2), 16, 16, 16, 16, cv2.BORDER_WRAP)
+    height = np.asarray(cv2.GaussianBlur(height, (0, 0), 2.0), np.float64)
+    # Facing the light, height falls towards it.
+    slope_y, slope_x = (np.asarray(v)[16:-16, 16:-16] for v in np.gradient(height))
+    facing = -(slope_x * math.cos(look.sun_azimuth) + slope_y * math.sin(look.sun_azimuth))
+    shade = look.relief * facing / facing.std()
+    return np.clip(texture + shade[:, :, None], 0, 255).round().astype(np.uint8)
 
 
 def _tiled(texture: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:

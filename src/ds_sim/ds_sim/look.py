@@ -31,6 +31,7 @@ class Look:
         hills: height of a far skyline above the horizon, degrees; 0 for none. Only ever above the horizon.
         hill_colour: colour of that skyline.
         skyline: what it is made of.
+        lamps: how many hang above it.
     """
 
     asphalt: Colour
@@ -51,3 +52,4 @@ class Look:
     hills: float = 0.0
     hill_colour: Colour = (110, 130, 120)
     skyline: Literal["hills", "trees", "room"] = "hills"
+    lamps: int = 0

@@ -81,6 +81,8 @@ def _painted(look: Look, scale: float) -> Painted:
         cosine = cosine + np.sin(coarse_elevation)[:, None] * math.sin(look.sun_elevation)
         # A broad glow, as in the one-lobe approximations of sky models: exp of the angle to the sun.
         image += look.sun_glow * np.exp((cosine - 1.0) * 4.0)[:, :, None]
+    if look.lamps:
+        _add_lamps(image, look, scale)
     for height, colour in _skyline(look, azimuth):
         covered = (elevation[:, None] < height[None, :]).astype(np.float32)
         cover = cv2.resize(covered, (turn, rows + _BELOW), interpolation=cv2.INTER_AREA)[:, :, None]
@@ -88,6 +90,28 @@ def _painted(look: Look, scale: float) -> Painted:
     strip = np.full((rows + _BELOW, turn, 4), 255, np.uint8)
     strip[:, :, :3] = np.clip(image, 0, 255).round()
     return np.ascontiguousarray(np.concatenate((strip, strip), axis=1))
+
+
+def _add_lamps(image: NDArray[np.float64], look: Look, scale: float) -> None:
+    """Lamps under a ceiling: bright discs above the skyline, smaller and denser towards the horizon."""
+    rng = np.random.default_rng(look.grain_seed + 1)
+    turn = image.shape[1]
+    light = np.zeros(image.shape[:2], np.float32)
+    for _ in range(look.lamps):
+        # Seen from below, lamps spread evenly over a ceiling crowd towards the horizon.
+        elevation = math.atan(math.tan(math.radians(look.hills)) / rng.uniform(0.15, 1.0))
+        column, row = int(rng.integers(0, turn)), image.shape[0] - _BELOW - elevation * scale
+        radius = scale * (0.008 + 0.03 * math.sin(elevation))
+        for wrapped in (column - turn, column, column + turn):
+            cv2.ellipse(
+                light,
+                (wrapped * 16, int(row * 16)),
+                (int(radius * 32), int(radius * 16)),
+                0.0, 0.0, 360.0, 1.0, -1, cv2.LINE_AA, 4,
+            )  # fmt: skip
+    light = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.6))
+    halo = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.04 * scale))
+    image += 190.0 * np.maximum(light, 0.35 * halo)[:, :, None]
 
 
 def _skyline(look: Look, azimuth: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
