@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import pade
 
 IMAGE_HEIGHT, IMAGE_WIDTH = 160, 320
 """Camera image in pixels (paper 3.2.2)."""
+WIDEST = math.radians(72.0)
+"""Angle from the axis up to which the wide-angle lens is fitted; chosen: beyond the corner of 120 degrees at 2:1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,14 +66,29 @@ class CameraSpec:
     def distortion(self) -> tuple[float, ...]:
         """OpenCV's k1, k2, p1, p2, k3, k4, k5, k6 of the lens; no more than five zeros for the pinhole.
 
-        The wide-angle lens is the rational polynomial itself, with the coefficients of the Pade approximant of
-        atan(r) / r, so that `cv2.undistort` and a ROS `rational_polynomial` hold exactly. It is equidistant within
-        0.01 px up to 67 degrees from the axis, the image's corner.
+        The wide-angle lens is the rational polynomial itself, so that `cv2.undistort` and a ROS
+        `rational_polynomial` hold exactly. It is equidistant within 0.01 px up to 67 degrees from the axis, the
+        corner of an image of 120 degrees.
         """
         if self.lens == "pinhole":
             return (0.0,) * 5
-        # atan(r) / r = 1 - t / 3 + t^2 / 5 - ... with t = r^2.
-        above, below = pade([(-1) ** n / (2 * n + 1) for n in range(7)], 3)
-        k3, k2, k1 = above.coeffs[:3]
-        k6, k5, k4 = below.coeffs[:3]
-        return tuple(float(k) for k in (k1, k2, 0.0, 0.0, k3, k4, k5, k6))
+        return _equidistant_coefficients()
+
+
+@cache
+def _equidistant_coefficients() -> tuple[float, ...]:
+    """The rational polynomial nearest to atan(r) / r over the lens's angles, by weighted linear least squares."""
+    angle = WIDEST * (1 - np.cos(np.linspace(0.0, math.pi, 200))[1:]) / 2
+    t = np.tan(angle) ** 2
+    ratio = angle / np.tan(angle)
+    powers = np.stack((t, t**2, t**3), axis=1)
+    below = np.ones_like(t)
+    # The equation is multiplied by the denominator: dividing by the last one found makes it the error of the ratio.
+    for _ in range(20):
+        weight = angle / ratio / below
+        matrix = np.hstack((powers, -ratio[:, None] * powers)) * weight[:, None]
+        scale = np.abs(matrix).max(axis=0)
+        found = np.linalg.lstsq(matrix / scale, (ratio - 1.0) * weight, rcond=None)[0] / scale
+        below = 1.0 + powers @ found[3:]
+    k1, k2, k3, k4, k5, k6 = (float(k) for k in found)
+    return k1, k2, 0.0, 0.0, k3, k4, k5, k6

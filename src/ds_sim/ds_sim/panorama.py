@@ -128,7 +128,7 @@ def _skyline(look: Look, azimuth: NDArray[np.float64]) -> list[tuple[NDArray[np.
         for _ in range(22):
             middle, half = rng.uniform(-math.pi, math.pi), rng.uniform(0.03, 0.16)
             near = np.abs((azimuth - middle + math.pi) % (2 * math.pi) - math.pi) < half
-            tone = np.clip(colour * rng.uniform(0.25, 1.25) + rng.normal(0.0, 9.0, 3), 0, 255)
+            tone = np.clip(colour * rng.uniform(0.25, 1.25) + rng.normal(0.0, 5.0, 3), 0, 255)
             layers.append((np.where(near, top * rng.uniform(0.15, 0.95), 0.0), tone))
         return layers
     for haze, share, waves in ((0.45, 1.0, range(2, 14)), (0.1, 0.6, range(5, 40))):

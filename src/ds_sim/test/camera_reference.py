@@ -20,7 +20,7 @@ def directions(
     body = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
     centre = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
     pixels = np.stack((columns, rows), axis=-1)[:, None, :]
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
     flat = cv2.undistortPoints(pixels, spec.intrinsics, np.array(spec.distortion), criteria=criteria)
     right, down = flat[:, 0, 0], flat[:, 0, 1]
     mount = body * Rotation.from_euler("Y", spec.pitch)
@@ -32,7 +32,7 @@ def brute_force(
 ) -> NDArray[np.float64]:
     """Rows of the frame as the mean of `samples` x `samples` rays a pixel into the finest raster, (rows, columns, 3).
 
-    The raster is read bilinearly; all the rows must lie below the horizon.
+    The raster is read bilinearly. Above the horizon the result says nothing.
     """
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     level = ground.levels[0]
@@ -50,6 +50,13 @@ def brute_force(
                     level[..., channel], (row, column), float, order=1, cval=ground.outside[channel]
                 ).reshape(frame.shape[:2])
     return frame / samples**2
+
+
+def below_horizon(spec: CameraSpec, vehicle: VehicleState, rows: range) -> NDArray[np.bool_]:
+    """Which pixels of some rows lie two rows or more below the horizon, (rows, columns)."""
+    v, u = (a.ravel().astype(float) for a in np.meshgrid(rows, np.arange(spec.width), indexing="ij"))
+    rays, _ = directions(spec, vehicle, u, v - 2.0)
+    return np.asarray(rays[:, 2] < 0.0).reshape(len(rows), spec.width)
 
 
 def psnr(frame: NDArray[np.uint8], reference: NDArray[np.float64]) -> float:
