@@ -58,7 +58,9 @@ def main() -> None:
             camera.render(ground, states[0])
             ours = median_ms(lambda state, c=camera, g=ground: c.render(g, state), states)  # type: ignore[misc]
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-            bare = median_ms(lambda _, r=raster, s=(width, height): cv2.warpPerspective(r, plain, s, flags=flags), states)  # type: ignore[misc]  # noqa: E501
+            bare = median_ms(
+                lambda _, r=raster, s=(width, height): cv2.warpPerspective(r, plain, s, flags=flags), states
+            )  # type: ignore[misc]  # noqa: E501
             print(f"{name:<9} {width} x {height}: {1e3 / ours:5.0f} frames/s, {ours / bare:.1f} x plain bilinear")
     if len(sys.argv) > 1:
         compare(Path(sys.argv[1]))

@@ -114,7 +114,7 @@ def test_the_horizon_moves_smoothly_with_roll_and_pitch(name: str) -> None:
 def test_undistortion_with_the_published_numbers_makes_the_edges_straight(
     straight: Ground, columns: slice, rows: tuple[int, int], bent: float
 ) -> None:
-    """cv2.undistort with K and D of the twin: both edge lines bend by a pixel before, by less than half of one after."""
+    """cv2.undistort with K and D of the twin: both edge lines bend before, by less than half a pixel after."""
     spec = CAMERAS["donkey"]
     assert len(spec.distortion) == 8
     frame = Camera(spec, LOOK).render(straight, pose(127.0, 40.0, math.pi / 2))
@@ -155,7 +155,9 @@ def test_motion_blurs_what_moves_and_only_that(straight: Ground) -> None:
 def test_the_same_pose_gives_the_same_bytes(straight: Ground) -> None:
     for spec in CAMERAS.values():
         vehicle = pose(127.0, 40.0, 1.5, roll=0.04, pitch=0.01, heave=0.02, speed=5.0, yaw_rate=0.3)
-        assert np.array_equal(Camera(spec, LOOK).render(straight, vehicle), Camera(spec, LOOK).render(straight, vehicle))
+        assert np.array_equal(
+            Camera(spec, LOOK).render(straight, vehicle), Camera(spec, LOOK).render(straight, vehicle)
+        )
 
 
 def test_the_skyline_stands_on_the_horizon_and_turns_with_yaw(straight: Ground) -> None:
