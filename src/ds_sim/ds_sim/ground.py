@@ -95,7 +95,7 @@ class Ground:
     @cached_property
     def from_atlas(self) -> NDArray[np.float64]:
         """Inverse of `to_atlas`."""
-        return np.linalg.inv(self.to_atlas)
+        return np.asarray(np.linalg.inv(self.to_atlas), np.float64)
 
 
 def paint_ground(road: Road, look: Look) -> Ground:

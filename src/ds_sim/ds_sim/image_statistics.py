@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK = 8
-"""Side of the blocks in which noise is looked for, px; that of JPEG's blocks, and small enough to lie on one surface."""
+"""Side of the blocks in which noise is looked for, px; as JPEG's blocks, and small enough to lie on one surface."""
 QUIETEST = 0.1
 """Share of the blocks, those of least variance, that are taken to show noise alone."""
 
@@ -63,8 +63,8 @@ def image_statistics(image: NDArray[np.uint8]) -> ImageStatistics:
 def _noise(luma: NDArray[np.float64]) -> tuple[float, float]:
     """Standard deviation and share of fine frequencies of the quietest blocks."""
     rows, columns = (size // BLOCK for size in luma.shape)
-    blocks = luma[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK).swapaxes(1, 2)
-    blocks = blocks.reshape(-1, BLOCK, BLOCK)
+    tiles = luma[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK).swapaxes(1, 2)
+    blocks = tiles.reshape(-1, BLOCK, BLOCK)
     # Blocks at either end of the range are clipped, not quiet.
     level = blocks.mean(axis=(1, 2))
     inside = blocks[(level > 20.0) & (level < 235.0)]

@@ -32,9 +32,9 @@ class Panorama:
         self._scale = float(spec.intrinsics[0, 0])
         self._strip = _painted(look, self._scale)
         self._turn = round(2 * math.pi * self._scale)
-        columns = np.arange(-1, math.ceil(spec.width / _STEP) + 1) * _STEP + (_STEP - 1) / 2
-        rows = np.arange(-1, math.ceil(spec.height_px / _STEP) + 1) * _STEP + (_STEP - 1) / 2
-        self._rays = rays(spec, columns[None, :], rows[:, None])
+        columns = np.arange(-1.0, math.ceil(spec.width / _STEP) + 1) * _STEP + (_STEP - 1) / 2
+        rows = np.arange(-1.0, math.ceil(spec.height_px / _STEP) + 1) * _STEP + (_STEP - 1) / 2
+        self._rays = rays(spec, np.asarray(columns[None, :], np.float64), np.asarray(rows[:, None], np.float64))
 
     def draw(self, frame: Painted, rows: int, axes: NDArray[np.float64], yaw: float) -> None:
         """Fill the first `rows` rows of an RGBA frame.
@@ -132,9 +132,8 @@ def _skyline(look: Look, azimuth: NDArray[np.float64]) -> list[tuple[NDArray[np.
             layers.append((np.where(near, top * rng.uniform(0.15, 0.95), 0.0), tone))
         return layers
     for haze, share, waves in ((0.45, 1.0, range(2, 14)), (0.1, 0.6, range(5, 40))):
-        ridge = sum(
-            rng.uniform(0.3, 1.0) / n * np.sin(n * azimuth + rng.uniform(0, 2 * math.pi)) for n in waves
-        )  # fmt: skip
+        waves_now = [rng.uniform(0.3, 1.0) / n * np.sin(n * azimuth + rng.uniform(0, 2 * math.pi)) for n in waves]
+        ridge = np.sum(waves_now, axis=0)
         height = share * top * (0.25 + 0.75 * (ridge - ridge.min()) / (ridge.max() - ridge.min()))
         layers.append((height, (1 - haze) * colour + haze * np.asarray(look.horizon, float)))
     if look.skyline == "trees":
