@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 IMAGE_HEIGHT, IMAGE_WIDTH = 160, 320
 """Camera image in pixels (paper 3.2.2)."""
+WIDEST = math.radians(72.0)
+"""Angle from the axis up to which the wide-angle lens is fitted; chosen: beyond the corner of 120 degrees at 2:1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +26,14 @@ class CameraSpec:
         forward: of the optical centre before the vehicle's centre, m.
         pitch: of the optical axis, nose down positive, rad.
         lens: `pinhole`, or `equidistant` for a wide angle: distances from the image's middle are proportional to
-            angles from the optical axis, which shows as barrel distortion.
-        gain: brightness factor (exposure).
+            angles from the optical axis (within 0.01 px, see `distortion`), which shows as barrel distortion.
+        gain: brightness factor.
         gamma: of the sensor's response; 1 is linear.
+        exposure: time that the shutter is open, s; what moves meanwhile is blurred.
+        blur: standard deviation of the lens's point spread, px.
         noise: standard deviation of the sensor noise, grey levels.
+        noise_blur: standard deviation of the filter that the noise went through (demosaicing, JPEG), px.
+        noise_colour: share of the noise that is not common to the three colours, 0 grey to 1.
         latency: frames between exposure and delivery.
         width: image columns.
         height_px: image rows.
@@ -39,7 +46,11 @@ class CameraSpec:
     lens: Literal["pinhole", "equidistant"] = "pinhole"
     gain: float = 1.0
     gamma: float = 1.0
+    exposure: float = 0.0
+    blur: float = 0.0
     noise: float = 0.0
+    noise_blur: float = 0.0
+    noise_colour: float = 1.0
     latency: int = 0
     width: int = IMAGE_WIDTH
     height_px: int = IMAGE_HEIGHT
@@ -50,3 +61,34 @@ class CameraSpec:
         half = self.horizontal_fov / 2
         focal = (self.width / 2) / (half if self.lens == "equidistant" else math.tan(half))
         return np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height_px - 1) / 2], [0, 0, 1.0]])
+
+    @property
+    def distortion(self) -> tuple[float, ...]:
+        """OpenCV's k1, k2, p1, p2, k3, k4, k5, k6 of the lens; no more than five zeros for the pinhole.
+
+        The wide-angle lens is the rational polynomial itself, so that `cv2.undistort` and a ROS
+        `rational_polynomial` hold exactly. It is equidistant within 0.01 px up to 67 degrees from the axis, the
+        corner of an image of 120 degrees.
+        """
+        if self.lens == "pinhole":
+            return (0.0,) * 5
+        return _equidistant_coefficients()
+
+
+@cache
+def _equidistant_coefficients() -> tuple[float, ...]:
+    """The rational polynomial nearest to atan(r) / r over the lens's angles, by weighted linear least squares."""
+    angle = WIDEST * (1 - np.cos(np.linspace(0.0, math.pi, 200))[1:]) / 2
+    t = np.tan(angle) ** 2
+    ratio = angle / np.tan(angle)
+    powers = np.stack((t, t**2, t**3), axis=1)
+    below = np.ones_like(t)
+    # The equation is multiplied by the denominator: dividing by the last one found makes it the error of the ratio.
+    for _ in range(20):
+        weight = angle / ratio / below
+        matrix = np.hstack((powers, -ratio[:, None] * powers)) * weight[:, None]
+        scale = np.abs(matrix).max(axis=0)
+        found = np.linalg.lstsq(matrix / scale, (ratio - 1.0) * weight, rcond=None)[0] / scale
+        below = 1.0 + powers @ found[3:]
+    k1, k2, k3, k4, k5, k6 = (float(k) for k in found)
+    return k1, k2, 0.0, 0.0, k3, k4, k5, k6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -32,7 +32,8 @@ class Ground:
     """A painted plane.
 
     Attributes:
-        levels: rasters (rows, columns, 3) uint8 RGB, finest first; row 0 holds the smallest y.
+        levels: rasters (rows, columns, 3 or 4) uint8 RGB or RGBA, finest first, each half the size of the one before;
+            row 0 holds the smallest y.
         origin: x and y of the outer corner of pixel (0, 0), m, the same for every level.
         resolution: metres per pixel of the finest level.
         outside: colour of the plane beyond the rasters.
@@ -49,6 +50,52 @@ class Ground:
         return np.array(
             [[size, 0.0, self.origin[0] + 0.5 * size], [0.0, size, self.origin[1] + 0.5 * size], [0.0, 0.0, 1.0]]
         )
+
+    @cached_property
+    def atlas(self) -> NDArray[np.uint8]:
+        """All levels in one raster (rows, 2 columns, 4), side by side.
+
+        With (x, y) in pixels of the finest level from the outer corner, and s = 1, 1/2, 1/4 ... the scale of a level,
+        a point is at (2 columns + s (x - 2 columns), s y): one formula for every level. Four channels, because OpenCV
+        reads them twice as fast as three. Every level ends in a rim of the outside's colour.
+        """
+        rows, columns = self.levels[0].shape[:2]
+        outside = (*self.outside, 255)
+        atlas = np.zeros((rows, 2 * columns, 4), np.uint8)
+        start = 0
+        for level in self.levels:
+            high, wide = level.shape[:2]
+            atlas[:, start] = outside
+            part = atlas[:high, start : start + wide]
+            part[:, :, :3] = level[:, :, :3]
+            part[0] = part[-1] = part[:, 0] = part[:, -1] = outside
+            atlas[high : high + 1, start : start + wide] = outside
+            start += wide
+        atlas[:, start:] = outside
+        return atlas
+
+    def room(self, position: NDArray[np.float64]) -> float:
+        """Metres from a point (x, y, ...) to the nearest border of the rasters; negative outside."""
+        rows, columns = self.levels[0].shape[:2]
+        x, y = float(position[0]) - self.origin[0], float(position[1]) - self.origin[1]
+        return min(x, y, columns * self.resolution - x, rows * self.resolution - y)
+
+    @property
+    def coarsest(self) -> float:
+        """Scale of the coarsest level, 1 for the finest."""
+        return 0.5 ** (len(self.levels) - 1)
+
+    @cached_property
+    def to_atlas(self) -> NDArray[np.float64]:
+        """Matrix (3, 3) from (x, y, 1) in m to (x - 2 columns, y, 1) in pixels of the finest level; see `atlas`."""
+        r = self.resolution
+        left = self.origin[0] / r + 2 * self.levels[0].shape[1]
+        return np.array([[1 / r, 0.0, -left], [0.0, 1 / r, -self.origin[1] / r], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def from_atlas(self) -> NDArray[np.float64]:
+        """Inverse of `to_atlas`."""
+        return np.asarray(np.linalg.inv(self.to_atlas), np.float64)
 
 
 def paint_ground(road: Road, look: Look) -> Ground:
@@ -116,6 +163,8 @@ def _textures(look: Look) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Repeatable textures of grass and asphalt, (TEXTURE_SIZE, TEXTURE_SIZE, 3) each."""
     rng = np.random.default_rng(look.grain_seed)
     grass = _texture(rng, look.grass, look.grass_grain, (1.0, 6.0))
+    if look.relief > 0.0:
+        grass = _lit(grass, look)
     return grass, _texture(rng, look.asphalt, look.asphalt_grain, (0.0, 10.0))
 
 
@@ -132,6 +181,17 @@ def _texture(
         total += noise / noise.std()
     shade = grain * total / math.sqrt(len(blurs))
     return np.clip(np.asarray(colour) + shade[:, :, None], 0, 255).round().astype(np.uint8)
+
+
+def _lit(texture: NDArray[np.uint8], look: Look) -> NDArray[np.uint8]:
+    """A texture shaded as a relief of its own brightness: lighter on the slopes that face the light."""
+    height = cv2.copyMakeBorder(texture.mean(axis=2), 16, 16, 16, 16, cv2.BORDER_WRAP)
+    height = np.asarray(cv2.GaussianBlur(height, (0, 0), 2.0), np.float64)
+    # Facing the light, height falls towards it.
+    slope_y, slope_x = (np.asarray(v)[16:-16, 16:-16] for v in np.gradient(height))
+    facing = -(slope_x * math.cos(look.sun_azimuth) + slope_y * math.sin(look.sun_azimuth))
+    shade = look.relief * facing / facing.std()
+    return np.clip(texture + shade[:, :, None], 0, 255).round().astype(np.uint8)
 
 
 def _tiled(texture: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 Colour = tuple[int, int, int]
 
@@ -22,8 +23,15 @@ class Look:
         asphalt_grain: standard deviation of the asphalt's texture, grey levels.
         grass_grain: standard deviation of the grass's texture, grey levels.
         grain_seed: which texture; part of the look, the same in every run.
+        relief: standard deviation of the grass's shading by the light's direction, grey levels.
+        sky_height: elevation at which the sky reaches `sky_top`, degrees.
+        sun_azimuth: where the light comes from, rad, counter-clockwise from +x of the road frame.
+        sun_elevation: rad above the horizon.
+        sun_glow: brightness added to the sky at the sun, grey levels.
         hills: height of a far skyline above the horizon, degrees; 0 for none. Only ever above the horizon.
         hill_colour: colour of that skyline.
+        skyline: what it is made of.
+        lamps: how many hang above it.
     """
 
     asphalt: Colour
@@ -36,5 +44,12 @@ class Look:
     asphalt_grain: float = 6.0
     grass_grain: float = 14.0
     grain_seed: int = 1
+    relief: float = 0.0
+    sky_height: float = 40.0
+    sun_azimuth: float = 0.0
+    sun_elevation: float = 0.6
+    sun_glow: float = 0.0
     hills: float = 0.0
     hill_colour: Colour = (110, 130, 120)
+    skyline: Literal["hills", "trees", "room"] = "hills"
+    lamps: int = 0

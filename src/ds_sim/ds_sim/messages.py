@@ -66,12 +66,15 @@ def image_to_message(observation: Observation, header: Header) -> Image:
 
 
 def camera_info_message(camera: CameraSpec, header: Header) -> CameraInfo:
-    """Intrinsics of the delivered image."""
+    """Intrinsics and distortion of the delivered image, exact for `cv2.undistort`.
+
+    The wide-angle lens is a `rational_polynomial`, not ROS's `equidistant`, which image_geometry and plain
+    `cv2.undistort` would misread. P is K: an undistorted image shows the middle at the same scale.
+    """
     k = camera.intrinsics
     message = CameraInfo(header=header, height=camera.height_px, width=camera.width)
-    wide = camera.lens == "equidistant"
-    message.distortion_model = "equidistant" if wide else "plumb_bob"
-    message.d = [0.0] * (4 if wide else 5)
+    message.distortion_model = "plumb_bob" if camera.lens == "pinhole" else "rational_polynomial"
+    message.d = list(camera.distortion)
     message.k = k.ravel().tolist()
     message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     message.p = [*k[0].tolist(), 0.0, *k[1].tolist(), 0.0, *k[2].tolist(), 0.0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ds_road import Road, generate
+from ds_road import Road
 from ds_sim.camera import Camera, Sensor
 from ds_sim.camera_spec import CameraSpec
 from ds_sim.ground import Ground, paint_ground
@@ -84,22 +84,7 @@ def test_a_spot_on_the_ground_is_where_geometry_says(
     rows, columns = np.indices(near.shape)
     found_u = (near * columns).sum() / near.sum() + max(round(u) - 14, 0)
     found_v = (near * rows).sum() / near.sum() + max(round(v) - 8, 0)
-    assert found_u == pytest.approx(u, abs=0.5) and found_v == pytest.approx(v, abs=0.6)
-
-
-def test_far_lines_hold_against_a_supersampled_frame() -> None:
-    """The band under the horizon, against the same view with sixteen samples a pixel: 33 dB would be dotted lines."""
-    spec = CameraSpec(horizontal_fov=math.radians(100), height=1.4)
-    fine = CameraSpec(horizontal_fov=math.radians(100), height=1.4, width=320 * 8, height_px=160 * 8)
-    road = generate(np.random.default_rng(4), max_angle=60)
-    lane, vehicle = road.right_lane_centre, None
-    ground = paint_ground(road, LOOK)
-    vehicle = pose(lane[0, 0], lane[0, 1], math.pi / 2)
-    frame = Camera(spec, LOOK).render(ground, vehicle).astype(float)
-    reference = cv2.resize(Camera(fine, LOOK).render(ground, vehicle), (320, 160), interpolation=cv2.INTER_AREA)
-    band = slice(83, 110)
-    error = np.mean((frame[band] - reference[band].astype(float)) ** 2)
-    assert 10 * math.log10(255**2 / error) > 34.0
+    assert found_u == pytest.approx(u, abs=0.5) and found_v == pytest.approx(v, abs=0.5)
 
 
 def test_the_horizon_follows_pitch_and_roll() -> None:

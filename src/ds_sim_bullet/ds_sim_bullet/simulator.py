@@ -37,6 +37,13 @@ LOOK = Look(
     asphalt_grain=5.0,
     grass_grain=14.0,
     grain_seed=2,
+    # Chosen: a clear forenoon, low wooded hills.
+    relief=5.0,
+    sun_azimuth=math.radians(130.0),
+    sun_elevation=math.radians(35.0),
+    sun_glow=55.0,
+    hills=4.0,
+    hill_colour=(92, 122, 104),
 )
 
 

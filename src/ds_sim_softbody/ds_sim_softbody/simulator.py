@@ -38,6 +38,12 @@ LOOK = Look(
     asphalt_grain=7.0,
     grass_grain=18.0,
     grain_seed=7,
+    # Chosen: overcast, so no sun and no relief; a row of trees.
+    sun_azimuth=math.radians(-60.0),
+    sun_glow=14.0,
+    hills=6.0,
+    hill_colour=(70, 84, 74),
+    skyline="trees",
 )
 
 

@@ -24,10 +24,14 @@ CAMERA = CameraSpec(
     forward=0.04 * SCALE,
     pitch=math.radians(12.0),
     lens="equidistant",
-    # Chosen: automatic exposure indoors, and the noise of a small sensor at short exposure.
-    gain=0.92,
-    gamma=0.90,
-    noise=4.0,
+    # Chosen with docs/cameras.md: brightness, noise and noise spectrum of photographs from such a car.
+    gain=1.08,
+    gamma=1.15,
+    noise=1.6,
+    noise_blur=2.8,
+    noise_colour=0.5,
+    # Chosen: automatic exposure indoors, between a frame's 50 ms and the 1/60 s that avoids flicker of lamps.
+    exposure=1.0 / 60.0,
     # One 50 ms frame: exposure, readout and transfer of a Pi camera take 40 to 100 ms.
     latency=1,
 )
@@ -36,13 +40,19 @@ LOOK = Look(
     grass=(86, 116, 62),
     edge_line=(238, 238, 232),
     centre_line=(232, 182, 28),
-    sky_top=(176, 182, 190),
-    horizon=(214, 212, 206),
+    sky_top=(66, 70, 74),
+    horizon=(150, 150, 146),
+    sky_height=20.0,
     # Tape 12 mm wide.
     line_width=0.012 * SCALE,
     asphalt_grain=4.0,
     grass_grain=10.0,
     grain_seed=16,
+    # Chosen: a hall, as in the photographs: furniture before pale walls, lamps under a dark ceiling.
+    hills=13.0,
+    hill_colour=(164, 162, 154),
+    skyline="room",
+    lamps=90,
 )
 
 

@@ -1,0 +1,64 @@
+"""Frames by brute force, with other people's mathematics, to hold the camera against."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+
+from ds_sim.camera_spec import CameraSpec
+from ds_sim.ground import Ground
+from ds_sim.simulator import VehicleState
+
+
+def directions(
+    spec: CameraSpec, vehicle: VehicleState, columns: NDArray[np.float64], rows: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rays (n, 3) of pixels in the road frame by OpenCV's undistortion and SciPy's rotations, and the centre (3,)."""
+    body = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
+    centre = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
+    pixels = np.stack((columns, rows), axis=-1)[:, None, :]
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
+    flat = cv2.undistortPoints(pixels, spec.intrinsics, np.array(spec.distortion), criteria=criteria)
+    right, down = flat[:, 0, 0], flat[:, 0, 1]
+    mount = body * Rotation.from_euler("Y", spec.pitch)
+    return mount.apply(np.stack((np.ones_like(right), -right, -down), axis=1)), centre
+
+
+def brute_force(
+    spec: CameraSpec, ground: Ground, vehicle: VehicleState, rows: range, samples: int = 16
+) -> NDArray[np.float64]:
+    """Rows of the frame as the mean of `samples` x `samples` rays a pixel into the finest raster, (rows, columns, 3).
+
+    The raster is read bilinearly. Above the horizon the result says nothing.
+    """
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    level = ground.levels[0]
+    frame = np.zeros((len(rows), spec.width, 3))
+    v, u = (a.ravel().astype(float) for a in np.meshgrid(rows, np.arange(spec.width), indexing="ij"))
+    for down in offsets:
+        for right in offsets:
+            rays, centre = directions(spec, vehicle, u + right, v + down)
+            with np.errstate(divide="ignore"):
+                reach = np.where(rays[:, 2] < 0.0, -centre[2] / rays[:, 2], 1e6)
+            points = centre[:2] + reach[:, None] * rays[:, :2]
+            column, row = ((points - ground.origin) / ground.resolution - 0.5).T
+            for channel in range(3):
+                frame[..., channel] += map_coordinates(
+                    level[..., channel], (row, column), float, order=1, cval=ground.outside[channel]
+                ).reshape(frame.shape[:2])
+    return frame / samples**2
+
+
+def below_horizon(spec: CameraSpec, vehicle: VehicleState, rows: range) -> NDArray[np.bool_]:
+    """Which pixels of some rows lie two rows or more below the horizon, (rows, columns)."""
+    v, u = (a.ravel().astype(float) for a in np.meshgrid(rows, np.arange(spec.width), indexing="ij"))
+    rays, _ = directions(spec, vehicle, u, v - 2.0)
+    return np.asarray(rays[:, 2] < 0.0).reshape(len(rows), spec.width)
+
+
+def psnr(frame: NDArray[np.uint8], reference: NDArray[np.float64]) -> float:
+    """Peak signal to noise ratio, dB."""
+    return float(10 * np.log10(255**2 / np.mean((frame - reference) ** 2)))
