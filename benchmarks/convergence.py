@@ -10,8 +10,8 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-
 from benchmarks.headless import Car, cars, drive
+
 from ds_driver.collection import CollectionPlan, training_roads
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome

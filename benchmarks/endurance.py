@@ -11,8 +11,8 @@ import dataclasses
 import math
 
 import numpy as np
-
 from benchmarks.headless import cars
+
 from ds_sim.simulator import FRAME_RATE, Command
 
 

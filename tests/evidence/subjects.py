@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.evidence.bicycle import GRAVITY, Axle, SingleTrack
 
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim.vehicle import Vehicle
@@ -21,7 +22,6 @@ from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
-from tests.evidence.bicycle import GRAVITY, Axle, SingleTrack
 
 B, S, D = BulletParameters(), SoftbodyParameters(), DonkeyParameters()
 
@@ -183,4 +183,4 @@ def settled(vehicle: Vehicle, speed: float, *, frames: int = 240) -> float:
 
 def times(frames: int) -> NDArray[np.float64]:
     """Of the frames after a change of command, s, the moment itself included."""
-    return np.arange(frames + 1) * FRAME_TIME
+    return np.arange(frames + 1, dtype=np.float64) * np.float64(FRAME_TIME)

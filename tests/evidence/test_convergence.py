@@ -6,15 +6,15 @@ Twenty roads and more are driven by `python -m benchmarks.convergence`; docs/sim
 from __future__ import annotations
 
 import pytest
-
 from benchmarks.convergence import fitness_shift, random_roads
 from benchmarks.headless import cars, drive
+
 from ds_sim.simulator import Outcome
 
 
 @pytest.mark.parametrize("name", sorted(cars()))
 def test_halving_the_substep_moves_the_fitness_by_less_than_two_centimetres(name: str) -> None:
-    shifts, _ = fitness_shift(cars()[name], random_roads(1), 2)
+    shifts, _ = fitness_shift(cars()[name], random_roads(3), 2)
     assert 0.0 < max(shifts) < 0.02
 
 
