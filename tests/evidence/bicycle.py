@@ -75,7 +75,7 @@ class SingleTrack:
     def yaw_rate(
         self, speed: float, steering: Callable[[float], float], times: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """(n,) rad/s at the times (s), from driving straight ahead at time 0, under a steering angle over time (rad)."""
+        """(n,) rad/s at the times (s), from straight ahead at time 0, under a steering angle over time (rad)."""
         if not self.slips:
             return np.array([speed * math.tan(steering(t)) / self.wheelbase for t in times])
         front, rear = self.front, self.rear
