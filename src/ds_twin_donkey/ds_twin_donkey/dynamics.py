@@ -95,10 +95,13 @@ class CarModel:
 
     Args:
         parameters: of the car.
+        substeps: per frame; `SUBSTEPS` if left out.
     """
 
-    def __init__(self, parameters: DonkeyParameters) -> None:
+    def __init__(self, parameters: DonkeyParameters, *, substeps: int | None = None) -> None:
         p = self.parameters = parameters
+        count = substeps or SUBSTEPS
+        step = self._step = FRAME_TIME / count
         self._to_front = p.wheelbase * (1.0 - p.front_share)
         self._to_rear = p.wheelbase * p.front_share
         weight = p.mass * GRAVITY
@@ -111,11 +114,11 @@ class CarModel:
         self._roll_stiffness = p.roll_inertia * (math.tau * p.roll_frequency) ** 2 + lean
         self._pitch_stiffness = p.pitch_inertia * (math.tau * p.pitch_frequency) ** 2 + lean
         self._breakaway = p.rolling_resistance * weight
-        self._servo_gain = -math.expm1(-STEP / p.servo_lag)
-        self._motor_gain = -math.expm1(-STEP / p.motor_lag)
+        self._servo_gain = -math.expm1(-step / p.servo_lag)
+        self._motor_gain = -math.expm1(-step / p.motor_lag)
         self.frames_of_delay, rest = divmod(p.command_delay, FRAME_TIME)
-        ends = (np.arange(SUBSTEPS) + 1.0) * STEP
-        self._newer_share: list[float] = np.clip((ends - rest) / STEP, 0.0, 1.0).tolist()
+        ends = (np.arange(count) + 1.0) * step
+        self._newer_share: list[float] = np.clip((ends - rest) / step, 0.0, 1.0).tolist()
 
     @property
     def pulses_kept(self) -> int:
@@ -145,7 +148,7 @@ class CarModel:
         older, newer = pulses[-self.pulses_kept], pulses[-self.pulses_kept + 1]
         motion: _Motion = state[:14]
         servo, wheels, duty = state.servo, state.steering_angle, state.duty
-        furthest, play = p.servo_rate * STEP, p.servo_backlash / 2.0
+        furthest, play = p.servo_rate * self._step, p.servo_backlash / 2.0
         for share in self._newer_share:
             rest = 1.0 - share
             move = (share * newer.angle + rest * older.angle - servo) * self._servo_gain
@@ -168,7 +171,7 @@ class CarModel:
             s = (*s[:3], 0.0, 0.0, 0.0, *s[6:10], *_REST)
         left, right = self._wheel_angles(steering)
         wheels = (math.cos(left), math.sin(left), math.cos(right), math.sin(right), duty, brake)
-        h, half = STEP, 0.5 * STEP
+        h, half = self._step, 0.5 * self._step
         k1 = self._slopes(s, wheels, held)
         k2 = self._slopes([a + half * b for a, b in zip(s, k1)], wheels, held)  # noqa: B905
         k3 = self._slopes([a + half * b for a, b in zip(s, k2)], wheels, held)  # noqa: B905

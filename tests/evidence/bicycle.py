@@ -1,0 +1,106 @@
+"""The linear single-track model of the textbooks, integrated by SciPy: an oracle that shares no code with a vehicle.
+
+Pacejka, Tire and Vehicle Dynamics, ch. 1.3 (two axles, small angles, constant speed) with the tyres of ch. 7 (slip
+that builds up over the relaxation length). Left positive throughout, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axle:
+    """Both tyres of an axle.
+
+    Attributes:
+        distance: from the centre of mass, m.
+        stiffness: lateral force over slip angle, N/rad; infinite for a tyre that does not slip.
+        relaxation: length over which slip builds up, m.
+        damping: time constant of the carcass, s.
+        compliance: by how much a lateral force turns the wheels with it (towards more force positive), rad/N.
+    """
+
+    distance: float
+    stiffness: float = math.inf
+    relaxation: float = 0.0
+    damping: float = 0.0
+    compliance: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SingleTrack:
+    """A car as two axles. `mass` kg, `yaw_inertia` kg m^2, `scale` road metres per metre of these numbers."""
+
+    mass: float
+    yaw_inertia: float
+    front: Axle
+    rear: Axle
+    scale: float = 1.0
+
+    @property
+    def wheelbase(self) -> float:
+        """m, of the model."""
+        return self.front.distance + self.rear.distance
+
+    @property
+    def slips(self) -> bool:
+        """Whether the tyres do."""
+        return math.isfinite(self.front.stiffness)
+
+    @property
+    def understeer_gradient(self) -> float:
+        """Steering angle per lateral acceleration, rad s^2/m (in the model's metres): W_f / C_f - W_r / C_r."""
+        if not self.slips:
+            return 0.0
+        front, rear = self.front, self.rear
+        share = self.mass / self.wheelbase
+        return share * (
+            rear.distance * (1.0 / front.stiffness - front.compliance)
+            - front.distance * (1.0 / rear.stiffness - rear.compliance)
+        )
+
+    def steady_yaw_rate(self, speed: float, steering: float) -> float:
+        """rad/s at a speed (m/s of the model) and a steering angle (rad): Gillespie ch. 6."""
+        return speed * steering / (self.wheelbase + self.understeer_gradient * speed**2)
+
+    def yaw_rate(
+        self, speed: float, steering: Callable[[float], float], times: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(n,) rad/s at the times (s), from straight ahead at time 0, under a steering angle over time (rad)."""
+        if not self.slips:
+            return np.array([speed * math.tan(steering(t)) / self.wheelbase for t in times])
+        front, rear = self.front, self.rear
+
+        def force(axle: Axle, slip: float, rate: float) -> float:
+            return -axle.stiffness * (slip + axle.damping * rate)
+
+        def slopes(time: float, s: NDArray[np.float64]) -> list[float]:
+            v, r, slip_front, slip_rear, force_front, force_rear = s
+            # The wheels follow the compliance at once; the algebraic loop is closed by a lag of 1 ms.
+            turned_front = steering(time) + front.compliance * force_front
+            turned_rear = rear.compliance * force_rear
+            rate_front = (v + front.distance * r - speed * turned_front - speed * slip_front) / front.relaxation
+            rate_rear = (v - rear.distance * r - speed * turned_rear - speed * slip_rear) / rear.relaxation
+            now_front, now_rear = force(front, slip_front, rate_front), force(rear, slip_rear, rate_rear)
+            return [
+                (now_front + now_rear) / self.mass - speed * r,
+                (front.distance * now_front - rear.distance * now_rear) / self.yaw_inertia,
+                rate_front,
+                rate_rear,
+                (now_front - force_front) / 1e-3,
+                (now_rear - force_rear) / 1e-3,
+            ]
+
+        end = float(times[-1])
+        found = solve_ivp(slopes, (0.0, end), np.zeros(6), method="LSODA", t_eval=times, rtol=1e-8, atol=1e-10,
+                          max_step=0.01)  # fmt: skip
+        return np.asarray(found.y[1])

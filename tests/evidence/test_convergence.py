@@ -1,0 +1,29 @@
+"""The substep decides nothing: halving it moves the fitness by less than 2 cm on roads that the autopilot drives.
+
+Twenty roads and more are driven by `python -m benchmarks.convergence`; docs/simulators.md has its table.
+"""
+
+from __future__ import annotations
+
+import pytest
+from benchmarks.convergence import fitness_shift, random_roads
+from benchmarks.headless import cars, drive
+
+from ds_sim.simulator import Outcome
+
+
+@pytest.mark.parametrize("name", sorted(cars()))
+def test_halving_the_substep_moves_the_fitness_by_less_than_two_centimetres(name: str) -> None:
+    shifts, _ = fitness_shift(cars()[name], random_roads(3), 2)
+    assert 0.0 < max(shifts) < 0.02
+
+
+@pytest.mark.parametrize("name", sorted(cars()))
+def test_the_autopilot_completes_roads_within_the_speed_limit(name: str) -> None:
+    car = cars()[name]
+    vehicle = car.make(1)
+    for road in random_roads(2)[1:]:
+        driven = drive(car, vehicle, road)
+        assert driven.outcome is Outcome.COMPLETED
+        assert driven.path[:, 3].max() * 3.6 < 30.0
+    vehicle.close()
