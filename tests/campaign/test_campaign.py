@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from ds_driver.control import Autopilot
-from ds_orchestrator.campaign import Campaign, Stopped
+from ds_orchestrator.campaign import Campaign, CampaignError, Stopped
 from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
+from ds_orchestrator.lock import LockError, only_one
 from ds_orchestrator.maps import to_json
 from ds_orchestrator.results import maps_of
 from ds_orchestrator.store import Execution, Store, StoreError, Test
@@ -39,13 +41,16 @@ class LocalExecutor:
         self._left = runs
         self._errors = errors
         self._errors_after = errors_after
+        self.error = Outcome.DRIVER_SILENT
+
+    def stop(self) -> None: ...
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         if self._left == 0:
-            return RunRecord(road=road, seed=seed, outcome=Outcome.CANCELLED)
+            raise Stopped
         if self._errors and len(self.roads) >= self._errors_after:
             self._errors -= 1
-            return RunRecord(road=road, seed=seed, outcome=Outcome.DRIVER_SILENT, message="no command within 1 s")
+            return RunRecord(road=road, seed=seed, outcome=self.error, message="no command within 1 s")
         self._left -= 1
         self.roads.append((simulator, road.road_id))
         made = make_simulator(simulator)
@@ -128,6 +133,70 @@ def test_a_search_that_went_on_without_an_outcome_does_so_again(tmp_path: Path) 
     for test in store.tests():
         start = test.road.right_lane_centre[0]
         assert driven[test.test_id][0, :2] == pytest.approx(start, abs=0.05)
+
+
+def test_a_simulator_without_any_outcome_stops_the_campaign_and_spoils_nothing(tmp_path: Path) -> None:
+    """Two attempts each at five tests in a row; mended, the campaign is the one that nothing ever disturbed."""
+    config = CONFIG.model_copy(
+        update={
+            "siblings": [DONKEYS[1]],
+            "search": SearchConfig(population=3, iterations=5, min_angle=40, max_angle=90, runs=1),
+        }
+    )
+    _, whole = run(tmp_path / "whole", LocalExecutor(), config)
+    with pytest.raises(CampaignError, match=r"donkey gave no outcome for 5 tests in a row .*no command within 1 s"):
+        run(tmp_path / "parts", LocalExecutor(errors=1000, errors_after=2), config)
+    store = Store(tmp_path / "parts" / "campaign.sqlite")
+    assert len(store.tests()) == 3 and store.given_up() == set() and len(store.errors()) == 10
+    store.close()
+    _, store = run(tmp_path / "parts", LocalExecutor(), config)
+    assert maps_text(store) == maps_text(whole)
+    assert [t.road.road_id for t in store.tests()] == [t.road.road_id for t in whole.tests()]
+
+
+def test_a_run_that_somebody_cancelled_is_tried_again(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
+    executor = LocalExecutor(errors=1)
+    executor.error = Outcome.CANCELLED
+    campaign, store = run(tmp_path / "a", executor, config)
+    assert campaign.failed_executions == 0 and len(store.executions()) == 4
+    assert [row[3] for row in store.errors()] == ["CANCELLED"]
+
+
+def test_a_test_that_has_become_another_road_is_noticed(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
+    run(tmp_path / "a", LocalExecutor(runs=2), config)[1].close()
+    db = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
+    db.execute("UPDATE tests SET road_id='another' WHERE number=1")
+    db.commit()
+    with pytest.raises(StoreError, match="test donkey-0-0001 is now another road"):
+        run(tmp_path / "a", LocalExecutor(), config)
+
+
+def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> None:
+    class Broken(LocalExecutor):
+        def __init__(self) -> None:
+            super().__init__()
+            self.stopped = threading.Event()
+
+        def stop(self) -> None:
+            self.stopped.set()
+
+        def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+            if simulator == DONKEYS[1]:
+                raise OSError("no space left")
+            assert self.stopped.wait(20.0), "the run under way was not stopped"
+            return RunRecord(road=road, seed=seed, outcome=Outcome.CANCELLED)
+
+    with pytest.raises(OSError, match="no space left"):
+        run(tmp_path / "a", Broken())
+
+
+def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
+    with only_one(tmp_path), pytest.raises(LockError, match="in use by another run"), only_one(tmp_path):
+        pass
+    with only_one(tmp_path):
+        pass
 
 
 def test_a_store_of_another_campaign_version_or_kind_is_refused(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import pytest
 from ds_driver.control import Autopilot
 from ds_orchestrator.campaign import trajectory_sha256
 from ds_road import Road, generate
+from ds_sim import messages
 from ds_sim.registry import make_simulator
 from ds_sim.session import Session
 from ds_sim.simulator import Outcome
@@ -98,6 +99,37 @@ def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
     client._client_handle = handle
     assert run.outcome is Outcome.COMPLETED, run.message
     assert time.monotonic() - started < 20.0
+
+
+def test_a_run_whose_client_died_is_ended_and_the_next_one_begins(graph: Any) -> None:
+    """Somebody else's goal is under way, and nobody waits for it."""
+    import rclpy
+    from ds_interfaces.action import DriveRoad
+    from rclpy.action import ActionClient
+    from rclpy.node import Node
+
+    node = Node("somebody")
+    client = ActionClient(node, DriveRoad, "/ds1/drive_road")
+    assert client.wait_for_server(10.0)
+    goal = DriveRoad.Goal(road=messages.road_to_message(ROAD), seed=1)
+    sent = client.send_goal_async(goal)
+    rclpy.spin_until_future_complete(node, sent, timeout_sec=10.0)
+    assert sent.result() is not None and sent.result().accepted
+    started = time.monotonic()
+    run = graph.execute("donkey", ROAD, 5)
+    node.destroy_node()
+    assert run.outcome is Outcome.COMPLETED, run.message
+    assert time.monotonic() - started < 20.0
+
+
+def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
+    from ds_orchestrator.graph import GraphError
+
+    graph.check_simulators()
+    graph._namespaces["bullet"] = "/ds1"
+    graph._simulators["bullet"] = graph._simulators["donkey"]
+    with pytest.raises(GraphError, match="/ds1 is donkey, expected bullet"):
+        graph.check_simulators()
 
 
 def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from zlib import crc32
@@ -11,7 +11,7 @@ from zlib import crc32
 import numpy as np
 
 from ds_driver.control import Autopilot
-from ds_driver.dataset import drive_path, encode, write_drive
+from ds_driver.dataset import drive_path, encode, keep_plan, write_drive
 from ds_driver.workers import in_workers
 from ds_road import Road, generate
 from ds_sim.registry import make_simulator
@@ -69,7 +69,12 @@ class _Job:
 
 
 def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
-    """Drive every road; a drive whose file exists is not driven again, so that a stopped collection goes on."""
+    """Drive every road; a drive whose file exists is not driven again, so that a stopped collection goes on.
+
+    Raises:
+        ds_driver.dataset.DatasetError: the folder holds drives of another plan.
+    """
+    keep_plan(folder, asdict(plan))
     jobs = [
         _Job(
             plan=plan,

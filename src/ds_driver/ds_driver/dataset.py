@@ -76,6 +76,20 @@ def drive_path(folder: Path, simulator: str, road_id: str, direction: str) -> Pa
     return folder / simulator / f"{road_id}-{direction}.parquet"
 
 
+def keep_plan(folder: Path, plan: dict[str, object]) -> None:
+    """Write down with which plan a data set is collected.
+
+    Raises:
+        DatasetError: it was begun with another one.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
+    if not path.exists():
+        path.write_text(text)
+    elif path.read_text() != text:
+        raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
+
+
 def write_drive(path: Path, rows: list[dict[str, object]]) -> None:
     """Write one drive; the file appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)

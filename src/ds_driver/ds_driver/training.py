@@ -6,6 +6,7 @@ import os
 
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages: training on a CPU runs up to twice as fast
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -82,10 +83,15 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
     missing = {s.simulator for s in training} - set(crops)
     if missing:
         raise DatasetError(f"no crop is known for {', '.join(sorted(missing))}: name the simulators of the data set")
+    if len(training) < plan.batch_size:
+        raise DatasetError(
+            f"{len(training)} images to train on, expected at least one batch of {plan.batch_size}: collect more"
+        )
+    identity = _identity(plan, training + validation, crops)
     torch.manual_seed(plan.seed)
     network = make_network(plan.network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.Adam(network.parameters(), lr=plan.learning_rate)
-    history = _resume(out / "checkpoint.pt", network, optimizer, plan)
+    history = _resume(out / "checkpoint.pt", network, optimizer, identity)
     report(f"{len(training)} images to train on, {len(validation)} to validate, {len(history)} epochs done before")
     while len(history) < plan.epochs and not _stalled(history, plan.patience):
         number = len(history) + 1
@@ -105,9 +111,9 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
         report(f"epoch {number}: training {training_loss:.5f}, validation {validation_loss:.5f}, {left:.0f} min left")
         if validation_loss == min(e.validation_loss for e in history):
             save_weights(network, out / f"{plan.network}.safetensors", architecture=plan.network)
-        _save(out / "checkpoint.pt", network, optimizer, plan, history)
+        _save(out / "checkpoint.pt", network, optimizer, identity, history)
     record = {"plan": asdict(plan), "history": [asdict(e) for e in history]}
-    (out / "training.json").write_text(json.dumps(record, indent=1) + "\n")
+    (out / "training.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
     return history
 
 
@@ -122,6 +128,9 @@ def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list
     parts = []
     for held in (False, True):
         part = [sample for sample in samples if (sample.road_id in held_out) is held]
+        absent = {s.simulator for s in samples} - {s.simulator for s in part}
+        if absent:
+            raise DatasetError(f"{', '.join(sorted(absent))} has too few roads for a split: collect more roads on it")
         share = plan.validation if held else 1.0 - plan.validation
         parts.append(balance(part, rng, limit=round(limit * share) if limit else None))
     return parts[0], parts[1]
@@ -197,31 +206,45 @@ def _stalled(history: list[Epoch], patience: int) -> bool:
 
 
 def _save(
-    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, plan: TrainingPlan, history: list[Epoch]
+    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, identity: dict[str, object], history: list[Epoch]
 ) -> None:
     partial = path.with_suffix(".partial")
     state = {
         "network": network.state_dict(),
         "optimizer": optimizer.state_dict(),
-        "plan": _identity(plan),
+        "identity": identity,
         "history": [asdict(e) for e in history],
     }
     torch.save(state, partial)
     partial.replace(path)
 
 
-def _resume(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, plan: TrainingPlan) -> list[Epoch]:
+def _resume(
+    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, identity: dict[str, object]
+) -> list[Epoch]:
     """Take up a checkpoint of the same plan; read as plain tensors, never as code."""
     if not path.exists():
         return []
-    state = torch.load(path, weights_only=True)
-    if state["plan"] != _identity(plan):
-        raise DatasetError(f"{path.parent} holds a training with another plan: choose another folder or delete it")
+    try:
+        state = torch.load(path, weights_only=True)
+        known = state["identity"]
+    except Exception as error:  # torch raises whatever its reader stumbles over
+        raise DatasetError(f"{path} cannot be read ({type(error).__name__}): delete it and train again") from None
+    if known != identity:
+        raise DatasetError(
+            f"{path.parent} holds a training with another plan or other data: choose another folder or delete it"
+        )
     network.load_state_dict(state["network"])
     optimizer.load_state_dict(state["optimizer"])
     return [Epoch(**entry) for entry in state["history"]]
 
 
-def _identity(plan: TrainingPlan) -> dict[str, object]:
+def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop]) -> dict[str, object]:
     """What must be equal for a training to go on; more epochs or threads are welcome."""
-    return {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience")}
+    digest = hashlib.sha256()
+    for sample in samples:
+        digest.update(f"{sample.simulator} {sample.road_id} {sample.steering} {len(sample.jpeg)} ".encode())
+    for simulator, crop in sorted(crops.items()):
+        digest.update(f"{simulator} {crop.top} {crop.bottom} ".encode())
+    fixed = {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience")}
+    return {**fixed, "data": digest.hexdigest()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import torch
@@ -32,12 +33,17 @@ def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: di
     partial.replace(path)
 
 
-def load_network(name_or_path: str) -> nn.Module:
-    """Load a shipped network by name, or any weights file of ours by path; in evaluation mode, float32.
+def weights_sha256(name_or_path: str) -> str:
+    """Hash of the weights file that `load_network` would read."""
+    return hashlib.sha256(_path_of(name_or_path).read_bytes()).hexdigest()
+
+
+def _path_of(name_or_path: str) -> Path:
+    """The weights file of a name or path.
 
     Raises:
-        WeightsError: the file is missing, truncated, not ours, or does not fit its architecture.
-        UnknownNetworkError: neither a known name nor an existing file.
+        WeightsError: it is missing.
+        UnknownNetworkError: neither a known name nor a weights file's.
     """
     path = Path(name_or_path)
     if name_or_path in NETWORKS:
@@ -50,6 +56,17 @@ def load_network(name_or_path: str) -> nn.Module:
         )
     elif not path.is_file():
         raise WeightsError(f"weights {name_or_path!r} are missing: check the path")
+    return path
+
+
+def load_network(name_or_path: str) -> nn.Module:
+    """Load a shipped network by name, or any weights file of ours by path; in evaluation mode, float32.
+
+    Raises:
+        WeightsError: the file is missing, truncated, not ours, or does not fit its architecture.
+        UnknownNetworkError: neither a known name nor an existing file.
+    """
+    path = _path_of(name_or_path)
     try:
         with safe_open(path, framework="pt") as file:
             architecture = (file.metadata() or {}).get("architecture", "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,8 @@ def test_a_stopped_collection_goes_on_and_ends_the_same(data: Path, tmp_path: Pa
     collect(PLAN, ["donkey"], data, lambda done, total, line: lines.append(line))
     assert lines[0] == "3 drives are there already" and len(lines) == 2
     assert {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")} == before
+    with pytest.raises(DatasetError, match="another plan"):
+        collect(replace(PLAN, every=1), ["donkey"], data, lambda *_: None)
     write_manifest(data, {"seed": 5})
     manifest = json.loads((data / "manifest.json").read_text())
     assert manifest["images"]["donkey"] == sum(manifest["steering"]["donkey"]) > 50
@@ -80,8 +83,16 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
     assert whole[1].training_loss < whole[0].training_loss
     best = (tmp_path / "whole" / "dave2.safetensors").read_bytes()
     assert best == (tmp_path / "parts" / "dave2.safetensors").read_bytes()
-    with pytest.raises(DatasetError, match="another plan"):
-        train(data, tmp_path / "parts", TrainingPlan(seed=9), crops, lambda _: None)
+    with pytest.raises(DatasetError, match="another plan or other data"):
+        train(data, tmp_path / "parts", replace(plan(2), seed=9), crops, lambda _: None)
+    with pytest.raises(DatasetError, match="another plan or other data"):
+        train(data, tmp_path / "parts", plan(3), {"donkey": Crop(50, 0)}, lambda _: None)
+    with pytest.raises(DatasetError, match="75 images to train on, expected at least one batch of 128"):
+        train(data, tmp_path / "few", replace(plan(1), batch_size=128), crops, lambda _: None)
+    for content in (b"", b"no checkpoint"):
+        (tmp_path / "parts" / "checkpoint.pt").write_bytes(content)
+        with pytest.raises(DatasetError, match="cannot be read"):
+            train(data, tmp_path / "parts", plan(2), crops, lambda _: None)
 
 
 def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> None:

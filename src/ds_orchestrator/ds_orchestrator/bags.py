@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -62,14 +61,14 @@ def write_bag(folder: Path, namespace: str, run: RunRecord, about: dict[str, str
     Raises:
         BagError: the folder cannot be written.
     """
-    partial = folder.parent / ".partial" / folder.name
+    # The files inside are named after their folder, so the unfinished one has that name too, a level deeper.
+    hidden = folder.with_name(f".{folder.name}.partial")
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        _write(partial, namespace, run, about)
+        shutil.rmtree(hidden, ignore_errors=True)
+        _write(hidden / folder.name, namespace, run, about)
         shutil.rmtree(folder, ignore_errors=True)
-        partial.rename(folder)
-        with suppress(OSError):  # another bag is being written beside it
-            partial.parent.rmdir()
+        (hidden / folder.name).rename(folder)
+        hidden.rmdir()
     except OSError as error:
         raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Protocol
 
@@ -22,7 +22,10 @@ from ds_orchestrator.store import Execution, Store, Test
 from ds_road import Road
 from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Outcome
+
+PATIENCE = 5
+"""Tests in a row without an outcome, each tried again as configured, after which a simulator counts as broken; chosen:
+two or three can be bad luck."""
 
 
 class Executor(Protocol):
@@ -32,9 +35,17 @@ class Executor(Protocol):
         """Drive to an outcome; errors are outcomes too. May be called from one thread per simulator."""
         ...
 
+    def stop(self) -> None:
+        """Let every run under way end now, as CANCELLED."""
+        ...
+
 
 class Stopped(Exception):
     """The campaign was asked to stop."""
+
+
+class CampaignError(RuntimeError):
+    """A campaign that cannot go on as things are."""
 
 
 class Watcher(Protocol):
@@ -77,6 +88,8 @@ class Campaign:
         self._watcher = watcher
         self._namespaces = namespaces
         self._stop = threading.Event()
+        self._unlucky: dict[str, list[str]] = {name: [] for name in config.simulators}
+        self._given_up = store.given_up()
         self.failed_executions = 0
 
     @staticmethod
@@ -95,6 +108,7 @@ class Campaign:
 
         Raises:
             Stopped: `stop` was called; what was finished stands in the store.
+            CampaignError: a simulator gave no outcome for `PATIENCE` tests in a row; the same command goes on there.
         """
         self._watcher.stage("search")
         siblings = self._config.siblings
@@ -104,14 +118,15 @@ class Campaign:
         self._in_parallel(self._config.simulators, lambda simulator: self._migrate(simulator, tests))
 
     def _in_parallel(self, simulators: Sequence[str], work: Callable[[str], None]) -> None:
-        """One thread per simulator; the first error stops the others after their test."""
+        """One thread per simulator; the first error stops the others, also in the midst of a run."""
         with ThreadPoolExecutor(len(simulators)) as pool:
             futures = [pool.submit(work, simulator) for simulator in simulators]
             try:
-                for future in futures:
+                for future in as_completed(futures):
                     future.result()
             except BaseException:
                 self._stop.set()
+                self._executor.stop()
                 raise
 
     def _search(self, sibling: str) -> None:
@@ -120,7 +135,6 @@ class Campaign:
         A search that went on without a test's outcome does so again, even if the test has one by now: the roads that
         followed are in the store.
         """
-        given_up = self._store.given_up()
         for run in range(self._config.search.runs):
             rng = np.random.default_rng(_seed(self._config.seed, "search", sibling, run))
             search = DeepHyperion(self._config.search.settings(), rng)
@@ -138,7 +152,10 @@ class Campaign:
                 execution = self._execute(test, sibling)
                 if execution is None:
                     self._store.give_up(test_id)
-                search.tell(execution.fitness if execution and test_id not in given_up else None)
+                if execution is None or test_id in self._given_up:
+                    search.tell(None)
+                else:
+                    search.tell(execution.fitness, failed=execution.outcome.is_failure)
 
     def _migrate(self, simulator: str, tests: Sequence[Test]) -> None:
         """Every test that another sibling's search made (paper 3.4); all of them on the twin (paper 3.6)."""
@@ -156,16 +173,33 @@ class Campaign:
             if self._stop.is_set():
                 raise Stopped
             run = self._executor.execute(simulator, test.road, test.seed)
-            if run.outcome is Outcome.CANCELLED:
+            if run.outcome.is_error and self._stop.is_set():
                 raise Stopped
             if run.outcome.is_verdict:
                 execution = self._keep(test, simulator, run)
+                self._unlucky[simulator].clear()
                 self._watcher.finished(test, simulator, execution, fresh=True)
                 return execution
             self._store.add_error(test.test_id, simulator, attempt, run.outcome, run.message)
         self.failed_executions += 1
+        self._count_unlucky(test, simulator, run)
         self._watcher.finished(test, simulator, None, fresh=True)
         return None
+
+    def _count_unlucky(self, test: Test, simulator: str, run: RunRecord) -> None:
+        """Stop where it is no longer this test's bad luck, and leave the tests as if they had never been tried."""
+        if test.sibling == simulator and test.test_id in self._given_up:
+            return  # the search has gone on without it in an earlier session
+        unlucky = self._unlucky[simulator]
+        unlucky.append(test.test_id)
+        if len(unlucky) < PATIENCE:
+            return
+        if test.sibling == simulator:
+            self._store.take_back([t for t in unlucky if t.rpartition("-")[0] == test.test_id.rpartition("-")[0]])
+        raise CampaignError(
+            f"{simulator} gave no outcome for {PATIENCE} tests in a row ({run.outcome.name}: {run.message}): see the "
+            "folder logs, mend it, and give the same command again"
+        )
 
     def _keep(self, test: Test, simulator: str, run: RunRecord) -> Execution:
         """Write the bag, then the store."""

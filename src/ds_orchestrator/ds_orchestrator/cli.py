@@ -7,6 +7,7 @@ error. Exit status: 0 done, 1 a run ended in an error, 2 bad input.
 from __future__ import annotations
 
 import json
+import sqlite3
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +16,7 @@ import typer
 
 from ds_orchestrator import commands
 from ds_orchestrator.config import read_config
+from ds_sim.registry import UnknownSimulatorError, make_simulator
 
 app = typer.Typer(
     help="Test a driving network on digital siblings.",
@@ -140,7 +142,7 @@ def collect(
     sims: Annotated[str, typer.Option(help="Simulators, separated by commas.")] = "bullet,softbody,donkey",
 ) -> None:
     """Labelled driving data from the autopilot."""
-    commands.collect(out, sims.split(","), roads=roads, seed=seed, every=every, disturbance=disturbance)
+    commands.collect(out, _simulators(sims), roads=roads, seed=seed, every=every, disturbance=disturbance)
 
 
 @app.command()
@@ -168,7 +170,7 @@ def assess(
     as_json: JsonFlag = False,
 ) -> None:
     """Share of unseen roads that a network completes on each simulator."""
-    _show(commands.assess(network, roads=roads, seed=seed, simulators=sims.split(",")), as_json)
+    _show(commands.assess(network, roads=roads, seed=seed, simulators=_simulators(sims)), as_json)
 
 
 @siblings_app.command("compare")
@@ -182,7 +184,7 @@ def siblings_compare(
     as_json: JsonFlag = False,
 ) -> None:
     """The same roads with the same driver: which fail where, and how far apart the vehicles drive."""
-    found = commands.compare_siblings(driver, sims.split(","), roads=roads, seed=seed, max_angle=max_angle, out=out)
+    found = commands.compare_siblings(driver, _simulators(sims), roads=roads, seed=seed, max_angle=max_angle, out=out)
     _end(found, as_json)
 
 
@@ -190,6 +192,17 @@ def siblings_compare(
 def models(as_json: JsonFlag = False) -> None:
     """The networks that are shipped, and how good they are."""
     _show(commands.models(), as_json)
+
+
+def _simulators(text: str) -> list[str]:
+    """Simulators by name, separated by commas; each can be made, and none is named twice."""
+    names = text.split(",")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UnknownSimulatorError(f"simulator {', '.join(twice)} is named twice in {text!r}: name each once")
+    for name in names:
+        make_simulator(name).close()
+    return names
 
 
 def _show(result: commands.Result, as_json: bool) -> None:
@@ -227,7 +240,7 @@ def main() -> None:
         if end.code == 130:  # typer's answer to Ctrl-C
             _say_stopped()
         raise
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, sqlite3.Error) as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
         sys.exit(2)
     except RuntimeError as error:

@@ -16,9 +16,11 @@ from rich.console import Console
 from rich.table import Table
 
 import ds_road
+from ds_driver.driving import AUTOPILOT
 from ds_orchestrator import results
 from ds_orchestrator.campaign import Campaign, Stopped, execution_of
 from ds_orchestrator.config import CampaignConfig, ConfigError
+from ds_orchestrator.lock import only_one
 from ds_orchestrator.pictures import png
 from ds_orchestrator.progress import ScreenWatcher
 from ds_orchestrator.store import Store
@@ -70,14 +72,30 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
     Raises:
         Interrupted: the user stopped it; what was finished is kept.
     """
-    from ds_orchestrator.graph_plan import check_driver, namespaces_of
-    from ds_orchestrator.running import running_graph
+    from ds_orchestrator.graph_plan import check_driver
+    from ds_sim.registry import make_simulator
 
     check_driver(config.driver)
+    for name in config.simulators:
+        make_simulator(name).close()
     out.mkdir(parents=True, exist_ok=True)
+    with only_one(out):
+        return _run_campaign(config, out, attach=attach)
+
+
+def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
+    from ds_driver.weights import weights_sha256
+    from ds_orchestrator.graph_plan import namespaces_of
+    from ds_orchestrator.running import running_graph
+
     store = Store(out / "campaign.sqlite", config=config.model_dump_json())
+    if config.driver != AUTOPILOT:
+        weights = weights_sha256(config.driver)
+        if store.note("sha256 of the driver's weights", weights) != weights:
+            raise ConfigError(f"the weights of {config.driver} have changed since {out} began: choose another --out")
     for name, version in versions().items():
-        store.note(f"version {name}", version)
+        if store.note(f"version {name}", version) != version:
+            store.note(f"version {name}, later", version)
     (out / "bags").mkdir(exist_ok=True)
     namespaces = namespaces_of(config.siblings, config.twin)
     started = time.monotonic()
@@ -179,9 +197,12 @@ def drive(
     make_simulator(sim)
     if not attach:
         check_driver(driver)
-    if road.sampled or road.published:
-        # A road travels to a simulator as its control points alone, which would give another centre line here.
-        raise ds_road.RoadError("a road of road points can be checked and shown, not driven: give its control points")
+    if road.sampled or road.published or road.lane_width != ds_road.LANE_WIDTH:
+        # A road travels to a simulator as its control points alone, which would give another road here.
+        raise ds_road.RoadError(
+            "a road of road points, or of another lane width, can be checked and shown, not driven: give its control "
+            f"points, with lanes of {ds_road.LANE_WIDTH:g} m"
+        )
     if not road.validity.valid:
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
     if bag is not None and bag.exists():
@@ -211,8 +232,8 @@ def drive(
         "seed": seed,
         "outcome": run.outcome.name,
         "message": run.message,
-        "fitness": run.fitness,
-        "max_lateral_position": run.max_lateral_position,
+        "fitness": run.fitness if run.observations else None,
+        "max_lateral_position": run.max_lateral_position if run.observations else None,
         "steps": run.steps,
         "simulated_seconds": run.simulated_seconds,
         "wall_seconds": round(wall, 3),
@@ -357,12 +378,9 @@ def compare_siblings(
     from ds_driver.driving import Drive, drive_all
     from ds_orchestrator.comparison import APART, compare, most_different, summary
     from ds_orchestrator.graph_plan import check_driver
-    from ds_sim.registry import make_simulator
 
-    if len(set(simulators)) < 2:
-        raise ConfigError(f"simulators {', '.join(simulators)}: expected at least two different ones, as --sims a,b")
-    for name in simulators:
-        make_simulator(name).close()
+    if len(simulators) < 2:
+        raise ConfigError(f"simulators {', '.join(simulators)}: expected at least two, as --sims a,b")
     check_driver(driver)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

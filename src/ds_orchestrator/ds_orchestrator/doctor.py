@@ -26,6 +26,8 @@ SMALLEST_WEIGHTS = 2**20
 _SET_UP = "make setup"
 _MODULES = {"opencv-python-headless": "cv2", "pyyaml": "yaml"}
 """Distributions whose module has another name."""
+IMPORT_TIME = 120.0
+"""Seconds that all imports together may take; chosen: ten times what they take on a busy laptop."""
 _TRY_IMPORTS = """
 import importlib, importlib.metadata as metadata, json, sys
 found = {}
@@ -203,7 +205,10 @@ def try_imports(python: Path, modules: Mapping[str, str]) -> dict[str, tuple[str
         For each distribution its version and "", or "" and why it cannot be imported.
     """
     command = [str(python), "-c", _TRY_IMPORTS, json.dumps(dict(modules))]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=IMPORT_TIME)
+    except subprocess.TimeoutExpired:
+        return dict.fromkeys(modules, ("", f"the interpreter was still importing after {IMPORT_TIME:g} s"))
     try:
         found = json.loads(answer.stdout.splitlines()[-1])
     except (IndexError, ValueError):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import fcntl
-import tempfile
+import os
 from pathlib import Path
-from typing import IO
+
+LOCKS = Path("/tmp")
+"""Where every user of this machine looks; a folder of the user's own would not keep two users apart."""
 
 
 class DomainError(RuntimeError):
@@ -16,19 +18,25 @@ class Domain:
     """Holds a free domain until it is closed or its process ends, however that ends."""
 
     def __init__(self) -> None:
-        folder = Path(tempfile.gettempdir())
         for number in range(1, 102):  # 0 is everybody's default; up to 101 are safe on every system
-            file = (folder / f"ds_ros_domain_{number}.lock").open("a")
+            path = LOCKS / f"ds_ros_domain_{number}.lock"
+            try:
+                # Another user's file may be opened in /tmp, but not with O_CREAT.
+                file = os.open(path, os.O_RDONLY | (0 if path.exists() else os.O_CREAT), 0o644)
+            except OSError:
+                continue
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                file.close()
+                os.close(file)
                 continue
             self.number = number
-            self._file: IO[str] = file
+            self._file = file
             return
         raise DomainError("all ROS domains from 1 to 101 are in use: stop another campaign first")
 
     def close(self) -> None:
         """Give the domain back."""
-        self._file.close()
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1

@@ -17,10 +17,13 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 
+from ds_orchestrator.graph_plan import DRIVER_PROCESS, simulator_process_name
 from ds_orchestrator.supervisor import Supervisor
 from ds_road import Road
 from ds_sim import messages
+from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, Outcome
 
@@ -55,7 +58,7 @@ class GraphExecutor:
         command_timeout: float,
         supervisor: Supervisor | None = None,
     ) -> None:
-        self._namespaces = namespaces
+        self._namespaces = dict(namespaces)
         self._timeout = command_timeout
         self._supervisor = supervisor
         self._revival = threading.Lock()
@@ -68,21 +71,33 @@ class GraphExecutor:
         self._spinner = threading.Thread(target=self._spin, name="spinner", daemon=True)
         self._spinner.start()
 
-    def wait_until_ready(self, limit: float = START_TIME) -> None:
-        """Wait until every simulator answers and has a driver.
+    def wait_until_ready(self, limit: float = START_TIME, *, only: str | None = None) -> None:
+        """Wait until every simulator, or only one, answers and has a driver.
 
         Raises:
             GraphError: the time is up; says what is missing.
             ds_orchestrator.supervisor.ProcessError: one of our processes ended.
         """
         deadline = time.monotonic() + limit
-        while missing := [m for s in self._simulators.values() if (m := s.missing())]:
+        awaited = [only] if only else list(self._simulators)
+        while missing := [m for name in awaited if (m := self._simulators[name].missing())]:
             if self._supervisor is not None:
-                self._supervisor.check()
+                self._supervisor.check({p for name in awaited for p in self._processes(name)})
             if time.monotonic() > deadline:
                 raise GraphError(f"after {limit:.0f} s {missing[0]}: start it, in the same ROS domain")
             if self._stopped.wait(0.05):
                 return
+
+    def check_simulators(self) -> None:
+        """Find out whether every namespace holds the simulator that its name promises.
+
+        Raises:
+            GraphError: it holds another one, or does not answer.
+        """
+        for name, namespace in self._namespaces.items():
+            found, expected = self.info(name).name, make_simulator(name).spec.name
+            if found != expected:
+                raise GraphError(f"{namespace} is {found}, expected {expected}: start it under another namespace")
 
     def info(self, simulator: str) -> GetSimulatorInfo.Response:
         """What a simulator tells about itself.
@@ -98,7 +113,7 @@ class GraphExecutor:
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         """Drive a road on a simulator; always ends, and never raises for what goes wrong in another process."""
         record = RunRecord(road=road, seed=seed)
-        outcome, message = self._execute(self._simulators[simulator], record)
+        outcome, message = self._execute(simulator, record)
         record.outcome, record.message = outcome, message
         if self._stopped.is_set() and outcome.is_error:
             record.outcome = Outcome.CANCELLED
@@ -114,17 +129,28 @@ class GraphExecutor:
         rclpy.try_shutdown()
         self._spinner.join(2.0)
 
-    def _execute(self, simulator: _Simulator, record: RunRecord) -> tuple[Outcome, str]:
+    def _processes(self, simulator: str) -> set[str]:
+        """The processes of ours that a run on a simulator needs."""
+        return {simulator_process_name(self._namespaces[simulator]), DRIVER_PROCESS}
+
+    def _restart(self, simulator: str) -> None:
+        """A simulator of ours that no longer answers gets a new process."""
+        if self._supervisor is not None and not self._stopped.is_set():
+            with self._revival:
+                self._supervisor.restart(simulator_process_name(self._namespaces[simulator]))
+
+    def _execute(self, name: str, record: RunRecord) -> tuple[Outcome, str]:
+        simulator = self._simulators[name]
         if self._supervisor is not None:
             with self._revival:
                 self._supervisor.revive()
         try:
-            self.wait_until_ready(START_TIME)
+            self.wait_until_ready(START_TIME, only=name)
         except (GraphError, RuntimeError) as error:
             return Outcome.SIM_ERROR, str(error)
-        request = LoadRoad.Request(road=messages.road_to_message(record.road), seed=record.seed)
-        loaded = self._ask(simulator.load, request)
+        loaded = self._load(simulator, record)
         if loaded is None:
+            self._restart(name)
             return Outcome.SIM_ERROR, f"load_road was not answered within {SERVICE_TIME:.0f} s"
         if not loaded.accepted:
             return Outcome.SIM_ERROR, f"road refused: {loaded.reason}"
@@ -133,24 +159,41 @@ class GraphExecutor:
         handle = self._call(lambda: simulator.drive.send_goal_async(goal, simulator.heard), SERVICE_TIME)
         if handle is None or not handle.accepted:
             return Outcome.SIM_ERROR, "the goal was not accepted: is another run under way?"
-        result = self._await_result(simulator, handle)
+        result = self._await_result(name, handle)
         if result is None:
             if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
                 self._call(handle.cancel_goal_async, 1.0)
+            if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
+                return Outcome.SIM_ERROR, f"{', '.join(sorted(dead))} ended during the run"
+            self._restart(name)
             return Outcome.SIM_ERROR, "the simulator fell silent during the run"
         _fill(record, result.result)
         return Outcome(result.result.outcome.value), result.result.message
 
-    def _await_result(self, simulator: _Simulator, handle: Any) -> Any:
+    def _load(self, simulator: _Simulator, record: RunRecord) -> LoadRoad.Response | None:
+        """Load a road; a run that is under way, such as one whose client died, is ended first."""
+        request = LoadRoad.Request(road=messages.road_to_message(record.road), seed=record.seed)
+        deadline = time.monotonic() + SERVICE_TIME
+        while True:
+            loaded: LoadRoad.Response | None = self._ask(simulator.load, request)
+            if loaded is None or loaded.accepted or loaded.reason != messages.BUSY or time.monotonic() > deadline:
+                return loaded
+            self._ask(simulator.reset, Trigger.Request())
+            if self._stopped.wait(0.2):
+                return loaded
+
+    def _await_result(self, name: str, handle: Any) -> Any:
         """Wait for a result for as long as the simulator shows signs of life."""
         future = self._wait(self._executor.create_task(handle.get_result_async), SERVICE_TIME)
         if future is None:
             return None
-        silence = self._timeout + SERVICE_TIME
+        simulator = self._simulators[name]
+        # A slow driver may take its whole time for every frame until the simulator tells of its progress.
+        silence = messages.FEEDBACK_EVERY * self._timeout + SERVICE_TIME
         while not future.done():
             if self._stopped.is_set() or time.monotonic() - simulator.alive > silence:
                 return None
-            if self._supervisor is not None and self._supervisor.dead():
+            if self._supervisor is not None and self._processes(name) & set(self._supervisor.dead()):
                 return None
             self._wait(future, 0.5)
         return future.result()
@@ -199,6 +242,7 @@ class _Simulator:
         self._namespace = namespace
         self.load = node.create_client(LoadRoad, f"{namespace}/load_road")
         self.info = node.create_client(GetSimulatorInfo, f"{namespace}/get_info")
+        self.reset = node.create_client(Trigger, f"{namespace}/reset")
         self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
         self.alive = 0.0
 

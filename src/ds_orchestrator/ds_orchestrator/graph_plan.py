@@ -18,11 +18,19 @@ def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
     return spaces
 
 
+DRIVER_PROCESS = "driver"
+
+
+def simulator_process_name(namespace: str) -> str:
+    """What the process of the simulator in a namespace is called here, and its log."""
+    return f"simulator_{namespace.strip('/').replace('/', '_')}"
+
+
 def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
     """One process per simulator."""
     return [
         ProcessSpec(
-            name=f"simulator_{namespace.strip('/')}",
+            name=simulator_process_name(namespace),
             module="ds_sim.node",
             namespace=namespace,
             parameters={"simulator": name, "command_timeout": command_timeout},
@@ -38,13 +46,13 @@ def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
     if driver == AUTOPILOT:
         gains = [asdict(spec.autopilot) for spec in specs]
         parameters |= {key: [float(g[key]) for g in gains] for key in gains[0]}
-        return ProcessSpec(name="driver", module="ds_driver.autopilot_node", parameters=parameters)
+        return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.autopilot_node", parameters=parameters)
     parameters |= {
         "network": driver,
         "crop_top": [spec.crop_top for spec in specs],
         "crop_bottom": [spec.crop_bottom for spec in specs],
     }
-    return ProcessSpec(name="driver", module="ds_driver.node", parameters=parameters)
+    return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.node", parameters=parameters)
 
 
 def check_driver(driver: str) -> None:

@@ -15,7 +15,7 @@ class MapCell:
     """One filled cell of a feature map; a cell without tests is not there at all, which is not the same as 0.
 
     Attributes:
-        tests: tests pooled in it.
+        tests: tests pooled in it; in a merged map, those of the sibling with the fewest.
         failures: how many of them failed; None in a merged map, whose probability is a product.
         probability: of failure, in [0, 1].
         quality: lack of driving quality, in [0, 1]: mean of the tests' maximum lateral positions, normalised over

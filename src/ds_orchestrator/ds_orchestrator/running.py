@@ -46,4 +46,5 @@ def running_graph(
         stack.callback(executor.close)
         stack.callback(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
         executor.wait_until_ready()
+        executor.check_simulators()
         yield executor

@@ -39,10 +39,11 @@ class SearchSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Elite:
-    """The road with the lowest fitness of a cell."""
+    """The road of a cell on which the driver failed, or else the one with the lowest fitness."""
 
     road: Road
     fitness: float
+    failed: bool
 
 
 class DeepHyperion:
@@ -83,8 +84,14 @@ class DeepHyperion:
         self._asked += 1
         return self._pending
 
-    def tell(self, fitness: float | None) -> None:
-        """Take in the outcome of the last road: its fitness in m, or None when its execution was an error."""
+    def tell(self, fitness: float | None, *, failed: bool = False) -> None:
+        """Take in the outcome of the last road.
+
+        Args:
+            fitness: in m, or None when its execution was an error.
+            failed: whether the driver failed; it always did where the fitness is below 0, but a car that stopped in
+                its lane failed as well.
+        """
         road = self._pending
         if road is None:
             raise RuntimeError("there is no road to tell about: ask for one first")
@@ -94,8 +101,9 @@ class DeepHyperion:
         cell = cell_of(road)
         elite = self.archive.get(cell)
         # Local competition; an elite that fails already stays (paper 3.3).
-        if elite is None or (elite.fitness >= 0.0 and fitness < elite.fitness):
-            self.archive[cell] = Elite(road=road, fitness=fitness)
+        failed = failed or fitness < 0.0
+        if elite is None or (not elite.failed and (failed or fitness < elite.fitness)):
+            self.archive[cell] = Elite(road=road, fitness=fitness, failed=failed)
 
     def _random_road(self) -> Road:
         """A random road; an angle that was drawn becomes less likely, so that the range is covered (maxitwo)."""

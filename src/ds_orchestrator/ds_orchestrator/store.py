@@ -6,6 +6,7 @@ import json
 import sqlite3
 import threading
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -137,10 +138,11 @@ class Store:
         """The campaign's configuration as JSON text."""
         return str(self._db.execute("SELECT value FROM about WHERE key='config'").fetchone()[0])
 
-    def note(self, key: str, value: str) -> None:
-        """Keep a fact about the campaign, such as versions."""
+    def note(self, key: str, value: str) -> str:
+        """Keep a fact about the campaign, such as versions; the one that is known already stays. What is known."""
         with self._lock:
-            self._db.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (key, value))
+            self._db.execute("INSERT OR IGNORE INTO about VALUES (?, ?)", (key, value))
+            return str(self._db.execute("SELECT value FROM about WHERE key=?", (key,)).fetchone()[0])
 
     def notes(self) -> dict[str, str]:
         """Every fact about the campaign."""
@@ -148,7 +150,11 @@ class Store:
             return dict(self._db.execute("SELECT key, value FROM about ORDER BY key").fetchall())
 
     def add_test(self, test: Test) -> None:
-        """Remember a test; one that is known already stays as it is."""
+        """Remember a test; one that is known already stays as it is.
+
+        Raises:
+            StoreError: a test of this name is known with another road.
+        """
         road = test.road
         row = (
             test.test_id, test.sibling, test.run, test.number, road.road_id, json.dumps(road.control_points),
@@ -156,6 +162,12 @@ class Store:
         )  # fmt: skip
         with self._lock:
             self._db.execute("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?)", row)
+            known = self._db.execute("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,)).fetchone()[0]
+        if known != road.road_id:
+            raise StoreError(
+                f"test {test.test_id} is now another road than when this campaign began: go on with the version that "
+                "began it, or choose another --out"
+            )
 
     def add_execution(self, execution: Execution) -> None:
         """Remember what happened; the last thing that is done for an execution, so what stands here is whole."""
@@ -172,6 +184,16 @@ class Store:
         with self._lock:
             row = (test_id, simulator, attempt, outcome.name, message)
             self._db.execute("INSERT INTO errors VALUES (?,?,?,?,?)", row)
+
+    def take_back(self, test_ids: Sequence[str]) -> None:
+        """Forget tests without an outcome, the first of which alone stays, to be tried again."""
+        with self._lock:
+            self._db.execute("BEGIN IMMEDIATE")
+            for test_id in test_ids:
+                self._db.execute("DELETE FROM given_up WHERE test_id=?", (test_id,))
+            for test_id in test_ids[1:]:
+                self._db.execute("DELETE FROM tests WHERE test_id=?", (test_id,))
+            self._db.execute("COMMIT")
 
     def give_up(self, test_id: str) -> None:
         """Remember that the search went on without the outcome of a test."""

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,9 +76,9 @@ class Supervisor:
         """Names of processes that ended."""
         return [name for name, process in self._processes.items() if process.poll() is not None]
 
-    def check(self) -> None:
-        """Raises ProcessError if a process ended, with the last line of its log."""
-        for name in self.dead():
+    def check(self, names: Collection[str]) -> None:
+        """Raises ProcessError if one of these processes ended, with the last line of its log."""
+        for name in set(self.dead()) & set(names):
             raise ProcessError(f"{name} ended with status {self._processes[name].returncode}: {self.last_line(name)}")
 
     def revive(self) -> list[str]:
@@ -87,6 +87,13 @@ class Supervisor:
         for name in names:
             self._start(name)
         return names
+
+    def restart(self, name: str) -> None:
+        """Kill a process that no longer answers, and start it again."""
+        process = self._processes[name]
+        process.kill()
+        process.wait()
+        self._start(name)
 
     def last_line(self, name: str) -> str:
         """The last line that a process wrote."""

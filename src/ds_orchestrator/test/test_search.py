@@ -72,3 +72,25 @@ def test_ask_and_tell_take_turns() -> None:
     search.tell(1.0)
     with pytest.raises(RuntimeError, match="budget"):
         search.ask()
+
+
+def test_a_car_that_got_stuck_in_its_lane_has_failed() -> None:
+    """Its fitness is above 0; a road on which the driver came closer to the edge, but drove on, does not replace it."""
+    search = DeepHyperion(SearchSettings(population=1, iterations=60, extent=1), np.random.default_rng(3))
+    road = search.ask()
+    search.tell(1.9, failed=True)
+    stuck = search.archive[cell_of(road)]
+    assert stuck.failed
+    while not search.done:
+        search.ask()
+        search.tell(1.0)
+    assert search.archive[cell_of(road)] == stuck
+    again = DeepHyperion(SearchSettings(population=1, iterations=60, extent=1), np.random.default_rng(3))
+    again.ask()
+    again.tell(0.1)
+    replaced = False
+    while not again.done and not replaced:
+        again.ask()
+        again.tell(1.9, failed=True)
+        replaced = again.archive[cell_of(road)].failed
+    assert replaced

@@ -3,10 +3,11 @@
 from ds_road.files import check, parse_roads, read_raw_roads, read_roads, road_from_json, road_to_json, write_roads
 from ds_road.generation import MutationError, generate, mutate
 from ds_road.picture import draw
-from ds_road.road import Road, RoadError
+from ds_road.road import LANE_WIDTH, Road, RoadError
 from ds_road.validity import Validity
 
 __all__ = [
+    "LANE_WIDTH",
     "MutationError",
     "Road",
     "RoadError",

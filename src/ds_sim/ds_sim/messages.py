@@ -25,6 +25,11 @@ from ds_sim.simulator import VehicleState as PlainState
 
 ROAD_FRAME = "road"
 
+BUSY = "a run is under way: wait for its result, cancel it, or call reset"
+"""Why a simulator's node loads no road now."""
+FEEDBACK_EVERY = 10
+"""Frames between two feedback messages of a run: twice a simulated second."""
+
 
 def to_time(seconds: float) -> Time:
     """Seconds as a stamp, rounded to the nanosecond."""

@@ -24,8 +24,6 @@ from ds_sim.simulator import FRAME_TIME, CommandError, Observation, Outcome
 
 SYNC_MODES = ("lockstep", "first")
 """lockstep: only the command with the stamp of the last image counts; first: the first command after it does."""
-FEEDBACK_EVERY = 10
-"""Frames between two feedback messages: twice a simulated second."""
 
 
 class SimulatorNode(Node):
@@ -99,7 +97,7 @@ class SimulatorNode(Node):
     def _load(self, road: Road, seed: int) -> Road:
         """Check a road and keep it; each run builds its world anew."""
         if self._goal is not None:
-            raise RoadError("a run is under way: wait for its result or cancel it")
+            raise RoadError(messages.BUSY)
         if not road.validity.valid:
             raise RoadError(f"the road is not valid: {road.validity.reason}")
         self._road, self._seed = road, seed
@@ -115,7 +113,7 @@ class SimulatorNode(Node):
             if self._road is None:
                 raise RoadError("no road is loaded: call load_road first, or give one with the goal")
             if self._goal is not None:
-                raise RoadError("a run is under way: wait for its result or cancel it")
+                raise RoadError(messages.BUSY)
         except RoadError as error:
             self.get_logger().warning(f"goal refused: {error}")
             return GoalResponse.REJECT
@@ -151,7 +149,7 @@ class SimulatorNode(Node):
             self.get_logger().warning(f"command refused: {error}", throttle_duration_sec=1.0)
             return
         observation = self._session.advance(command)
-        if observation is not None and self._road is not None and observation.step % FEEDBACK_EVERY == 0:
+        if observation is not None and self._road is not None and observation.step % messages.FEEDBACK_EVERY == 0:
             self._goal.publish_feedback(messages.drive_feedback(observation, self._road))
         self._show(observation)
 
