@@ -101,7 +101,15 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     stamps = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in heard["info"]}
     assert (image.header.stamp.sec, image.header.stamp.nanosec) in stamps
     info = heard["info"][-1]
-    assert (info.height, info.width) == (160, 320) and info.k[0] > 0.0
+    simulator = make_simulator(simulator_name)
+    camera = simulator.spec.camera
+    simulator.close()
+    assert (info.height, info.width) == (160, 320)
+    assert np.reshape(info.k, (3, 3)) == pytest.approx(camera.intrinsics)
+    # The number of coefficients that OpenCV and image_proc expect of each model.
+    assert info.distortion_model in ("plumb_bob", "rational_polynomial")
+    assert len(info.d) == {"plumb_bob": 5, "rational_polynomial": 8}[info.distortion_model]
+    assert list(info.d[: len(camera.distortion)]) == pytest.approx(list(camera.distortion))
     # Against the recorded run: x, y as they are, the yaw rate left positive, the quaternion the heading's.
     for message, observation in zip(heard["odom"], run.observations, strict=True):
         vehicle, place, q = observation.vehicle, message.pose.pose.position, message.pose.pose.orientation
