@@ -64,6 +64,15 @@ class Subject:
         """Road metres per metre of this vehicle."""
         return self.model.scale
 
+    def steered(self, angle: float) -> Callable[[float], float]:
+        """The front wheels' angle over time (s) after a step to an angle, rad."""
+
+        def at(time: float) -> float:
+            since = time - self.steering_delay
+            return min(angle, self.steering_rate * since) if since > 0.0 else 0.0
+
+        return at
+
 
 def bullet() -> Subject:
     """Tyres that do not slip: the single track is the kinematic one."""

@@ -41,14 +41,7 @@ def test_a_step_of_the_steering_is_answered_as_the_single_track_says(case: str, 
     angle = -steering * subject.lock
     car.close()
 
-    def steered(time: float) -> float:
-        return (
-            min(angle, subject.steering_rate * (time - subject.steering_delay))
-            if time > subject.steering_delay
-            else 0.0
-        )
-
-    oracle = subject.model.yaw_rate(before / subject.scale, steered, times(40))
+    oracle = subject.model.yaw_rate(before / subject.scale, subject.steered(angle), times(40))
     at, by = f"step at {3.6 * speed:.0f} km/h: ", "SciPy, single track"
     # Measured: 0.15 % for the tyres that do not slip; 1.5 to 3.8 % for those that do, whose frame flexes too.
     band = 0.05 if subject.model.slips else 0.005
