@@ -111,15 +111,21 @@ def softbody() -> Subject:
     half = p.mass * GRAVITY / 2.0
     lever = p.sprung_mass * p.centre_of_mass_height
     pitch = p.sprung_mass * (math.tau * p.ride_frequency * p.wheelbase / 2.0) ** 2
-    axle = {"distance": p.wheelbase / 2.0, "relaxation": p.lateral_relaxation, "damping": p.carcass_damping}
+
+    def axle(stiffness: float, toe: float) -> Axle:
+        # The arms are springs behind the tyre's: what they give builds the slip up over a longer way.
+        relaxation = p.lateral_relaxation + 0.5 * stiffness / sideways
+        return Axle(distance=p.wheelbase / 2.0, stiffness=stiffness, relaxation=relaxation,
+                    damping=p.carcass_damping, compliance=toe)  # fmt: skip
+
     return Subject(
         name="softbody",
         make=lambda: SoftbodyVehicle(p),
         model=SingleTrack(
             mass=p.mass,
             yaw_inertia=p.yaw_inertia,
-            front=Axle(stiffness=p.front_cornering_stiffness * half, compliance=-carried / p.front_arm, **axle),
-            rear=Axle(stiffness=p.rear_cornering_stiffness * half, compliance=carried / p.rear_arm, **axle),
+            front=axle(p.front_cornering_stiffness * half, -carried / p.front_arm),
+            rear=axle(p.rear_cornering_stiffness * half, carried / p.rear_arm),
             # The leaning body's weight goes over to the outer wheels too.
             turning_resistance=p.rolling_resistance
             * (
