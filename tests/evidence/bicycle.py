@@ -38,12 +38,23 @@ class Axle:
 
 @dataclass(frozen=True, kw_only=True)
 class SingleTrack:
-    """A car as two axles. `mass` kg, `yaw_inertia` kg m^2, `scale` road metres per metre of these numbers."""
+    """A car as two axles.
+
+    Attributes:
+        mass: kg.
+        yaw_inertia: kg m^2.
+        front: axle.
+        rear: axle.
+        turning_resistance: moment against the bend per lateral acceleration, kg m: the outer wheels carry more load,
+            and so more rolling resistance: its coefficient times the moment that goes over to them.
+        scale: road metres per metre of these numbers.
+    """
 
     mass: float
     yaw_inertia: float
     front: Axle
     rear: Axle
+    turning_resistance: float = 0.0
     scale: float = 1.0
 
     @property
@@ -58,14 +69,17 @@ class SingleTrack:
 
     @property
     def understeer_gradient(self) -> float:
-        """Steering angle per lateral acceleration, rad s^2/m (in the model's metres): W_f / C_f - W_r / C_r."""
+        """Steering angle per lateral acceleration, rad s^2/m (in the model's metres): W_f / C_f - W_r / C_r.
+
+        W is the share of the mass that an axle has to turn, with what it needs against the turning resistance.
+        """
         if not self.slips:
             return 0.0
         front, rear = self.front, self.rear
-        share = self.mass / self.wheelbase
-        return share * (
-            rear.distance * (1.0 / front.stiffness - front.compliance)
-            - front.distance * (1.0 / rear.stiffness - rear.compliance)
+        on_front = (self.mass * rear.distance + self.turning_resistance) / self.wheelbase
+        on_rear = self.mass - on_front
+        return on_front * (1.0 / front.stiffness - front.compliance) - on_rear * (
+            1.0 / rear.stiffness - rear.compliance
         )
 
     def steady_yaw_rate(self, speed: float, steering: float) -> float:
@@ -91,9 +105,11 @@ class SingleTrack:
             rate_front = (v + front.distance * r - speed * turned_front - speed * slip_front) / front.relaxation
             rate_rear = (v - rear.distance * r - speed * turned_rear - speed * slip_rear) / rear.relaxation
             now_front, now_rear = force(front, slip_front, rate_front), force(rear, slip_rear, rate_rear)
+            lateral = (now_front + now_rear) / self.mass
+            against = self.turning_resistance * lateral
             return [
-                (now_front + now_rear) / self.mass - speed * r,
-                (front.distance * now_front - rear.distance * now_rear) / self.yaw_inertia,
+                lateral - speed * r,
+                (front.distance * now_front - rear.distance * now_rear - against) / self.yaw_inertia,
                 rate_front,
                 rate_rear,
                 (now_front - force_front) / 1e-3,

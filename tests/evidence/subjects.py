@@ -35,6 +35,7 @@ class Subject:
         model: what the textbook makes of it.
         lock: steering angle at full lock, rad.
         steering_rate: rad/s; infinite for at once.
+        steering_delay: s from a command to the first angle that the tyres feel.
         mass: that is to be slowed, kg (rotating parts included), in the vehicle's own scale.
         coasting_force: constant part without throttle, N.
         regeneration: part without throttle that grows with speed up to `fade_speed`, N.
@@ -49,6 +50,7 @@ class Subject:
     model: SingleTrack
     lock: float
     steering_rate: float
+    steering_delay: float
     mass: float
     coasting_force: float
     regeneration: float
@@ -61,6 +63,15 @@ class Subject:
     def scale(self) -> float:
         """Road metres per metre of this vehicle."""
         return self.model.scale
+
+    def steered(self, angle: float) -> Callable[[float], float]:
+        """The front wheels' angle over time (s) after a step to an angle, rad."""
+
+        def at(time: float) -> float:
+            since = time - self.steering_delay
+            return min(angle, self.steering_rate * since) if since > 0.0 else 0.0
+
+        return at
 
 
 def bullet() -> Subject:
@@ -78,6 +89,8 @@ def bullet() -> Subject:
         model=SingleTrack(mass=B.mass, yaw_inertia=1.0, front=Axle(distance=front), rear=Axle(distance=rear)),
         lock=B.max_steering_angle,
         steering_rate=B.steering_rate,
+        # A substep's contacts are solved where the knuckles stood before it.
+        steering_delay=FRAME_TIME / B.substeps,
         mass=B.mass + spinning / B.wheel_radius,
         coasting_force=B.rolling_resistance * B.mass * GRAVITY,
         regeneration=B.regenerative_force,
@@ -93,21 +106,36 @@ def softbody() -> Subject:
     reach = p.track / 2.0 - p.rail_half_width
     # Of the two beams of one arm, sideways at the wheel.
     sideways = 2.0 * p.arm_stiffness * reach**2 / (reach**2 + p.bush_spacing**2)
+    # The arms turn the body only: a wheel's own mass is turned by its tyre.
+    carried = 0.5 * p.sprung_mass / p.mass / sideways
     half = p.mass * GRAVITY / 2.0
     lever = p.sprung_mass * p.centre_of_mass_height
     pitch = p.sprung_mass * (math.tau * p.ride_frequency * p.wheelbase / 2.0) ** 2
-    axle = {"distance": p.wheelbase / 2.0, "relaxation": p.lateral_relaxation, "damping": p.carcass_damping}
+
+    def axle(stiffness: float, toe: float) -> Axle:
+        # The arms are springs behind the tyre's: what they give builds the slip up over a longer way.
+        relaxation = p.lateral_relaxation + 0.5 * stiffness / sideways
+        return Axle(distance=p.wheelbase / 2.0, stiffness=stiffness, relaxation=relaxation,
+                    damping=p.carcass_damping, compliance=toe)  # fmt: skip
+
     return Subject(
         name="softbody",
         make=lambda: SoftbodyVehicle(p),
         model=SingleTrack(
             mass=p.mass,
             yaw_inertia=p.yaw_inertia,
-            front=Axle(stiffness=p.front_cornering_stiffness * half, compliance=-0.5 / sideways / p.front_arm, **axle),
-            rear=Axle(stiffness=p.rear_cornering_stiffness * half, compliance=0.5 / sideways / p.rear_arm, **axle),
+            front=axle(p.front_cornering_stiffness * half, -carried / p.front_arm),
+            rear=axle(p.rear_cornering_stiffness * half, carried / p.rear_arm),
+            # The leaning body's weight goes over to the outer wheels too.
+            turning_resistance=p.rolling_resistance
+            * (
+                p.mass * p.centre_of_mass_height
+                + p.sprung_mass * (p.centre_of_mass_height - p.roll_axis_height) * GRAVITY * p.roll_gradient
+            ),
         ),
         lock=p.max_steering_angle,
         steering_rate=p.steering_rate,
+        steering_delay=0.0,
         mass=p.mass + (4.0 * p.wheel_spin_inertia + 2.0 * p.rotor_inertia) / p.wheel_radius**2,
         coasting_force=p.rolling_resistance * p.mass * GRAVITY,
         regeneration=p.regenerative_force,
@@ -123,6 +151,7 @@ def donkey() -> Subject:
     half = p.mass * GRAVITY / 2.0
     axle = {"distance": p.wheelbase / 2.0, "relaxation": p.relaxation_length, "damping": p.carcass_damping}
     lever = p.mass * p.centre_of_mass_height
+    roll = p.roll_inertia * (math.tau * p.roll_frequency) ** 2
     # Lifted at 7 road m/s, the decaying voltage still drives until it meets the motor's back-EMF: by half, on average.
     constant, share = p.rolling_resistance * p.mass * GRAVITY, 7.0 / SCALE / p.free_speed
     after = p.motor_lag * math.log1p(constant / p.stall_force / share)
@@ -134,10 +163,12 @@ def donkey() -> Subject:
             yaw_inertia=p.yaw_inertia,
             front=Axle(stiffness=p.front_stiffness * half, **axle),
             rear=Axle(stiffness=p.rear_stiffness * half, **axle),
+            turning_resistance=p.rolling_resistance * lever * (1.0 + lever * GRAVITY / roll),
             scale=SCALE,
         ),
         lock=p.max_steering_angle,
         steering_rate=math.inf,
+        steering_delay=0.0,
         mass=p.mass + p.rotating_mass,
         coasting_force=p.rolling_resistance * p.mass * GRAVITY,
         # The shorted motor brakes in proportion to speed, at any speed.

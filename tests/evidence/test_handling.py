@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from tests.evidence.bicycle import GRAVITY
+from tests.evidence.conftest import Compare
 from tests.evidence.subjects import SUBJECTS, Subject, drive, settled, started, times
 
 from ds_sim.simulator import FRAME_TIME
@@ -28,7 +29,7 @@ STEPS = {
 
 
 @pytest.mark.parametrize("case", STEPS)
-def test_a_step_of_the_steering_is_answered_as_the_single_track_says(case: str) -> None:
+def test_a_step_of_the_steering_is_answered_as_the_single_track_says(case: str, compare: Compare) -> None:
     """Yaw rate over time against SciPy: the whole curve, its rise time and its overshoot."""
     name, speed, steering = STEPS[case]
     subject = SUBJECTS[name]()
@@ -40,14 +41,17 @@ def test_a_step_of_the_steering_is_answered_as_the_single_track_says(case: str) 
     angle = -steering * subject.lock
     car.close()
 
-    def steered(time: float) -> float:
-        return min(angle, subject.steering_rate * time) if time > 0.0 else 0.0
-
-    oracle = subject.model.yaw_rate(before / subject.scale, steered, times(40))
-    # While the rigid car's body takes up its roll, its contact points shift: up to 10 % during the ramp.
-    assert np.abs(measured - oracle).max() < (0.05 if subject.model.slips else 0.12) * oracle[-1]
-    assert rise_time(measured) == pytest.approx(rise_time(oracle), abs=0.5 * FRAME_TIME)
-    assert measured.max() / measured[-1] == pytest.approx(oracle.max() / oracle[-1], abs=0.04)
+    oracle = subject.model.yaw_rate(before / subject.scale, subject.steered(angle), times(40))
+    at, by = f"step at {3.6 * speed:.0f} km/h: ", "SciPy, single track"
+    # Measured: 0.15 % for the tyres that do not slip; 1.5 to 2.6 % for those that do, more the harder it is steered:
+    # they soften as slip grows, the oracle's do not.
+    band = 0.04 if subject.model.slips else 0.005
+    worst = int(np.abs(measured - oracle).argmax())
+    compare(name, at + "yaw rate where it is furthest off, rad/s", by,
+            measured=measured[worst], expected=oracle[worst], off=band * oracle[-1])  # fmt: skip
+    compare(name, at + "rise to 90 %, s", by, measured=rise_time(measured), expected=rise_time(oracle), off=0.01)
+    compare(name, at + "peak over end", by, measured=measured.max() / measured[-1],
+            expected=oracle.max() / oracle[-1], off=0.02)  # fmt: skip
 
 
 def rise_time(rates: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
@@ -58,7 +62,9 @@ def rise_time(rates: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
 
 
 @pytest.mark.parametrize("speed", [3.0, 7.0])
-def test_a_steady_circle_has_the_radius_that_steering_and_speed_give(subject: Subject, speed: float) -> None:
+def test_a_steady_circle_has_the_radius_that_steering_and_speed_give(
+    subject: Subject, speed: float, compare: Compare
+) -> None:
     """Gillespie ch. 6: R = (L + K v^2) / angle, K from the axles' slip stiffnesses, 0 without slip."""
     car = started(subject)
     throttle = settled(car, speed)
@@ -69,14 +75,12 @@ def test_a_steady_circle_has_the_radius_that_steering_and_speed_give(subject: Su
     angle = math.tan(steering * subject.lock)
     radius = (model.wheelbase + model.understeer_gradient * (last.speed / subject.scale) ** 2) / angle
     assert last.yaw_rate < 0.0
-    assert -last.speed / last.yaw_rate / subject.scale == pytest.approx(radius, rel=0.02)
+    compare(subject.name, f"radius at {3.6 * speed:.0f} km/h, road m", "(L + K v^2) / angle",
+            measured=-last.speed / last.yaw_rate, expected=radius * subject.scale, rel=0.02)  # fmt: skip
 
 
-def test_the_understeer_gradient_is_that_of_the_axles(subject: Subject, request: pytest.FixtureRequest) -> None:
+def test_the_understeer_gradient_is_that_of_the_axles(subject: Subject, compare: Compare) -> None:
     """What a faster circle takes from the steering angle, per lateral acceleration, in degrees per g."""
-    if subject.name == "donkey":
-        # 1.74 degrees per g against 1.56 by hand, outside the 10 % asked for: the cause is not found yet.
-        request.applymarker(pytest.mark.xfail(strict=True, reason="the twin understeers 12 % more than its axles say"))
     points = []
     car = started(subject)
     for speed in (3.0, subject.fast):
@@ -88,10 +92,14 @@ def test_the_understeer_gradient_is_that_of_the_axles(subject: Subject, request:
     car.close()
     (slow, slow_lateral), (fast, fast_lateral) = points
     per_g = math.degrees((slow - fast) / (fast_lateral - slow_lateral)) * GRAVITY
-    assert per_g == pytest.approx(math.degrees(subject.model.understeer_gradient) * GRAVITY, rel=0.1, abs=0.05)
+    compare(subject.name, "understeer, degrees per g", "both axles' slip and bushes, by hand", measured=per_g,
+            expected=math.degrees(subject.model.understeer_gradient) * GRAVITY,
+            **({"rel": 0.05} if subject.model.slips else {"off": 0.05}))  # fmt: skip
 
 
-def test_lifting_the_throttle_stops_it_within_the_distance_that_its_forces_give(subject: Subject) -> None:
+def test_lifting_the_throttle_stops_it_within_the_distance_that_its_forces_give(
+    subject: Subject, compare: Compare
+) -> None:
     """The only brake there is (throttle goes from 0 up): m dv/dt = -c - k min(v, v_f), solved by hand.
 
     Above the fade speed (v^2 - v_f^2) m / 2 / (c + k v_f); below it m/k (v - c/k ln(1 + k v / c)).
@@ -110,10 +118,11 @@ def test_lifting_the_throttle_stops_it_within_the_distance_that_its_forces_give(
     # Until the motor has followed the pedal it drives on as before: a time constant's worth of the speed.
     distance += speed * subject.coasting_delay
     assert abs(states[-1].speed) < 1e-3
-    assert (states[-1].x - first.x) / subject.scale == pytest.approx(distance, rel=0.02)
+    compare(subject.name, "stopping distance from 25 km/h, road m", "m dv/dt = -c - k v, by hand",
+            measured=states[-1].x - first.x, expected=distance * subject.scale, rel=0.02)  # fmt: skip
 
 
-def test_the_nose_dips_by_what_the_springs_give_under_the_deceleration(subject: Subject) -> None:
+def test_the_nose_dips_by_what_the_springs_give_under_the_deceleration(subject: Subject, compare: Compare) -> None:
     """Pitch = (moment of the masses' inertia) / (springs' stiffness less the leaning weight), in steady slowing."""
     car = started(subject)
     settled(car, 7.0)
@@ -125,7 +134,8 @@ def test_the_nose_dips_by_what_the_springs_give_under_the_deceleration(subject: 
     steady = slice(12, 24)
     assert slowing[steady].min() * subject.scale > 1.0
     expected = subject.pitch_per_deceleration * slowing[steady].mean()
-    assert pitch[steady].mean() == pytest.approx(expected, rel=0.05)
+    compare(subject.name, "pitch while slowing, degrees", "moment over springs, by hand",
+            measured=math.degrees(pitch[steady].mean()), expected=math.degrees(expected), rel=0.05)  # fmt: skip
 
 
 def test_turned_by_a_right_angle_it_drives_the_same(subject: Subject) -> None:

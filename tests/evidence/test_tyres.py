@@ -1,0 +1,189 @@
+"""Tyres that slip along and across at once, and where the whole car loses its grip; oracles worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from tests.evidence.bicycle import GRAVITY
+from tests.evidence.conftest import Compare
+from tests.evidence.subjects import settled
+
+from ds_sim.simulator import FRAME_TIME, Command
+from ds_sim.vehicle import Vehicle
+from ds_sim_bullet.parameters import BulletParameters
+from ds_sim_bullet.vehicle import BulletVehicle
+from ds_sim_softbody.lattice import Corner
+from ds_sim_softbody.parameters import SoftbodyParameters
+from ds_sim_softbody.vehicle import SoftbodyVehicle
+from ds_sim_softbody.wheel import Wheel, WheelPlan
+from ds_twin_donkey.dynamics import CarModel
+from ds_twin_donkey.parameters import SCALE, DonkeyParameters
+from ds_twin_donkey.vehicle import DonkeyVehicle
+
+B, S, D = BulletParameters(), SoftbodyParameters(), DonkeyParameters()
+
+RAMP = 300
+"""Frames in which the steering goes to its end: slow enough that the car does not overshoot."""
+SLIPS = [(along, across) for along in (-0.3, -0.05, 0.0, 0.02, 0.1, 1.0) for across in (-0.4, -0.06, 0.0, 0.02, 0.15)]
+
+
+def brush(along: float, across: float, load: float, rated: float) -> tuple[float, float]:
+    """Pacejka ch. 3: along the slip, mu N (1 - (1 - s)^3), s the elastic force over 3 mu N; full sliding at s = 1."""
+    grip = load * S.friction * (1.0 - S.load_sensitivity * (load / rated - 1.0))
+    elastic = np.array([S.slip_stiffness * along, S.front_cornering_stiffness * across]) * load
+    size = float(np.hypot(*elastic))
+    if size == 0.0:
+        return 0.0, 0.0
+    force = elastic / size * grip * (1.0 - (1.0 - min(size / (3.0 * grip), 1.0)) ** 3)
+    return float(force[0]), float(force[1])
+
+
+def softbody_tyre(along: float, across: float, load: float, rated: float) -> tuple[float, float]:
+    """Forces (N) of the soft car's wheel after 2 s at one slip, a share of the tread's speed."""
+    tread, dt = 10.0, 0.001
+    plan = WheelPlan(
+        corner=Corner(0, 1, 2), static_load=rated, cornering_stiffness=S.front_cornering_stiffness,
+        toe_per_shift=0.0, spin_inertia=1.0,
+    )  # fmt: skip
+    # x, y, and velocities of the wheel and of its two bushes: the wheel slides to the right for a force to the left.
+    nodes = [0.0, 0.0, tread * (1.0 - along), -tread * across, 0.2, 0.0, 0.0, 0.0, -0.2, 0.0, 0.0, 0.0]
+    wheel = Wheel(S, plan, nodes, dt=dt)
+    wheel.carry(load)
+    force = (0.0, 0.0)
+    for _ in range(2000):
+        wheel.spin = tread / S.wheel_radius
+        force = wheel.roll(nodes)
+    return force
+
+
+@pytest.mark.parametrize("load", [1500.0, 3700.0, 6000.0])
+def test_the_soft_cars_tyre_is_the_brush_within_its_friction_circle(load: float, compare: Compare) -> None:
+    grip = load * S.friction * (1.0 - S.load_sensitivity * (load / 3700.0 - 1.0))
+    for along, across in SLIPS:
+        force, expected = softbody_tyre(along, across, load, 3700.0), brush(along, across, load, 3700.0)
+        assert math.hypot(*force) <= grip * (1.0 + 1e-9)
+        assert math.hypot(*force) == pytest.approx(math.hypot(*expected), rel=1e-3)
+        if math.hypot(*expected) < grip * (1.0 - 1e-9):
+            assert force == pytest.approx(expected, rel=1e-3, abs=1e-3 * load)
+        else:
+            # Sliding as a whole it leans towards the stiffer direction of its carcass, but never pushes.
+            assert force[0] * along + force[1] * across > 0.0
+    alone, driven = (softbody_tyre(along, 0.06, load, 3700.0)[1] for along in (0.0, 0.1))
+    by_hand = brush(0.1, 0.06, load, 3700.0)[1] / brush(0.0, 0.06, load, 3700.0)[1]
+    assert by_hand < 0.6
+    compare("softbody", f"side force that is left at 10 % of drive slip, {load:.0f} N", "brush, Pacejka ch. 3",
+            measured=driven / alone, expected=by_hand, rel=0.01)  # fmt: skip
+
+
+@pytest.mark.parametrize("load", [1.0, 3.43, 6.0])
+def test_the_twins_tyre_stays_on_its_friction_circle(load: float, compare: Compare) -> None:
+    """Side force = sqrt(1 - (drive / mu N)^2) of what it is without drive; never more than mu N in all."""
+    model, rated, speed = CarModel(D), 3.43, 0.5
+    grip = load * D.friction * (1.0 - D.load_sensitivity * (load / rated - 1.0))
+
+    def tyre(drive: float, slip: float) -> tuple[float, float]:
+        # In steady rolling the slip has built up: across = speed x slip.
+        along, across, rate = model._tyre(speed, speed * slip, slip, load, rated, D.front_stiffness, drive)
+        assert rate == pytest.approx(0.0, abs=1e-9)
+        return along, across
+
+    rolling = -tyre(0.0, 0.0)[0]
+    assert rolling == pytest.approx(D.rolling_resistance * load, rel=1e-3)
+    for share in (-3.0, -0.9, -0.3, 0.0, 0.5, 0.95, 3.0):
+        for slip in (-1.2, -0.1, 0.0, 0.05, 0.3):
+            along, across = tyre(share * grip + rolling, slip)
+            assert along == pytest.approx(min(max(share, -1.0), 1.0) * grip, rel=1e-6, abs=1e-9)
+            assert math.hypot(along, across) <= grip * (1.0 + 1e-9)
+            magic = math.sin(D.shape * math.atan(D.front_stiffness * load / (D.shape * grip) * slip))
+            left = math.sqrt(1.0 - min(abs(share), 1.0) ** 2)
+            assert across == pytest.approx(-magic * left * grip, rel=1e-3, abs=1e-6)
+    compare("donkey", f"side force that is left at 0.9 of the grip as drive, {load:g} N", "friction circle",
+            measured=tyre(0.9 * grip + rolling, 0.1)[1] / tyre(rolling, 0.1)[1],
+            expected=math.sqrt(1.0 - 0.9**2), rel=0.01)  # fmt: skip
+
+
+def sliding(vehicle: Vehicle, speed: float, largest: float) -> tuple[float, float]:
+    """Turn the steering slowly to a share of its lock and find where the car holds the bend hardest.
+
+    Returns:
+        Lateral acceleration (m/s^2, of the road), the mean of half a second, and the front wheels' angle then (rad).
+    """
+    vehicle.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
+    throttle = settled(vehicle, speed)
+    rows = []
+    for frame in range(RAMP):
+        vehicle.advance(Command(largest * (frame + 1) / RAMP, throttle))
+        s = vehicle.state()
+        rows.append((s.yaw_rate * s.speed, s.lateral_speed, s.steering_angle))
+    vehicle.close()
+    turning, sideways, angles = -np.array(rows).T
+    lateral = turning + np.gradient(sideways, FRAME_TIME)
+    lateral, angles = (np.convolve(column, np.full(10, 0.1), "valid") for column in (lateral, angles))
+    return float(lateral.max()), float(angles[lateral.argmax()])
+
+
+def grip_limit(
+    friction: float, outer: float, inner: float, *, sensitivity: float, share: float, lever: float, length: float
+) -> float:
+    """In g, by hand: both front wheels slide; the rear ones hold what balances them.
+
+    Args:
+        friction: of the tyres.
+        outer: angle of the outer front wheel, rad.
+        inner: angle of the inner one.
+        sensitivity: relative loss of friction per relative gain of load.
+        share: the front's of the moment that goes over to the outer wheels, over its share of the weight.
+        lever: height of the centre of mass over the track.
+        length: wheelbase over the track.
+    """
+
+    def excess(a: float) -> float:
+        # Gained by the outer wheel and lost by the inner one, as a share of their load.
+        over = 2.0 * share * a * lever
+        on_outer = (1.0 + over) * (1.0 - sensitivity * over)
+        on_inner = (1.0 - over) * (1.0 + sensitivity * over)
+        hold = 0.5 * (on_outer * math.cos(outer) + on_inner * math.cos(inner))
+        # The outer wheel, which carries more, also drags more: a moment against the bend.
+        drag = 0.25 * (on_outer * math.sin(outer) - on_inner * math.sin(inner)) / length
+        return a - friction * (hold - drag)
+
+    return float(brentq(excess, 0.0, 3.0))
+
+
+def test_the_soft_car_slides_where_its_tyres_friction_ends(compare: Compare) -> None:
+    parallel = replace(S, ackermann=0.0)
+    lateral, angle = sliding(SoftbodyVehicle(parallel), 15.0, 0.6)
+    limit = grip_limit(S.friction, angle, angle, sensitivity=S.load_sensitivity, share=2.0 * S.roll_front_share,
+                       lever=S.centre_of_mass_height / S.track, length=S.wheelbase / S.track)  # fmt: skip
+    compare("softbody", "largest lateral acceleration, g", "front axle slides, by hand",
+            measured=lateral / GRAVITY, expected=limit, rel=0.05)  # fmt: skip
+
+
+def test_the_twin_slides_where_its_tyres_friction_ends(compare: Compare) -> None:
+    """Only a faster car than ours gets there; stiff tyres and a strong motor do it at small angles and one speed."""
+    car = D.changed(full_duty=0.9, stall_force=100.0, drive_front_share=0.0, front_stiffness=15.0,
+                    rear_stiffness=17.0, ackermann=0.0)  # fmt: skip
+    lateral, angle = sliding(DonkeyVehicle(car), 3.5 * SCALE, 1.0)
+    limit = grip_limit(D.friction, angle, angle, sensitivity=D.load_sensitivity, share=2.0 * D.roll_front_share,
+                       lever=D.centre_of_mass_height / D.track, length=D.wheelbase / D.track)  # fmt: skip
+    compare("donkey", "largest lateral acceleration, g (made faster)", "front axle slides, by hand",
+            measured=lateral / SCALE / GRAVITY, expected=limit, rel=0.05)  # fmt: skip
+
+
+def test_the_rigid_car_slides_near_coulombs_limit(compare: Compare) -> None:
+    """Measured 6 % above the hand's value: where a tyre slides, the engine chooses its force's direction (see
+    `BulletVehicle`); below mu g in any case."""
+    lateral, angle = sliding(BulletVehicle(B), 8.0, 1.0)
+    inner, outer = B.wheel_angles(angle)
+    bars = {True: B.front_anti_roll, False: B.rear_anti_roll}
+    front, rear = (B.spring_stiffness(front=at) + 2.0 * bars[at] for at in (True, False))
+    height = (B.sprung_mass * B.centre_of_mass_height + 4.0 * B.unsprung_mass * B.wheel_radius) / B.mass
+    limit = grip_limit(B.friction, outer, inner, sensitivity=0.0, share=front / (front + rear) / B.front_share,
+                       lever=height / B.track, length=B.wheelbase / B.track)  # fmt: skip
+    compare("bullet", "largest lateral acceleration, g", "front axle slides, by hand", measured=lateral / GRAVITY,
+            expected=limit, rel=0.08)  # fmt: skip
+    assert lateral < B.friction * GRAVITY
