@@ -34,8 +34,8 @@ DENSITY = {"pinhole": 0.4, "equidistant": 0.25}
 """Samples over length per width of a pixel on the ground; chosen: the least with 40 dB and more for every simulator
 (a low pinhole has 42 dB with 0.4 and 38 dB with 0.3, the twin's lens 44 dB with 0.25)."""
 SHARPNESS = 1.4
-"""A level is read when a pixel on the ground is as wide as 0.7 to 1.4 of its raster pixels; chosen: crisp lines. 1 is as
-close to the reference for the pinholes, and 1 dB closer for the twin."""
+"""A level is read when a pixel on the ground is as wide as 0.7 to 1.4 of its raster pixels; chosen: crisp lines.
+1 is as close to the reference for the pinholes, and 1 dB closer for the twin."""
 FARTHEST = 400.0
 """Metres; ground beyond looks as it does there."""
 
