@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.sparse import csr_matrix
 from scipy.stats import t as student
 
 from ds_sim.simulator import FRAME_TIME
@@ -47,6 +45,15 @@ _SETTLING = 30
 """Frames of commands before that; twelve time constants of the motor's lag, the slowest actuator."""
 _NUISANCE = 6
 """Free values of a window's first state: x, y, yaw, speed, lateral speed, yaw rate."""
+_FIRST_GUESS = np.array([np.inf, np.inf, np.inf, 0.1, 0.15, 0.3])
+"""How far a first state may be off its smoothed measurement (m/s, m/s, rad/s); chosen: three to five times what the
+smoothing leaves of usual noise, and for the lateral speed a slip of 0.1 at 1.5 m/s. It matters only where a window
+forgets its first lateral speed before its first residual."""
+_STANDS, _ROLLS = 0.03, 0.15
+"""Model m/s. No window begins between them: whether friction holds the car there is a matter of noise. A slower car is
+taken to stand. Chosen: smoothed noise of a speed sensor, and a few frames of getting under way."""
+_REST = 1e-4
+"""m/s, rad/s; what a standing car's first state may be off."""
 _STEP = 1e-4
 """Of the forward differences, relative; far above rounding and below any kink of play or rate limit."""
 _FLOORS = np.array([5e-4, 5e-4, 5e-4, 1e-3, 2e-3])
@@ -67,13 +74,11 @@ class FitSettings:
         window_seconds: length of a window.
         max_windows: at most so many, evenly spread over the drives; bounds time and memory.
         max_evaluations: of all residuals, in each of the rounds.
-        loss: of `scipy.optimize.least_squares`: `linear`, or `soft_l1` for logs with outliers.
     """
 
     window_seconds: float = 3.0
     max_windows: int = 120
     max_evaluations: int = 40
-    loss: str = "linear"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +147,7 @@ def fit(
     say(f"{problem.count} windows of {settings.window_seconds:g} s, {int(problem.known.sum())} measured values")
     names = list(FITTED)
     theta, eta = np.zeros(len(names)), problem.first_states.copy()
-    theta, eta = problem.solve(names, theta, eta, settings, say)
+    theta, eta = problem.solve(names, theta, eta, settings, say, 1e-3)
     problem.weigh(names, theta, eta)
     theta, eta = problem.solve(names, theta, eta, settings, say)
     held = problem.undetermined(names, theta, eta)
@@ -190,9 +195,15 @@ class _Problem:
         places = []
         for index, drive in enumerate(drives):
             first = RUN_IN if drive.from_rest else RUN_IN + self._before
-            for at in range(first, len(drive.commands) - self._length + 1, self._length):
-                if np.isfinite(drive.measured[at : at + self._length]).any():
-                    places.append((index, at - RUN_IN))
+            at = first
+            while at + self._length <= len(drive.commands):
+                begin = at - RUN_IN
+                speed = abs(float(_state_at(drive.measured, begin, 0.0)[3]))
+                if _STANDS <= speed < _ROLLS or not np.isfinite(drive.measured[at : at + self._length]).any():
+                    at += 1
+                    continue
+                places.append((index, begin))
+                at += self._length
         if not places:
             need = (RUN_IN + self._length) * FRAME_TIME
             raise FitError(f"no drive of {need:g} s without a gap: record longer ones, or take shorter windows")
@@ -204,6 +215,7 @@ class _Problem:
         self._commands = np.zeros((frames, self.count, 2))
         self.measured = np.full((self.count, self._length, len(CHANNELS)), np.nan)
         self.first_states = np.zeros((self.count, _NUISANCE))
+        self._guess = np.tile(_FIRST_GUESS, (self.count, 1))
         rear = start.wheelbase * start.front_share
         for window, (index, begin) in enumerate(places):
             drive = drives[index]
@@ -211,6 +223,9 @@ class _Problem:
             self._commands[:, window] = padded[begin : begin + frames]
             self.measured[window] = drive.measured[begin + RUN_IN : begin + RUN_IN + self._length]
             self.first_states[window] = _state_at(drive.measured, begin, rear)
+            if self.first_states[window, 3] < _STANDS:
+                self.first_states[window, 3:] = 0.0
+                self._guess[window, 3:] = _REST
         self.known = np.isfinite(self.measured)
         self.sigma = np.maximum(_noise(self.measured), _FLOORS)
 
@@ -251,12 +266,12 @@ class _Problem:
         return np.where(self.known, predicted - np.nan_to_num(self.measured), 0.0)
 
     def residuals(self, names: Sequence[str], theta: Array, eta: Array) -> Array:
-        """(windows, frames, 5) over the noise."""
-        scaled: Array = self.difference(self.predict([self.car(names, theta)], eta[None])[0]) / self.sigma
-        return scaled
+        """(windows, frames x 5 + 6) over the noise; the last six columns hold the first state to its guess."""
+        scaled = self.difference(self.predict([self.car(names, theta)], eta[None])[0]) / self.sigma
+        return np.concatenate((scaled.reshape(self.count, -1), (eta - self.first_states) / self._guess), axis=1)
 
     def jacobian(self, names: Sequence[str], theta: Array, eta: Array) -> tuple[Array, Array]:
-        """(windows, frames x 5, parameters) and (windows, frames x 5, 6)."""
+        """Slopes of `residuals` by parameters and by first states."""
         cars = [self.car(names, theta)]
         for column in range(len(names)):
             moved = theta.copy()
@@ -275,50 +290,47 @@ class _Problem:
         both = np.concatenate((slopes[: len(names)], pose, slopes[len(names) :]))
         both = np.where(self.known, both, 0.0) / self.sigma
         flat = both.reshape(len(both), self.count, -1).transpose(1, 2, 0)
+        guess = np.zeros((self.count, _NUISANCE, len(both)))
+        guess[:, np.arange(_NUISANCE), len(names) + np.arange(_NUISANCE)] = 1.0 / self._guess
+        flat = np.concatenate((flat, guess), axis=1)
         return flat[..., : len(names)], flat[..., len(names) :]
 
     def solve(
-        self, names: Sequence[str], theta: Array, eta: Array, settings: FitSettings, say: Say
+        self, names: Sequence[str], theta: Array, eta: Array, settings: FitSettings, say: Say, tolerance: float = 1e-5
     ) -> tuple[Array, Array]:
-        """Least squares from here, over parameters and first states."""
-        count, free = len(names), self._length * len(CHANNELS)
-        rounds = 0
+        """Least squares from here over the parameters, each window's first state following them.
 
-        def split(values: Array) -> tuple[Array, Array]:
-            return values[:count], values[count:].reshape(self.count, _NUISANCE)
+        This is variable projection: for any parameters the first states are those that leave least, found by one
+        step along the tangent and one Gauss-Newton step, so SciPy sees a small dense problem.
+        """
+        anchor = _Anchor(self, names, theta, eta)
+        states: dict[bytes, Array] = {}
+        rounds = 0
 
         def residuals(values: Array) -> Array:
             with np.errstate(all="ignore"):
-                rows = self.residuals(names, *split(values)).ravel()
+                states[values.tobytes()], rows = anchor.follow(values)
             # A step so far off that the car is flung out of numbers is a bad one, no more.
-            return np.clip(np.nan_to_num(rows, nan=1e6), -1e6, 1e6)
+            return np.clip(np.nan_to_num(rows.ravel(), nan=1e6), -1e6, 1e6)
 
-        def jacobian(values: Array) -> Any:
-            nonlocal rounds
-            ours, states = self.jacobian(names, *split(values))
-            cost = 0.5 * float(np.square(residuals(values)).sum())
-            say(f"iteration {rounds}: cost {cost:.6g}, {cost / (0.5 * self.known.sum()):.4g} per value")
+        def jacobian(values: Array) -> Array:
+            nonlocal anchor, rounds
+            anchor = _Anchor(self, names, values, states[values.tobytes()])
+            states.clear()
+            states[values.tobytes()] = anchor.eta
+            cost = float(np.square(anchor.left).sum())
+            say(f"iteration {rounds}: {cost / self.known.sum():.5g} squared deviations per value")
             rounds += 1
-            row = np.arange(self.count * free).reshape(self.count, free, 1)
-            at = count + _NUISANCE * np.arange(self.count)[:, None, None] + np.arange(_NUISANCE)
-            rows = np.concatenate((np.broadcast_to(row, ours.shape).ravel(), np.broadcast_to(row, states.shape).ravel()))
-            columns = np.concatenate(
-                (np.broadcast_to(np.arange(count), ours.shape).ravel(), np.broadcast_to(at, states.shape).ravel())
-            )
-            values_ = np.concatenate((ours.ravel(), states.ravel()))
-            return csr_matrix((values_, (rows, columns)), shape=(self.count * free, count + self.count * _NUISANCE))
+            return anchor.projected
 
         low, high = zip(*(self._bounds(name) for name in names), strict=True)
-        infinite = np.full(eta.size, np.inf)
         done = least_squares(
-            residuals, np.concatenate((theta, eta.ravel())), jacobian,
-            bounds=(np.concatenate((low, -infinite)), np.concatenate((high, infinite))),
-            x_scale="jac", loss=settings.loss, max_nfev=settings.max_evaluations, ftol=1e-5, xtol=1e-7, gtol=None,
-            tr_solver="lsmr", tr_options={"atol": 1e-12, "btol": 1e-12, "maxiter": 4000},
+            residuals, theta, jacobian, bounds=(low, high), x_scale="jac", max_nfev=settings.max_evaluations,
+            ftol=tolerance, xtol=1e-5, gtol=None,
         )  # fmt: skip
         if not math.isfinite(done.cost):
             raise FitError("the model does not follow the drives at all: check units, signs and stamps of the logs")
-        return split(done.x)
+        return done.x, states[done.x.tobytes()]
 
     def weigh(self, names: Sequence[str], theta: Array, eta: Array) -> None:
         """Take the noise of each channel from what the fit leaves over."""
@@ -380,6 +392,31 @@ class _Problem:
         if name in ("full_duty", "start_duty", "drag_brake"):
             high = min(high, 0.98 / self.scale(name) - 1.0)
         return low, high
+
+
+class _Anchor:
+    """The problem made linear at a point, from where first states follow the parameters."""
+
+    def __init__(self, problem: _Problem, names: Sequence[str], theta: Array, eta: Array) -> None:
+        self._problem, self._names, self.theta, self.eta = problem, names, theta.copy(), eta
+        ours, states = problem.jacobian(names, theta, eta)
+        self._inverse = np.linalg.pinv(states, rcond=1e-10)
+        self.left = problem.residuals(names, theta, eta)
+        self._ours = ours
+        self.projected: Array = (ours - states @ (self._inverse @ ours)).reshape(-1, len(names))
+
+    def follow(self, theta: Array) -> tuple[Array, Array]:
+        """First states and residuals for other parameters."""
+        tangent = self.left + self._ours @ (theta - self.theta)
+        eta = self.eta - np.einsum("wij,wj->wi", self._inverse, tangent)
+        left = self._problem.residuals(self._names, theta, eta)
+        closer = eta - np.einsum("wij,wj->wi", self._inverse, np.nan_to_num(left))
+        again = self._problem.residuals(self._names, theta, closer)
+        if np.array_equal(theta, self.theta):
+            eta = np.where((np.square(self.left).sum(axis=1) < np.square(left).sum(axis=1))[:, None], self.eta, eta)
+            left = np.where((np.square(self.left).sum(axis=1) < np.square(left).sum(axis=1))[:, None], self.left, left)
+        better = np.square(again).sum(axis=1) < np.square(left).sum(axis=1)
+        return np.where(better[:, None], closer, eta), np.where(better[:, None], again, left)
 
 
 def _longest_delay(start: DonkeyParameters) -> int:
