@@ -47,12 +47,16 @@ class Lanes:
         self._roll_stiffness = p["roll_inertia"] * roll**2 + lean
         self._pitch_stiffness = p["pitch_inertia"] * pitch**2 + lean
         self._breakaway = p["rolling_resistance"] * weight
-        self._servo_gain = -np.expm1(-STEP / p["servo_lag"])
         self._motor_gain = -np.expm1(-STEP / p["motor_lag"])
         self._frames_of_delay = np.floor_divide(p["command_delay"], FRAME_TIME).astype(np.int64)
         rest = p["command_delay"] - self._frames_of_delay * FRAME_TIME
         ends = (np.arange(SUBSTEPS) + 1.0) * STEP
-        self._newer_share = np.clip((ends[:, None] - rest) / STEP, 0.0, 1.0)
+        newer = np.clip((ends[:, None] - rest) / STEP, 0.0, 1.0)
+        # Per step: share of the newer pulse, and the servo's gain and furthest move under either pulse.
+        parts = [
+            (-np.expm1(-part * STEP / p["servo_lag"]), part * STEP * p["servo_rate"]) for part in (1.0 - newer, newer)
+        ]
+        self._shares = np.stack((newer, *parts[0], *parts[1]), axis=1)
         # Constants of the four tyres, rows front left, front right, rear left, rear right.
         stiffness = rows((p["front_stiffness"], p["front_stiffness"], p["rear_stiffness"], p["rear_stiffness"]))
         self._curve = stiffness / (p["shape"] * p["friction"])
@@ -92,7 +96,7 @@ class Lanes:
         servo, wheels, duty = older[0].copy(), older[0].copy(), older[1].copy()
         for frame in frames:
             older, newer = self.delayed(pulses, frame)
-            for share in self._newer_share:
+            for share in self._shares:
                 servo, wheels, _, duty, _, _ = self._actuate(servo, wheels, duty, older, newer, share)
         return servo, wheels, duty
 
@@ -101,7 +105,7 @@ class Lanes:
     ) -> tuple[Array, tuple[Array, Array, Array]]:
         """One frame later: (14, n) motion and the three actuator states."""
         servo, wheels, duty = actuators
-        for share in self._newer_share:
+        for share in self._shares:
             servo, wheels, before, duty, middle, brake = self._actuate(servo, wheels, duty, older, newer, share)
             motion = self._move(motion, 0.5 * (before + wheels), middle, brake)
         return motion, (servo, wheels, duty)
@@ -109,10 +113,11 @@ class Lanes:
     def _actuate(
         self, servo: Array, wheels: Array, duty: Array, older: Array, newer: Array, share: Array
     ) -> tuple[Array, Array, Array, Array, Array, Array]:
-        p = self._p
-        angle, wanted, brake = share * newer + (1.0 - share) * older
-        furthest, play = p["servo_rate"] * STEP, 0.5 * p["servo_backlash"]
-        servo = servo + np.clip((angle - servo) * self._servo_gain, -furthest, furthest)
+        part, older_gain, older_reach, newer_gain, newer_reach = share
+        _, wanted, brake = part * newer + (1.0 - part) * older
+        play = 0.5 * self._p["servo_backlash"]
+        servo = servo + np.minimum(np.maximum((older[0] - servo) * older_gain, -older_reach), older_reach)
+        servo = servo + np.minimum(np.maximum((newer[0] - servo) * newer_gain, -newer_reach), newer_reach)
         before = wheels
         wheels = np.minimum(np.maximum(wheels, servo - play), servo + play)
         change = (wanted - duty) * self._motor_gain
