@@ -267,11 +267,14 @@ class _Problem:
 
     def residuals(self, names: Sequence[str], theta: Array, eta: Array) -> Array:
         """(windows, frames x 5 + 6) over the noise; the last six columns hold the first state to its guess."""
-        scaled = self.difference(self.predict([self.car(names, theta)], eta[None])[0]) / self.sigma
+        return self._deviations(self.predict([self.car(names, theta)], eta[None])[0], eta)
+
+    def _deviations(self, predicted: Array, eta: Array) -> Array:
+        scaled = self.difference(predicted) / self.sigma
         return np.concatenate((scaled.reshape(self.count, -1), (eta - self.first_states) / self._guess), axis=1)
 
-    def jacobian(self, names: Sequence[str], theta: Array, eta: Array) -> tuple[Array, Array]:
-        """Slopes of `residuals` by parameters and by first states."""
+    def jacobian(self, names: Sequence[str], theta: Array, eta: Array) -> tuple[Array, Array, Array]:
+        """Slopes of `residuals` by parameters and by first states, and the residuals."""
         cars = [self.car(names, theta)]
         for column in range(len(names)):
             moved = theta.copy()
@@ -293,7 +296,7 @@ class _Problem:
         guess = np.zeros((self.count, _NUISANCE, len(both)))
         guess[:, np.arange(_NUISANCE), len(names) + np.arange(_NUISANCE)] = 1.0 / self._guess
         flat = np.concatenate((flat, guess), axis=1)
-        return flat[..., : len(names)], flat[..., len(names) :]
+        return flat[..., : len(names)], flat[..., len(names) :], self._deviations(rows[0], eta)
 
     def solve(
         self, names: Sequence[str], theta: Array, eta: Array, settings: FitSettings, say: Say, tolerance: float = 1e-5
@@ -345,7 +348,7 @@ class _Problem:
 
     def half_widths(self, names: Sequence[str], theta: Array, eta: Array) -> list[float]:
         """Half a 95 % interval of each parameter, from the Jacobian with every window's first state left free."""
-        ours, states = self.jacobian(names, theta, eta)
+        ours, states, _ = self.jacobian(names, theta, eta)
         return self._widths(names, self._information(ours, states))
 
     def _information(self, ours: Array, states: Array) -> Array:
@@ -366,7 +369,7 @@ class _Problem:
 
     def undetermined(self, names: Sequence[str], theta: Array, eta: Array) -> list[str]:
         """Drop the widest parameter until every interval is narrow enough; those dropped."""
-        ours, states = self.jacobian(names, theta, eta)
+        ours, states, _ = self.jacobian(names, theta, eta)
         information, left, dropped = self._information(ours, states), list(range(len(names))), []
         values = self.values(names, theta)
         while left:
@@ -399,9 +402,8 @@ class _Anchor:
 
     def __init__(self, problem: _Problem, names: Sequence[str], theta: Array, eta: Array) -> None:
         self._problem, self._names, self.theta, self.eta = problem, names, theta.copy(), eta
-        ours, states = problem.jacobian(names, theta, eta)
+        ours, states, self.left = problem.jacobian(names, theta, eta)
         self._inverse = np.linalg.pinv(states, rcond=1e-10)
-        self.left = problem.residuals(names, theta, eta)
         self._ours = ours
         self.projected: Array = (ours - states @ (self._inverse @ ours)).reshape(-1, len(names))
 
@@ -413,8 +415,8 @@ class _Anchor:
         closer = eta - np.einsum("wij,wj->wi", self._inverse, np.nan_to_num(left))
         again = self._problem.residuals(self._names, theta, closer)
         if np.array_equal(theta, self.theta):
-            eta = np.where((np.square(self.left).sum(axis=1) < np.square(left).sum(axis=1))[:, None], self.eta, eta)
-            left = np.where((np.square(self.left).sum(axis=1) < np.square(left).sum(axis=1))[:, None], self.left, left)
+            kept = (np.square(self.left).sum(axis=1) < np.square(left).sum(axis=1))[:, None]
+            eta, left = np.where(kept, self.eta, eta), np.where(kept, self.left, left)
         better = np.square(again).sum(axis=1) < np.square(left).sum(axis=1)
         return np.where(better[:, None], closer, eta), np.where(better[:, None], again, left)
 
