@@ -359,7 +359,7 @@ class _Problem:
         return 0.5 * (total + total.T)
 
     def _widths(self, names: Sequence[str], information: Array) -> list[float]:
-        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        size = np.sqrt(np.maximum(np.diag(information), 1e-18))
         powers, axes = np.linalg.eigh(information / np.outer(size, size))
         # A direction of which nothing is known gets a width past any limit.
         variance = np.square(axes) @ (1.0 / np.maximum(powers, 1e-12)) / size**2

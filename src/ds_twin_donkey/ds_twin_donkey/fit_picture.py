@@ -60,17 +60,20 @@ def _histogram(fit: Fit) -> _Panel:
     edges = np.linspace(-4.0, 4.0, 33)
     middle = 0.5 * (edges[1:] + edges[:-1])
     normal = np.column_stack((edges, np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi)))
-    panel = _Panel(
-        "Measured less fitted, over its rms", "rms (grey: normal)", "density", [np.array([(-4.0, 0.0), (4.0, 0.55)])]
-    )
-    panel.line(normal, (170, 170, 170), 3)
+    drawn = []
     for index, name in enumerate(CHANNELS):
         left = (fit.measured - fit.fitted)[..., index].ravel()
         left = left[np.isfinite(left)]
         if left.size and fit.rms[name] > 0.0:
             height, _ = np.histogram(left / fit.rms[name], edges, density=True)
-            panel.line(np.column_stack((middle, height)), _COLOURS[index], 1)
-            panel.note(f"{name}: {fit.rms[name]:.2g}", index, _COLOURS[index])
+            drawn.append((index, name, np.column_stack((middle, height))))
+    panel = _Panel(
+        "Measured less fitted, over its rms", "rms (grey: normal)", "density", [normal, *(row[2] for row in drawn)]
+    )
+    panel.line(normal, (170, 170, 170), 3)
+    for index, name, points in drawn:
+        panel.line(points, _COLOURS[index], 1)
+        panel.note(f"{name}: {fit.rms[name]:.2g}", index, _COLOURS[index])
     return panel
 
 
