@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,31 +18,33 @@ _COLUMNS = [CarState._fields.index(name) for name in ("x", "y", "yaw", "speed", 
 
 
 def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
-    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, off in three of ten."""
+    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, off in three of ten, else mostly high: bends at full
+    throttle are what shows the friction."""
     count = round(seconds / FRAME_TIME)
     commands = np.zeros((count, 2))
     for column, (shortest, longest) in enumerate(((4, 16), (15, 50))):
         at = 0
         while at < count:
             length = int(rng.integers(shortest, longest))
-            value = rng.uniform(-1.0, 1.0) if column == 0 else rng.uniform(0.05, 1.0) * (rng.random() > 0.3)
+            value = rng.uniform(-1.0, 1.0) if column == 0 else (1.0 - 0.95 * rng.random() ** 2) * (rng.random() > 0.3)
             commands[at : at + length, column] = value
             at += length
     return commands
 
 
-def recorded(car: DonkeyParameters, rng: np.random.Generator, seconds: float) -> Drive:
+def recorded(car: DonkeyParameters, rng: np.random.Generator, seconds: float, noise: Sequence[float] = TRACKER_NOISE) -> Drive:
     """A random drive of the twin from rest, as a tracker would have it; the front axle must carry half the load.
 
     Args:
         car: that drives.
         rng: of commands and noise.
         seconds: its length.
+        noise: spread per channel of `logs.CHANNELS`.
     """
     commands = random_commands(rng, seconds)
     states = rollout(car, commands)[:-1, _COLUMNS]
-    noise = rng.normal(size=states.shape) * TRACKER_NOISE
-    return Drive(commands=commands, measured=states + noise, from_rest=True)
+    measured = states + rng.normal(size=states.shape) * np.asarray(noise)
+    return Drive(commands=commands, measured=measured, from_rest=True)
 
 
 def hidden_and_start(names: list[str], rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:

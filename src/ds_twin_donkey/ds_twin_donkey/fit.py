@@ -39,6 +39,8 @@ WIDEST = 0.2
 """Half a 95 % interval over the value; a wider one is called not determined. Chosen: the nominal values are no worse."""
 FURTHEST = 2.5
 """A parameter stays within this factor of its start; chosen: well past any two cars of a kind."""
+ROUNDS, SETTLED = 8, 0.1
+"""Rounds of weighing and solving at most, and the relative change of the noise that ends them; chosen."""
 RUN_IN = 5
 """Frames before a window's first residual; tyres and body (5 Hz, damped) have forgotten how they were set by then."""
 _SETTLING = 30
@@ -147,8 +149,14 @@ def fit(
     say(f"{problem.count} windows of {settings.window_seconds:g} s, {int(problem.known.sum())} measured values")
     names = list(FITTED)
     theta, eta = np.zeros(len(names)), problem.first_states.copy()
-    theta, eta = problem.solve(names, theta, eta, settings, say, 1e-3)
-    problem.weigh(names, theta, eta)
+    # What a start far off leaves over counts as noise at first: that keeps first states free to follow, and the steps
+    # large. It shrinks from round to round to what the sensors leave.
+    for turn in range(ROUNDS):
+        before = problem.sigma.copy()
+        problem.weigh(names, theta, eta)
+        if turn and np.all(np.abs(np.log(problem.sigma / before)) < SETTLED):
+            break
+        theta, eta = problem.solve(names, theta, eta, settings, say, 1e-3)
     theta, eta = problem.solve(names, theta, eta, settings, say)
     held = problem.undetermined(names, theta, eta)
     if held:
