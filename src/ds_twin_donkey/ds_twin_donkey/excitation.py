@@ -32,7 +32,9 @@ def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.floa
     return commands
 
 
-def recorded(car: DonkeyParameters, rng: np.random.Generator, seconds: float, noise: Sequence[float] = TRACKER_NOISE) -> Drive:
+def recorded(
+    car: DonkeyParameters, rng: np.random.Generator, seconds: float, noise: Sequence[float] = TRACKER_NOISE
+) -> Drive:
     """A random drive of the twin from rest, as a tracker would have it; the front axle must carry half the load.
 
     Args:

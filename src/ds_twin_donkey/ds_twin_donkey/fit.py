@@ -19,7 +19,7 @@ from scipy.stats import t as student
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import MOTION, Lanes
 from ds_twin_donkey.logs import CHANNELS, Drive
-from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
+from ds_twin_donkey.parameters import DonkeyParameters
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -36,7 +36,7 @@ the dead band is known to one pulse count only, which is 19 % of it."""
 _SCALES = {"steering_trim": 0.05}
 """What a parameter whose start may be 0 is measured against, rad; chosen: a trim that anyone would set right."""
 WIDEST = 0.2
-"""Half a 95 % interval over the value; a wider one is called not determined. Chosen: the nominal values are no worse."""
+"""Half a 95 % interval over the value; a wider one is not determined. Chosen: the nominal values are no worse."""
 FURTHEST = 2.5
 """A parameter stays within this factor of its start; chosen: well past any two cars of a kind."""
 ROUNDS, SETTLED = 8, 0.1
@@ -59,7 +59,7 @@ _REST = 1e-4
 _STEP = 1e-4
 """Of the forward differences, relative; far above rounding and below any kink of play or rate limit."""
 _FLOORS = np.array([5e-4, 5e-4, 5e-4, 1e-3, 2e-3])
-"""Least noise per channel (m, m, rad, m/s, rad/s); chosen: below any sensor, keeps noiseless logs from weighing 1e16."""
+"""Least noise per channel (m, m, rad, m/s, rad/s); chosen: below any sensor's, for noiseless logs."""
 _FASTEST_INITIAL_SLIP = 0.1
 """m/s; below this a window starts without slip, for slip is a ratio to the speed."""
 
@@ -175,7 +175,12 @@ def fit(
         value, half = found.get(name, (before, math.nan))
         estimates.append(
             Estimate(
-                name=name, unit=unit, value=value, low=value - half, high=value + half, start=before,
+                name=name,
+                unit=unit,
+                value=value,
+                low=value - half,
+                high=value + half,
+                start=before,
                 determined=name in found,
             )  # fmt: skip
         )

@@ -160,7 +160,9 @@ def _read_tub(path: Path) -> Log:
         rows = [row for row in rows if row["_index"] not in deleted]
         times = np.array([row["_timestamp_ms"] for row in rows], dtype=np.float64) / 1000.0
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
-        raise LogError(f"{path}: not a tub of version 2 ({type(error).__name__}: {error}): convert or copy it") from None
+        raise LogError(
+            f"{path}: not a tub of version 2 ({type(error).__name__}: {error}): convert or copy it"
+        ) from None
     columns = {
         "x": _column(rows, "pos/pos_x"),
         # Unity's y is up: seen from above, x and z are right and ahead.
