@@ -13,13 +13,15 @@ from ds_twin_donkey.logs import Drive
 from ds_twin_donkey.parameters import DonkeyParameters
 
 TRACKER_NOISE = (0.01, 0.01, 0.01, 0.02, 0.02)
-"""m, m, rad, m/s, rad/s at the model car; chosen: a ceiling camera with markers, a wheel sensor and a cheap gyroscope."""
+"""m, m, rad, m/s, rad/s at the model car; chosen: a ceiling camera, a wheel sensor, a cheap gyroscope."""
 _COLUMNS = [CarState._fields.index(name) for name in ("x", "y", "yaw", "speed", "yaw_rate")]
 
 
 def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
-    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, off in three of ten, else mostly high: bends at full
-    throttle are what shows the friction."""
+    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, off or mostly high.
+
+    Bends at full throttle are what shows the friction; three throttles of ten are off.
+    """
     count = round(seconds / FRAME_TIME)
     commands = np.zeros((count, 2))
     for column, (shortest, longest) in enumerate(((4, 16), (15, 50))):
