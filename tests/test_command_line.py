@@ -93,3 +93,12 @@ def test_drive_answers_with_one_document_and_repeats_itself() -> None:
     assert len(first["trajectory_sha256"]) == 64
     assert {**first, "wall_seconds": 0} == {**second, "wall_seconds": 0}
     assert first["simulated_seconds"] == pytest.approx(first["steps"] / 20)
+
+
+def test_a_tub_that_says_nothing_of_the_motion_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text('[]\n[]\n{}\n{}\n{"paths": ["catalog_0.catalog"], "deleted_indexes": []}')
+    row = {"_index": 0, "_timestamp_ms": 5, "user/angle": 0.1, "user/throttle": 0.2}
+    (tmp_path / "catalog_0.catalog").write_text(json.dumps(row))
+    done = ds("twin", "fit", tmp_path, "--out", tmp_path / "car.yaml")
+    assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1
+    assert "position or speed" in done.stderr and not (tmp_path / "car.yaml").exists()

@@ -28,7 +28,9 @@ road_app = typer.Typer(help="Roads: generate, check, show.", no_args_is_help=Tru
 campaign_app = typer.Typer(help="Campaigns: run, resume, look at.", no_args_is_help=True)
 siblings_app = typer.Typer(help="Siblings: how differently they behave.", no_args_is_help=True)
 app.add_typer(siblings_app, name="siblings")
+twin_app = typer.Typer(help="The digital twin: fit it to recorded drives.", no_args_is_help=True)
 app.add_typer(road_app, name="road")
+app.add_typer(twin_app, name="twin")
 app.add_typer(campaign_app, name="campaign")
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
@@ -70,7 +72,7 @@ def campaign_status(folder: Folder, as_json: JsonFlag = False) -> None:
 
 @app.command()
 def drive(
-    sim: Annotated[str, typer.Option(help="bullet, softbody, donkey, or module:Class.")],
+    sim: Annotated[str, typer.Option(help="bullet, softbody, donkey, donkey@FILE, or module:Class.")],
     driver: Annotated[str, typer.Option(help="autopilot, dave2, or a weights file.")] = "dave2",
     road: Annotated[Path | None, typer.Option(help="File with one road as JSON.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the run, and of the road if no file is given.")] = 0,
@@ -130,6 +132,21 @@ def road_show(
 ) -> None:
     """Draw a road."""
     print(commands.show_road(file, seed, max_angle, out))
+
+
+@twin_app.command("fit")
+def twin_fit(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Bags and Donkey Car tubs.")],
+    out: Annotated[Path, typer.Option(help="File of parameters to write; fit.png goes beside it.")] = Path(
+        "parameters.yaml"
+    ),
+    start: Annotated[Path | None, typer.Option(help="File of parameters to begin with; nominal if left out.")] = None,
+    window: Annotated[float, typer.Option(min=1.0, max=30.0, help="Length of a window, s.")] = 3.0,
+    evaluations: Annotated[int, typer.Option(min=1, help="At most, per round.")] = 40,
+    as_json: JsonFlag = False,
+) -> None:
+    """Fit the twin's parameters to recorded drives."""
+    _show(commands.fit_twin(logs, out, start, window=window, evaluations=evaluations), as_json)
 
 
 @app.command()

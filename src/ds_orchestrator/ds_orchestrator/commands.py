@@ -96,6 +96,7 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
     for name, version in versions().items():
         if store.note(f"version {name}", version) != version:
             store.note(f"version {name}, later", version)
+    _note_parameter_files(store, config)
     (out / "bags").mkdir(exist_ok=True)
     namespaces = namespaces_of(config.siblings, config.twin)
     started = time.monotonic()
@@ -132,6 +133,19 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
         print(report)
 
     return Result(document=document, show=show, error=campaign.failed_executions > 0)
+
+
+def _note_parameter_files(store: Store, config: CampaignConfig) -> None:
+    """Remember what is in each simulator's parameter file; a campaign does not go on with another car."""
+    from ds_sim.registry import make_simulator
+
+    known = store.notes()
+    for name in config.simulators:
+        if "@" in name:
+            key, content = f"car {name}", str(make_simulator(name).spec.extra.get("car", ""))
+            if known.get(key, content) != content:
+                raise ConfigError(f"{name}: the file has changed since the campaign began: restore it or begin anew")
+            store.note(key, content)
 
 
 def stored_config(folder: Path) -> CampaignConfig:
@@ -325,6 +339,39 @@ def show_road(file: Path | None, seed: int, max_angle: int, out: Path) -> Path:
     """Draw one road as a PNG."""
     out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle))))
     return out
+
+
+def fit_twin(paths: list[Path], out: Path, start: Path | None, *, window: float, evaluations: int) -> Result:
+    """Fit the twin to recorded drives; writes the file of parameters and, beside it, `fit.png`."""
+    from ds_twin_donkey.fit import FitSettings, fit
+    from ds_twin_donkey.fit_picture import draw_fit
+    from ds_twin_donkey.logs import read_log
+    from ds_twin_donkey.parameter_file import document_of, read_parameters, write_parameters
+
+    logs = [read_log(path) for path in paths]
+    begin = read_parameters(start)[0] if start else None
+    out.parent.mkdir(parents=True, exist_ok=True)
+    drives = [drive for log in logs for drive in log.drives]
+    try:
+        found = fit(drives, begin, FitSettings(window_seconds=window, max_evaluations=evaluations), _say)
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    document = document_of(found, logs)
+    write_parameters(out, document)
+    picture = out.parent / "fit.png"
+    draw_fit(found, picture)
+    document |= {"file": str(out), "picture": str(picture)}
+
+    def show() -> None:
+        table = Table("parameter", "value", "95 % interval", "unit", "")
+        for name, row in document["parameters"].items():
+            if row["status"] != "held":
+                interval = " to ".join(f"{value:.4g}" for value in row.get("interval_95", []))
+                table.add_row(name, f"{row['value']:.4g}", interval, row["unit"], row["status"])
+        Console().print(table)
+        print(out)
+
+    return Result(document=document, show=show)
 
 
 def collect(out: Path, simulators: list[str], **settings: Any) -> None:

@@ -69,7 +69,7 @@ class CampaignConfig(_Strict):
         if len(set(self.simulators)) != len(self.simulators):
             raise ValueError(f"a simulator is named twice: {', '.join(self.simulators)}")
         for name in self.simulators:
-            if name not in SIMULATORS and ":" not in name:
+            if name.partition("@")[0] not in SIMULATORS and ":" not in name:
                 raise ValueError(
                     f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
                 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 
 from ds_sim.simulator import Simulator
 
@@ -26,9 +27,13 @@ class UnknownSimulatorError(ValueError):
 def make_simulator(name: str) -> Simulator:
     """Make the simulator with a known name, or any other one given as `module:Class`.
 
+    `NAME@FILE` makes it with the parameters of a file, by its class's `from_file`.
+
     Raises:
-        UnknownSimulatorError: no simulator has this name, or its class cannot be imported.
+        UnknownSimulatorError: no simulator has this name, its class cannot be imported, or it takes no file.
+        ValueError: the file cannot be used.
     """
+    name, at, file = name.partition("@")
     target = SIMULATORS.get(name, name)
     module, _, attribute = target.partition(":")
     if not attribute:
@@ -36,7 +41,10 @@ def make_simulator(name: str) -> Simulator:
             f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
         )
     try:
-        simulator: Simulator = getattr(import_module(module), attribute)()
+        kind = getattr(import_module(module), attribute)
+        if at and not hasattr(kind, "from_file"):
+            raise UnknownSimulatorError(f"simulator {name!r} takes no parameter file: leave out @{file}")
+        simulator: Simulator = kind.from_file(Path(file)) if at else kind()
     except (ImportError, AttributeError) as error:
         raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}): check module:Class") from None
     return simulator

@@ -114,11 +114,13 @@ class CarModel:
         self._roll_stiffness = p.roll_inertia * (math.tau * p.roll_frequency) ** 2 + lean
         self._pitch_stiffness = p.pitch_inertia * (math.tau * p.pitch_frequency) ** 2 + lean
         self._breakaway = p.rolling_resistance * weight
-        self._servo_gain = -math.expm1(-step / p.servo_lag)
         self._motor_gain = -math.expm1(-step / p.motor_lag)
         self.frames_of_delay, rest = divmod(p.command_delay, FRAME_TIME)
         ends = (np.arange(count) + 1.0) * step
-        self._newer_share: list[float] = np.clip((ends - rest) / step, 0.0, 1.0).tolist()
+        newer = np.clip((ends - rest) / step, 0.0, 1.0)
+        # Of each step: share of the newer pulse, and the servo's gain and furthest move under either pulse.
+        gains = [(-np.expm1(-part * step / p.servo_lag), part * step * p.servo_rate) for part in (1.0 - newer, newer)]
+        self._shares = list(zip(newer.tolist(), *(row.tolist() for pair in gains for row in pair), strict=True))
 
     @property
     def pulses_kept(self) -> int:
@@ -148,11 +150,12 @@ class CarModel:
         older, newer = pulses[-self.pulses_kept], pulses[-self.pulses_kept + 1]
         motion: _Motion = state[:14]
         servo, wheels, duty = state.servo, state.steering_angle, state.duty
-        furthest, play = p.servo_rate * self._step, p.servo_backlash / 2.0
-        for share in self._newer_share:
+        play = p.servo_backlash / 2.0
+        for share, older_gain, older_reach, newer_gain, newer_reach in self._shares:
             rest = 1.0 - share
-            move = (share * newer.angle + rest * older.angle - servo) * self._servo_gain
-            servo += min(max(move, -furthest), furthest)
+            # One pulse after the other: a servo at its rate limit would not notice how much of a blend is new.
+            servo += min(max((older.angle - servo) * older_gain, -older_reach), older_reach)
+            servo += min(max((newer.angle - servo) * newer_gain, -newer_reach), newer_reach)
             before = wheels
             wheels = min(max(wheels, servo - play), servo + play)
             wanted = share * newer.duty + rest * older.duty

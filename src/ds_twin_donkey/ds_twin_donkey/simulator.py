@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 from ds_sim.camera_spec import CameraSpec
 from ds_sim.look import Look
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, SimulatorSpec
 from ds_twin_donkey.dynamics import SUBSTEPS
+from ds_twin_donkey.parameter_file import read_parameters
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
 
@@ -61,9 +63,10 @@ class DonkeySimulator(RoadSimulator):
 
     Args:
         parameters: of the car; the nominal ones if left out.
+        source: where they come from, for whoever asks the simulator.
     """
 
-    def __init__(self, parameters: DonkeyParameters | None = None) -> None:
+    def __init__(self, parameters: DonkeyParameters | None = None, source: str = "nominal") -> None:
         parameters = parameters or DonkeyParameters()
         spec = SimulatorSpec(
             name="donkey",
@@ -82,8 +85,19 @@ class DonkeySimulator(RoadSimulator):
             engine=f"own four-wheel model, Runge-Kutta at {SUBSTEPS / FRAME_TIME:g} Hz",
             extra={
                 "scale": f"1:{SCALE:g}",
+                "car": source,
                 "command_delay": f"{1000 * parameters.command_delay:.0f} ms",
                 "camera_latency": f"{CAMERA.latency} frame",
             },
         )
         super().__init__(spec, DonkeyVehicle(parameters))
+
+    @classmethod
+    def from_file(cls, path: Path) -> DonkeySimulator:
+        """The car of a file that `ds twin fit` wrote.
+
+        Raises:
+            ParameterFileError: the file cannot be used.
+        """
+        parameters, digest = read_parameters(path)
+        return cls(parameters, f"{path.name} sha256 {digest}")

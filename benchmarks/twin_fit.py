@@ -1,0 +1,57 @@
+"""How well hidden parameters of the twin are found again from noisy drives, from a start 30 % off.
+
+Prints a row per seed and parameter, then per parameter how many seeds are within 5 % and inside the 95 % interval.
+`python benchmarks/twin_fit.py --seeds 1,2,3,4,5 --seconds 120`; about a minute per seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from ds_twin_donkey.excitation import hidden_and_start, recorded
+from ds_twin_donkey.fit import FITTED, fit
+from ds_twin_donkey.parameters import DonkeyParameters
+
+DRIVE = 30.0
+"""s; each drive."""
+TRIM_SCALE = 0.05
+"""rad; what an error of the trim is given against, for it may be 0."""
+
+
+def main() -> None:
+    """Run the seeds."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", default="1,2,3,4,5")
+    parser.add_argument("--seconds", type=float, default=120.0)
+    arguments = parser.parse_args()
+    close = dict.fromkeys(FITTED, 0)
+    inside = dict.fromkeys(FITTED, 0)
+    determined = dict.fromkeys(FITTED, 0)
+    seeds = [int(seed) for seed in arguments.seeds.split(",")]
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        hidden, start = hidden_and_start(list(FITTED), rng)
+        nominal = DonkeyParameters()
+        drives = [recorded(nominal.changed(**hidden), rng, DRIVE) for _ in range(round(arguments.seconds / DRIVE))]
+        began = time.perf_counter()
+        found = fit(drives, nominal.changed(**start))
+        print(f"seed {seed}: {found.windows} windows, {time.perf_counter() - began:.0f} s", flush=True)
+        for e in found.estimates:
+            true = hidden[e.name]
+            size = TRIM_SCALE if e.name == "steering_trim" else true
+            close[e.name] += abs(e.value - true) <= 0.05 * size
+            inside[e.name] += e.low <= true <= e.high
+            determined[e.name] += e.determined
+            error, half = 100.0 * (e.value - true) / size, 100.0 * (e.high - e.value) / size
+            print(f"  {e.name:20s} true {true:8.5f} found {e.value:8.5f} error {error:6.2f} % interval +-{half:5.2f} %")
+    print(f"{'of ' + str(len(seeds)) + ' seeds':22s} within 5 %  in interval  determined")
+    for name in FITTED:
+        print(f"{name:22s} {close[name]:10d} {inside[name]:12d} {determined[name]:11d}")
+    print(f"{'all':22s} {sum(close.values()):10d} {sum(inside.values()):12d} {sum(determined.values()):11d}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""Drives that show what a car's parameters are, and recordings of the twin driving them, with a tracker's noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_sim.simulator import FRAME_TIME
+from ds_twin_donkey.dynamics import CarState, rollout
+from ds_twin_donkey.logs import Drive
+from ds_twin_donkey.parameters import DonkeyParameters
+
+TRACKER_NOISE = (0.01, 0.01, 0.01, 0.02, 0.02)
+"""m, m, rad, m/s, rad/s at the model car; chosen: a ceiling camera, a wheel sensor, a cheap gyroscope."""
+_COLUMNS = [CarState._fields.index(name) for name in ("x", "y", "yaw", "speed", "yaw_rate")]
+
+
+def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
+    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, off or mostly high.
+
+    Bends at full throttle are what shows the friction; three throttles of ten are off.
+    """
+    count = round(seconds / FRAME_TIME)
+    commands = np.zeros((count, 2))
+    for column, (shortest, longest) in enumerate(((4, 16), (15, 50))):
+        at = 0
+        while at < count:
+            length = int(rng.integers(shortest, longest))
+            value = rng.uniform(-1.0, 1.0) if column == 0 else (1.0 - 0.95 * rng.random() ** 2) * (rng.random() > 0.3)
+            commands[at : at + length, column] = value
+            at += length
+    return commands
+
+
+def recorded(
+    car: DonkeyParameters, rng: np.random.Generator, seconds: float, noise: Sequence[float] = TRACKER_NOISE
+) -> Drive:
+    """A random drive of the twin from rest, as a tracker would have it; the front axle must carry half the load.
+
+    Args:
+        car: that drives.
+        rng: of commands and noise.
+        seconds: its length.
+        noise: spread per channel of `logs.CHANNELS`.
+    """
+    commands = random_commands(rng, seconds)
+    states = rollout(car, commands)[:-1, _COLUMNS]
+    measured = states + rng.normal(size=states.shape) * np.asarray(noise)
+    return Drive(commands=commands, measured=measured, from_rest=True)
+
+
+def hidden_and_start(names: list[str], rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:
+    """A car up to 30 % off the nominal one in every parameter, and a start 30 % off it, either way.
+
+    The trim, whose nominal value is 0, is up to 0.02 rad, and its start 0.
+    """
+    nominal = DonkeyParameters()
+    hidden = {name: float(getattr(nominal, name) * rng.uniform(0.7, 1.3)) for name in names}
+    start = {name: float(value * rng.choice([0.7, 1.3])) for name, value in hidden.items()}
+    if "steering_trim" in names:
+        hidden["steering_trim"], start["steering_trim"] = float(rng.uniform(-0.02, 0.02)), 0.0
+    return hidden, start

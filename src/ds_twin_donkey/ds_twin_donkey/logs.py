@@ -1,0 +1,206 @@
+"""Reads recorded drives for the fit: our bags and Donkey Car tubs (version 2), as 20 Hz rows in model metres."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_sim.simulator import FRAME_TIME
+from ds_twin_donkey.parameters import SCALE
+
+Array = NDArray[np.float64]
+CHANNELS = ("x", "y", "yaw", "speed", "yaw_rate")
+"""What is compared: position (m) and heading (rad) of the car's centre, forward speed (m/s), yaw rate (rad/s)."""
+LARGEST_GAP = 0.25
+"""s between two rows; chosen: five frames. A longer gap ends a drive, as between two states no command is known."""
+_EVEN = 0.002
+"""s; rows whose spacing differs from a frame by less are taken as they are. Chosen: less than a step of the model."""
+_STANDING = 0.05
+"""Model m/s; a drive that begins slower than this began at rest. Chosen: above the noise of a speed sensor."""
+
+
+class LogError(ValueError):
+    """A log that cannot be read, or from which nothing can be fitted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """A stretch of a log without gaps.
+
+    Attributes:
+        commands: (n, 2) steering and throttle, row i told at frame i and held to frame i + 1.
+        measured: (n, 5) columns as `CHANNELS`, model metres; NaN where the log says nothing.
+        from_rest: True if the car stood before the first row, with neutral commands.
+    """
+
+    commands: Array
+    measured: Array
+    from_rest: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """One recorded drive.
+
+    Attributes:
+        name: of its file or folder.
+        kind: `bag` or `tub`.
+        sha256: of the file or files that were read.
+        drives: its stretches without gaps.
+    """
+
+    name: str
+    kind: str
+    sha256: str
+    drives: tuple[Drive, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of all stretches."""
+        return sum(len(drive.commands) for drive in self.drives) * FRAME_TIME
+
+
+def read_log(path: Path) -> Log:
+    """Read a folder that is a rosbag2 bag of one run or a Donkey Car tub.
+
+    Raises:
+        LogError: in one line, what is wrong and what to do.
+    """
+    if (path / "metadata.yaml").is_file():
+        return _read_bag(path)
+    if (path / "manifest.json").is_file():
+        return _read_tub(path)
+    if not path.exists():
+        raise LogError(f"{path}: no such log: give the folder of a bag or of a Donkey Car tub")
+    raise LogError(f"{path}: neither a bag (metadata.yaml) nor a Donkey Car tub (manifest.json): give such a folder")
+
+
+def drives_of(times: Array, commands: Array, measured: Array) -> tuple[Drive, ...]:
+    """Cut at gaps and at reverse throttle, which the twin does not have, and bring each stretch to 20 Hz.
+
+    Args:
+        times: (n,) s, rising.
+        commands: (n, 2).
+        measured: (n, 5) as in `Drive`.
+    """
+    usable = np.isfinite(commands).all(axis=1) & (commands[:, 1] >= 0.0)
+    cuts = np.flatnonzero((np.diff(times) > LARGEST_GAP) | (np.diff(times) <= 0.0)) + 1
+    drives = []
+    for block in np.split(np.arange(len(times)), cuts):
+        edges = np.flatnonzero(np.diff(usable[block])) + 1
+        drives += [
+            _even(times[part], commands[part], measured[part])
+            for part in np.split(block, edges)
+            if len(part) > 1 and usable[part[0]]
+        ]
+    return tuple(drives)
+
+
+def _even(times: Array, commands: Array, measured: Array) -> Drive:
+    measured = measured.copy()
+    measured[:, 2] = np.unwrap(measured[:, 2])
+    if np.abs(np.diff(times) - FRAME_TIME).max() > _EVEN:
+        grid = np.arange(times[0], times[-1] + 1e-9, FRAME_TIME)
+        # A command holds until the next one; a measured value is taken on the line between two rows.
+        commands = commands[np.searchsorted(times, grid + 1e-9, side="right") - 1]
+        measured = np.column_stack([np.interp(grid, times, column) for column in measured.T])
+    first = measured[:3]
+    speed = first[:, 3] if np.isfinite(first[:, 3]).all() else np.hypot(*np.diff(first[:, :2], axis=0).T) / FRAME_TIME
+    return Drive(commands=commands, measured=measured, from_rest=bool(np.median(np.abs(speed)) < _STANDING))
+
+
+def _read_bag(path: Path) -> Log:
+    from rosbags.highlevel import AnyReader, AnyReaderError
+
+    states: dict[int, Any] = {}
+    told: dict[int, tuple[float, float]] = {}
+    try:
+        with AnyReader([path]) as reader:
+            for connection, _, raw in reader.messages():
+                kind = connection.msgtype.rpartition("/")[2]
+                if kind in ("VehicleState", "DriveCommand"):
+                    message: Any = reader.deserialize(raw, connection.msgtype)
+                    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                    if kind == "VehicleState":
+                        states[stamp] = (message.x, message.y, message.yaw, message.speed, message.yaw_rate)
+                    else:
+                        told[stamp] = (message.steering, message.throttle)
+    except (AnyReaderError, OSError, KeyError, AttributeError, ValueError) as error:
+        raise LogError(f"{path}: the bag cannot be read ({' '.join(str(error).split())}): record it again") from None
+    except Exception as error:  # a damaged MCAP file raises whatever its reader stumbles on
+        raise LogError(f"{path}: the bag is damaged ({type(error).__name__}): record it again") from None
+    stamps = sorted(states.keys() & told.keys())
+    if len(stamps) < 2:
+        raise LogError(f"{path}: {len(states)} states and {len(told)} commands, none with the same stamp: not our bag")
+    measured = np.array([states[s] for s in stamps], dtype=np.float64)
+    measured[:, [0, 1, 3]] /= SCALE
+    commands = np.array([told[s] for s in stamps], dtype=np.float64)
+    return Log(
+        name=path.name,
+        kind="bag",
+        sha256=_digest(sorted(path.glob("*.mcap")) or sorted(path.glob("*.db3"))),
+        drives=drives_of(np.array(stamps) / 1e9, commands, measured),
+    )
+
+
+def _read_tub(path: Path) -> Log:
+    try:
+        lines = (path / "manifest.json").read_text().splitlines()
+        index = json.loads(lines[4])
+        files = [path / name for name in index["paths"]]
+        deleted = set(index.get("deleted_indexes", []))
+        rows = [json.loads(line) for file in files for line in file.read_text().splitlines() if line.strip()]
+        rows = [row for row in rows if row["_index"] not in deleted]
+        times = np.array([row["_timestamp_ms"] for row in rows], dtype=np.float64) / 1000.0
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+        raise LogError(
+            f"{path}: not a tub of version 2 ({type(error).__name__}: {error}): convert or copy it"
+        ) from None
+    columns = {
+        "x": _column(rows, "pos/pos_x"),
+        # Unity's y is up: seen from above, x and z are right and ahead.
+        "y": _column(rows, "pos/pos_z"),
+        "speed": _column(rows, "pos/speed", "enc/speed"),
+    }
+    if not (np.isfinite(columns["x"]) & np.isfinite(columns["y"])).any() and not np.isfinite(columns["speed"]).any():
+        raise LogError(
+            f"{path}: a tub of commands without position or speed (pos/pos_x and pos/pos_z, pos/speed or enc/speed): "
+            "nothing of the motion can be fitted from it, record these too"
+        )
+    measured = np.full((len(rows), len(CHANNELS)), np.nan)
+    for name, column in columns.items():
+        measured[:, CHANNELS.index(name)] = column
+    return Log(
+        name=path.name,
+        kind="tub",
+        sha256=_digest(files),
+        drives=drives_of(times, np.array([_told(row) for row in rows], dtype=np.float64), measured),
+    )
+
+
+def _told(row: dict[str, Any]) -> tuple[float, float]:
+    """What the car was told: the pilot's values where it drove, as donkeycar's DriveMode has it."""
+    mode = row.get("user/mode", "user")
+    angle = row.get("pilot/angle") if mode != "user" else row.get("user/angle")
+    throttle = row.get("pilot/throttle") if mode == "local" else row.get("user/throttle")
+    return (np.nan if angle is None else float(np.clip(angle, -1.0, 1.0)),
+            np.nan if throttle is None else min(float(throttle), 1.0))  # fmt: skip
+
+
+def _column(rows: Iterable[dict[str, Any]], *keys: str) -> Array:
+    values = [next((row[key] for key in keys if isinstance(row.get(key), (int, float))), np.nan) for row in rows]
+    return np.array(values, dtype=np.float64)
+
+
+def _digest(files: list[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,160 @@
+"""The fit against hidden parameters, the lanes against the scalar model, logs and files against what was put in."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ds_sim.simulator import FRAME_TIME
+from ds_twin_donkey.batch import Lanes
+from ds_twin_donkey.dynamics import rollout
+from ds_twin_donkey.excitation import hidden_and_start, random_commands, recorded
+from ds_twin_donkey.fit import FITTED, FitError, FitSettings, fit
+from ds_twin_donkey.fit_picture import draw_fit
+from ds_twin_donkey.logs import Log, LogError, drives_of, read_log
+from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
+from ds_twin_donkey.parameters import DonkeyParameters
+from ds_twin_donkey.simulator import DonkeySimulator
+
+P = DonkeyParameters()
+MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
+"""m, m, rad, m/s, rad/s."""
+
+
+def write_tub(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> Path:
+    folder.mkdir()
+    lines = ["[]", "[]", "{}", "{}", json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": [3]})]
+    (folder / "manifest.json").write_text("\n".join(lines))
+    rows = []
+    for index, (angle, throttle) in enumerate(commands.tolist()):
+        row = {"_index": index, "_timestamp_ms": 1000 + 50 * index, "user/mode": mode}
+        row |= {f"{'user' if mode == 'user' else 'pilot'}/angle": angle, "user/throttle": throttle}
+        row |= {"pilot/throttle": throttle} if mode == "local" else {}
+        rows.append(json.dumps(row | {key: column[index] for key, column in extra.items()}))
+    (folder / "catalog_0.catalog").write_text("\n".join(rows))
+    return folder
+
+
+def test_lanes_are_the_scalar_model() -> None:
+    cars = [
+        P,
+        P.changed(command_delay=0.1115, friction=0.5, servo_backlash=0.05, steering_trim=0.02),
+        P.changed(command_delay=0.0, front_share=0.55, full_duty=0.5, drag_brake=0.3),
+    ]
+    commands = random_commands(np.random.default_rng(3), 4.0)
+    lanes = Lanes(cars, np.arange(3))
+    padded = np.zeros((lanes.history + len(commands), 3, 2))
+    padded[lanes.history :] = commands[:, None]
+    pulses = lanes.pulses(padded)
+    motion, actuators = np.zeros((14, 3)), (np.zeros(3), np.zeros(3), np.zeros(3))
+    for frame in range(lanes.history, len(padded)):
+        motion, actuators = lanes.advance(motion, actuators, *lanes.delayed(pulses, frame))
+    for lane, car in enumerate(cars):
+        np.testing.assert_allclose(motion[:, lane], rollout(car, commands)[-1, :14], rtol=0, atol=1e-11)
+
+
+def test_a_path_moves_evenly_with_the_delay() -> None:
+    """Within a step, too: a staircase in the delay has a local minimum at every stair."""
+    steering = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, 10), 6)
+    commands = np.column_stack((steering, np.full(60, 0.5)))
+    headings = [rollout(P.changed(command_delay=d), commands)[-1, 2] for d in np.linspace(0.040, 0.045, 11)]
+    steps = np.diff(headings)
+    assert steps.std() < 0.2 * abs(steps.mean())
+
+
+def test_hidden_parameters_are_found_again_from_30_percent_off() -> None:
+    rng = np.random.default_rng(11)
+    hidden, start = hidden_and_start(list(FITTED), rng)
+    drives = [recorded(P.changed(**hidden), rng, 20.0, MOTION_CAPTURE) for _ in range(2)]
+    found = fit(drives, P.changed(**start), FitSettings(window_seconds=2.0))
+    inside = 0
+    for e in found.estimates:
+        size = 0.05 if e.name == "steering_trim" else hidden[e.name]
+        assert e.determined, e
+        # 40 s of driving tell the drag brake to about 7 % only; its stated interval says so.
+        assert abs(e.value - hidden[e.name]) <= max(0.05 * size, e.high - e.value), e
+        inside += e.low <= hidden[e.name] <= e.high
+    # 14 intervals of 95 %: fewer than 11 inside would be a chance of 1 in 250.
+    assert inside >= 11
+    assert found.rms["x"] == pytest.approx(0.001, rel=0.15) and found.rms["yaw_rate"] == pytest.approx(0.01, rel=0.15)
+
+
+def test_what_a_straight_drive_does_not_tell_stays_at_its_start(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    commands = np.column_stack((np.zeros(200), np.repeat(rng.uniform(0.2, 0.8, 10), 20)))
+    states = rollout(P, commands)[:-1, [0, 1, 2, 3, 5]] + rng.normal(size=(200, 5)) * MOTION_CAPTURE
+    drives = drives_of(
+        np.array([i * FRAME_TIME for i in range(200)], dtype=np.float64), commands, states.astype(np.float64)
+    )
+    begin = P.changed(friction=0.7, servo_rate=4.0)
+    found = fit(drives, begin, FitSettings(window_seconds=2.0))
+    by_name = {e.name: e for e in found.estimates}
+    assert not {n for n in ("friction", "servo_rate", "front_stiffness", "max_steering_angle") if by_name[n].determined}
+    assert found.parameters.friction == 0.7 and found.parameters.servo_rate == 4.0
+    assert by_name["full_duty"].determined and by_name["full_duty"].value == pytest.approx(P.full_duty, rel=0.05)
+
+    log = Log(name="straight", kind="bag", sha256="0" * 64, drives=drives)
+    document = document_of(found, [log])
+    assert document["parameters"]["friction"]["status"] == "not determined"
+    assert document["parameters"]["wheelbase"] == {"value": P.wheelbase, "status": "held"}
+    file = tmp_path / "car.yaml"
+    write_parameters(file, document)
+    car, digest = read_parameters(file)
+    assert car.full_duty == pytest.approx(found.parameters.full_duty, rel=1e-5) and car.friction == 0.7
+    spec = DonkeySimulator.from_file(file).spec
+    assert spec.extra["car"] == f"car.yaml sha256 {digest}"
+    draw_fit(found, tmp_path / "fit.png")
+    draw_fit(found, tmp_path / "again.png")
+    assert (tmp_path / "fit.png").read_bytes() == (tmp_path / "again.png").read_bytes()
+
+
+def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path) -> None:
+    commands = random_commands(np.random.default_rng(5), 2.0)
+    x = np.arange(40.0)
+    log = read_log(write_tub(tmp_path / "a", commands, {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": x}))
+    (drive,) = log.drives
+    # The deleted row 3 is bridged: what was told before it holds, what was measured lies on the line.
+    assert drive.commands.shape == (40, 2) and drive.measured[3, :2] == pytest.approx([3.0, 6.0])
+    np.testing.assert_array_equal(drive.commands[3], commands[2])
+    np.testing.assert_array_equal(np.delete(drive.commands, 3, axis=0), np.delete(commands, 3, axis=0))
+    assert np.isnan(drive.measured[:, [2, 4]]).all()
+    piloted = read_log(write_tub(tmp_path / "p", commands, {"enc/speed": x}, mode="local"))
+    np.testing.assert_array_equal(piloted.drives[0].commands, drive.commands)
+    with pytest.raises(LogError, match="nothing of the motion can be fitted"):
+        read_log(write_tub(tmp_path / "b", commands, {}))
+
+
+def test_gaps_and_reverse_throttle_end_a_drive() -> None:
+    times = np.array([i * FRAME_TIME for i in range(60)], dtype=np.float64)
+    times[20:] += 1.0
+    commands = np.tile((0.0, 0.3), (60, 1))
+    commands[40:45, 1] = -0.5
+    drives = drives_of(times, commands, np.ones((60, 5)))
+    assert [len(d.commands) for d in drives] == [20, 20, 15]
+
+
+def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no such log"):
+        read_log(tmp_path / "none")
+    with pytest.raises(LogError, match="neither a bag"):
+        read_log(tmp_path)
+    (tmp_path / "metadata.yaml").write_text("nonsense")
+    with pytest.raises(LogError, match=r"the bag .*record it again$"):
+        read_log(tmp_path)
+    with pytest.raises(FitError, match="record longer ones"):
+        fit([recorded(P, np.random.default_rng(0), 1.0)])
+    for text, message in (
+        ("a: [", "not YAML"),
+        ("a: 1", "not a file of"),
+        ("format: ds_twin_donkey parameters 1\nparameters: {mass: {value: heavy}}", "mass has the value 'heavy'"),
+        ("format: ds_twin_donkey parameters 1\nparameters: {weight: {value: 1}}", "weight is no parameter"),
+        ("format: ds_twin_donkey parameters 1\nparameters: {mass: {value: .nan}}", "mass is nan"),
+    ):
+        file = tmp_path / "car.yaml"
+        file.write_text(text)
+        with pytest.raises(ParameterFileError, match=message) as caught:
+            read_parameters(file)
+        assert "\n" not in str(caught.value)
