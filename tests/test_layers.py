@@ -53,7 +53,7 @@ class Forbid:
             raise ImportError('ROS is forbidden here: ' + name)
 sys.meta_path.insert(0, Forbid())
 import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.assessment, ds_orchestrator.campaign
-import ds_orchestrator.report, ds_orchestrator.results, ds_orchestrator.commands
+import ds_orchestrator.report, ds_orchestrator.results, ds_orchestrator.cli
 from ds_sim.registry import SIMULATORS, make_simulator
 for name in SIMULATORS: make_simulator(name)
 """

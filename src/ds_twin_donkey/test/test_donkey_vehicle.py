@@ -236,7 +236,6 @@ def test_without_throttle_no_energy_appears() -> None:
 def test_halving_the_step_moves_nothing_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
     coarse = rollout(P, zigzag(200))
     monkeypatch.setattr(dynamics, "SUBSTEPS", 2 * dynamics.SUBSTEPS)
-    monkeypatch.setattr(dynamics, "STEP", dynamics.STEP / 2.0)
     fine = rollout(P, zigzag(200))
     assert np.abs(coarse[:, [X, Y]] - fine[:, [X, Y]]).max() * SCALE < 0.02
 

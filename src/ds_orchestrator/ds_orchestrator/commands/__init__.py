@@ -1,0 +1,1 @@
+"""The verbs of `ds`, a module for each kind of thing that they are about."""

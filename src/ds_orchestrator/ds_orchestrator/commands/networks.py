@@ -1,0 +1,142 @@
+"""`ds collect`, `ds train`, `ds assess`, `ds models`: driving networks, from data to what is shipped."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ds_orchestrator.commands.answers import Result, answer, countdown, say
+from ds_orchestrator.commands.options import JsonFlag, Seed, Simulators, simulators_of
+from ds_orchestrator.versions import versions
+
+app = typer.Typer()
+
+
+def collect(out: Path, simulators: list[str], **settings: Any) -> None:
+    """Collect a data set; the settings are those of `ds_driver.collection.CollectionPlan`."""
+    from ds_driver.collection import CollectionPlan
+    from ds_driver.collection import collect as collect_drives
+    from ds_driver.dataset import write_manifest
+
+    plan = CollectionPlan(**settings)
+    collect_drives(plan, simulators, out, countdown())
+    write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
+
+
+def train(data: Path, out: Path, **settings: Any) -> None:
+    """Train a network; the settings are those of `ds_driver.training.TrainingPlan`."""
+    from ds_driver.training import TrainingPlan
+    from ds_driver.training import train as train_network
+
+    plan = TrainingPlan(**settings)
+    train_network(data, out, plan, _crops(), say)
+    print(out / f"{plan.network}.safetensors")
+
+
+def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Result:
+    """Drive unseen roads with a network, without ROS."""
+    from ds_driver.assessment import success_rates, unseen_roads
+    from ds_orchestrator.graph_plan import check_driver
+
+    check_driver(network)
+    document: dict[str, Any] = {
+        "network": network,
+        "roads": roads,
+        "seed": seed,
+        "success": success_rates(network, simulators, unseen_roads(roads, seed), seed, countdown()),
+    }
+
+    def show() -> None:
+        table = Table("simulator", "success")
+        for name, rate in document["success"].items():
+            table.add_row(name, f"{rate:.2f}")
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def models() -> Result:
+    """The shipped networks with their cards."""
+    from ds_driver.networks import count_parameters
+    from ds_driver.weights import load_network, shipped_networks
+
+    document = [
+        {
+            "name": name,
+            "parameters": count_parameters(load_network(name)),
+            "bytes": path.stat().st_size,
+            "input": [160, 320, 3],
+            "card": json.loads(path.with_suffix(".json").read_text()),
+        }
+        for name, path in shipped_networks().items()
+    ]
+
+    def show() -> None:
+        table = Table("name", "parameters", "bytes", "success on unseen roads")
+        for row in document:
+            success = ", ".join(f"{k} {v:.2f}" for k, v in row["card"]["success"].items())
+            table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def _crops() -> dict[str, Any]:
+    from ds_driver.preprocessing import Crop
+    from ds_sim.registry import SIMULATORS, make_simulator
+
+    specs = {name: make_simulator(name).spec for name in SIMULATORS}
+    return {name: Crop(spec.crop_top, spec.crop_bottom) for name, spec in specs.items()}
+
+
+@app.command("collect")
+def collect_command(
+    out: Annotated[Path, typer.Option(help="Folder of the data set; a collection that was stopped goes on.")],
+    roads: Annotated[int, typer.Option(min=1, help="Random roads, each driven both ways.")] = 25,
+    seed: Seed = 1,
+    every: Annotated[int, typer.Option(min=1, help="Keep one frame of so many.")] = 1,
+    disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Steering pushes while driving.")] = 0.0,
+    sims: Simulators = "bullet,softbody,donkey",
+) -> None:
+    """Labelled driving data from the autopilot."""
+    collect(out, simulators_of(sims), roads=roads, seed=seed, every=every, disturbance=disturbance)
+
+
+@app.command("train")
+def train_command(
+    data: Annotated[Path, typer.Option(help="Folder of a data set.")],
+    out: Annotated[Path, typer.Option(help="Folder for weights; a training that was stopped there goes on.")],
+    network: Annotated[str, typer.Option(help="Architecture.")] = "dave2",
+    seed: Seed = 1,
+    epochs: Annotated[int, typer.Option(min=1, help="At most.")] = 12,
+    images: Annotated[int | None, typer.Option(min=1, help="At most so many per simulator.")] = None,
+    learning_rate: Annotated[float, typer.Option(min=1e-7, max=1.0, help="Of Adam.")] = 1e-4,
+    threads: Annotated[int, typer.Option(min=1, help="Of the mathematics.")] = 2,
+) -> None:
+    """Train one network for all simulators of a data set."""
+    plan = {"network": network, "seed": seed, "epochs": epochs, "images_per_simulator": images}
+    train(data, out, learning_rate=learning_rate, threads=threads, **plan)
+
+
+@app.command("assess")
+def assess_command(
+    network: Annotated[str, typer.Argument(help="dave2 or a weights file.")] = "dave2",
+    roads: Annotated[int, typer.Option(min=1, help="Random roads that no training has seen.")] = 25,
+    seed: Seed = 424242,
+    sims: Simulators = "bullet,softbody,donkey",
+    as_json: JsonFlag = False,
+) -> None:
+    """Share of unseen roads that a network completes on each simulator."""
+    answer(assess(network, roads=roads, seed=seed, simulators=simulators_of(sims)), as_json)
+
+
+@app.command("models")
+def models_command(as_json: JsonFlag = False) -> None:
+    """The networks that are shipped, and how good they are."""
+    answer(models(), as_json)

@@ -1,0 +1,29 @@
+"""Options that several verbs of `ds` share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ds_sim.registry import UnknownSimulatorError, make_simulator
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+OutFolder = Annotated[Path, typer.Option(help="Folder of the campaign; one that was stopped there goes on.")]
+AttachFlag = Annotated[bool, typer.Option(help="Start nothing: use the nodes that run in this ROS domain.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the random road.")]
+MaxAngle = Annotated[int, typer.Option(min=1, max=360, help="Maximum angle of random roads, degrees.")]
+Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas.")]
+
+
+def simulators_of(text: str) -> list[str]:
+    """Simulators by name, separated by commas; each can be made, and none is named twice."""
+    names = text.split(",")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UnknownSimulatorError(f"simulator {', '.join(twice)} is named twice in {text!r}: name each once")
+    for name in names:
+        make_simulator(name).close()
+    return names
