@@ -1,4 +1,4 @@
-"""Changes to training images that leave the steering as it is (maxitwo; brightness without its overflow)."""
+"""The paper's changes to training images (maxitwo): flip, shift, shadow, brightness (without its overflow)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,42 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+LARGEST_SHIFT = (50, 5)
+"""Columns, rows (maxitwo)."""
+STEERING_PER_COLUMN = 0.002
+"""Steering that a shift by a column adds: the lane moves to the right, so one steers right (maxitwo)."""
 
-def augment(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Half of the images get a shadow, a change of brightness, or both; (160, 320, 3) uint8 RGB in and out."""
+
+def augment(image: NDArray[np.uint8], steering: float, rng: np.random.Generator) -> tuple[NDArray[np.uint8], float]:
+    """Change half of the images, each in up to four ways.
+
+    Args:
+        image: (160, 320, 3) uint8 RGB, before the crop.
+        steering: its label in [-1, 1], -1 full left.
+        rng: source of every random choice.
+
+    Returns:
+        An image of the same shape, and its label in [-1, 1].
+    """
     if rng.random() < 0.5:
-        return image
+        return image, steering
+    if rng.random() < 0.5:
+        image, steering = np.ascontiguousarray(image[:, ::-1]), -steering
+    if rng.random() < 0.5:
+        columns, rows = (int(rng.integers(-limit, limit + 1)) for limit in LARGEST_SHIFT)
+        image = _shifted(image, columns, rows)
+        steering = min(max(steering + STEERING_PER_COLUMN * columns, -1.0), 1.0)
     if rng.random() < 0.5:
         image = _shadow(image, rng)
     if rng.random() < 0.5:
         image = cv2.convertScaleAbs(image, alpha=float(rng.uniform(0.8, 1.2)))
-    return image
+    return image, steering
+
+
+def _shifted(image: NDArray[np.uint8], columns: int, rows: int) -> NDArray[np.uint8]:
+    """Move an image right and down; what comes in from outside is black (maxitwo)."""
+    move = np.array([[1, 0, columns], [0, 1, rows]], np.float32)
+    return cv2.warpAffine(image, move, (image.shape[1], image.shape[0]), flags=cv2.INTER_NEAREST)
 
 
 def _shadow(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 JPEG_QUALITY = 95
 """Chosen: 20 to 30 kB an image, errors below the cameras' own noise."""
+JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+MOST_UNEQUAL = 2.0
+"""Images of the simulator with the most over those of the one with the least; chosen: more means that drives failed."""
 SCHEMA = pa.schema(
     [
         ("image", pa.binary()),
@@ -102,7 +106,7 @@ def read_samples(folder: Path) -> list[Sample]:
     """Every sample of a data set, ordered by simulator, road, direction and step.
 
     Raises:
-        DatasetError: nothing there, a file that is not ours, or a label out of range.
+        DatasetError: nothing there, a file that is not ours, an image missing or cut, or a label out of range.
     """
     files = sorted(folder.glob("*/*.parquet"))
     if not files:
@@ -116,12 +120,30 @@ def read_samples(folder: Path) -> list[Sample]:
         steering = table["steering"].to_numpy()
         if not (np.isfinite(steering).all() and (np.abs(steering) <= 1.0).all()):
             raise DatasetError(f"{file} has a steering label outside [-1, 1]: collect it again")
+        for row, jpeg in enumerate(table["image"].to_pylist()):
+            if not jpeg or jpeg[:2] != JPEG_BEGIN or jpeg[-2:] != JPEG_END:
+                state = "cut or no JPEG" if jpeg else "missing"
+                raise DatasetError(f"{file}, row {row}: the image is {state}: delete the file and collect it again")
         columns = (table[name].to_pylist() for name in ("image", "steering", "simulator", "road_id"))
         samples += [
             Sample(jpeg=jpeg, steering=label, simulator=simulator, road_id=road_id)
             for jpeg, label, simulator, road_id in zip(*columns, strict=True)
         ]
     return samples
+
+
+def check_equal(samples: list[Sample]) -> None:
+    """Refuse simulators that are too unequally represented to be made equal by leaving images out.
+
+    Raises:
+        DatasetError: one has less than half the images of another.
+    """
+    counts = Counter(sample.simulator for sample in samples)
+    (most, many), *_, (least, few) = [*counts.most_common(), *counts.most_common()[-1:]]
+    if many > MOST_UNEQUAL * few:
+        raise DatasetError(
+            f"{few} images of {least} and {many} of {most}: expected at most twice as many, collect the missing drives"
+        )
 
 
 def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | None = None) -> list[Sample]:

@@ -19,12 +19,16 @@ import torch
 from torch import Tensor, nn
 
 from ds_driver.augmentation import augment
-from ds_driver.dataset import DatasetError, Sample, balance, decode, read_samples
+from ds_driver.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples
 from ds_driver.networks import make_network
 from ds_driver.preprocessing import Crop, prepare
 from ds_driver.weights import save_weights
 
 Report = Callable[[str], None]
+
+
+class TrainingError(ValueError):
+    """A training that cannot be done here."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,13 +38,14 @@ class TrainingPlan:
     Attributes:
         network: architecture.
         seed: of the weights, the split, the order and the augmentation.
-        epochs: at most (paper 4.2.2: 50 for Dave-2; on two CPU cores fewer do, see the card).
-        patience: epochs without a better validation loss before stopping (paper 4.2.2: 10).
+        epochs: at most; `SCHEDULES` has the paper's.
+        patience: epochs without a better validation loss before stopping.
         batch_size: images (paper 4.2.2: 128).
         learning_rate: of Adam (paper 4.2.2: 1e-4).
         validation: share of the roads held out (paper 3.2.2: 20 %).
         images_per_simulator: at most, None for all.
         threads: of the mathematics.
+        device: `cpu`, `cuda`, or `auto`, which takes a GPU where there is one.
     """
 
     network: str = "dave2"
@@ -52,6 +57,31 @@ class TrainingPlan:
     validation: float = 0.2
     images_per_simulator: int | None = None
     threads: int = 2
+    device: str = "auto"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """How long to train a network; attributes as in `TrainingPlan`."""
+
+    epochs: int
+    patience: int
+    images_per_simulator: int | None
+
+
+SCHEDULES: dict[str, dict[str, Schedule]] = {
+    "laptop": {
+        "dave2": Schedule(epochs=4, patience=10, images_per_simulator=None),
+        "chauffeur": Schedule(epochs=4, patience=10, images_per_simulator=None),
+        "epoch": Schedule(epochs=3, patience=10, images_per_simulator=5000),
+    },
+    "paper": {
+        "dave2": Schedule(epochs=50, patience=10, images_per_simulator=None),
+        "chauffeur": Schedule(epochs=500, patience=20, images_per_simulator=None),
+        "epoch": Schedule(epochs=500, patience=20, images_per_simulator=None),
+    },
+}
+"""Name -> network -> schedule; `paper` (4.2.2, for plain images) wants a GPU, `laptop` is chosen: see the cards."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +107,14 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
     Raises:
         DatasetError: the data set cannot be used, or a simulator has no crop.
     """
+    device = device_of(plan.device)
     torch.set_num_threads(plan.threads)
+    # On a GPU cuDNN may else choose another algorithm, and other bytes, each time.
+    torch.backends.cudnn.deterministic = True
     out.mkdir(parents=True, exist_ok=True)
-    training, validation = split(read_samples(data), plan)
+    samples = read_samples(data)
+    check_equal(samples)
+    training, validation = split(samples, plan)
     missing = {s.simulator for s in training} - set(crops)
     if missing:
         raise DatasetError(f"no crop is known for {', '.join(sorted(missing))}: name the simulators of the data set")
@@ -89,7 +124,7 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
         )
     identity = _identity(plan, training + validation, crops)
     torch.manual_seed(plan.seed)
-    network = make_network(plan.network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = make_network(plan.network).to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.Adam(network.parameters(), lr=plan.learning_rate)
     history = _resume(out / "checkpoint.pt", network, optimizer, identity)
     report(f"{len(training)} images to train on, {len(validation)} to validate, {len(history)} epochs done before")
@@ -115,6 +150,33 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
     record = {"plan": asdict(plan), "history": [asdict(e) for e in history]}
     (out / "training.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
     return history
+
+
+def schedule_of(name: str, network: str) -> Schedule:
+    """The schedule of a name for a network.
+
+    Raises:
+        TrainingError: there is no such schedule.
+        ds_driver.networks.UnknownNetworkError: there is no such network.
+    """
+    if name not in SCHEDULES:
+        raise TrainingError(f"unknown schedule {name!r}: expected {' or '.join(SCHEDULES)}")
+    if network not in SCHEDULES[name]:
+        make_network(network)
+    return SCHEDULES[name][network]
+
+
+def device_of(name: str) -> torch.device:
+    """The device of a name.
+
+    Raises:
+        TrainingError: a GPU is asked for and there is none, or the name is no device's.
+    """
+    if name not in ("auto", "cpu", "cuda"):
+        raise TrainingError(f"unknown device {name!r}: expected auto, cpu or cuda")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise TrainingError("no GPU that PyTorch can use is here: leave out --device cuda, or install PyTorch for CUDA")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
 def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list[Sample]]:
@@ -146,6 +208,7 @@ def _train_epoch(
     report: Report,
 ) -> float:
     network.train()
+    device = next(network.parameters()).device
     rng = np.random.default_rng([plan.seed, number])
     order = rng.permutation(len(samples))
     batches = [order[i : i + plan.batch_size] for i in range(0, len(order) - plan.batch_size + 1, plan.batch_size)]
@@ -153,9 +216,9 @@ def _train_epoch(
     started = time.monotonic()
     for index, (images, labels) in enumerate(_loaded(samples, batches, crops, (plan.seed, number)), start=1):
         optimizer.zero_grad(set_to_none=True)
-        with torch.autocast("cpu", dtype=torch.bfloat16):
-            predicted = network(images.to(torch.bfloat16))
-        loss = nn.functional.mse_loss(predicted.float()[:, 0], labels)
+        with torch.autocast(device.type, dtype=torch.bfloat16):
+            predicted = network(images.to(device, torch.bfloat16))
+        loss = nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device))
         loss.backward()
         optimizer.step()
         losses.append(loss.item())
@@ -168,12 +231,13 @@ def _train_epoch(
 @torch.inference_mode()
 def _validate(network: nn.Module, samples: list[Sample], crops: dict[str, Crop], plan: TrainingPlan) -> float:
     network.eval()
+    device = next(network.parameters()).device
     batches = [np.arange(i, min(i + plan.batch_size, len(samples))) for i in range(0, len(samples), plan.batch_size)]
     total = 0.0
     for images, labels in _loaded(samples, batches, crops, None):
-        with torch.autocast("cpu", dtype=torch.bfloat16):
-            predicted = network(images.to(torch.bfloat16))
-        total += float(nn.functional.mse_loss(predicted.float()[:, 0], labels, reduction="sum"))
+        with torch.autocast(device.type, dtype=torch.bfloat16):
+            predicted = network(images.to(device, torch.bfloat16))
+        total += float(nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device), reduction="sum"))
     return total / len(samples)
 
 
@@ -185,9 +249,14 @@ def _loaded(
     def load(index: int) -> tuple[Tensor, Tensor]:
         rng = np.random.default_rng([*seed, index]) if seed else None
         chosen = [samples[i] for i in batches[index]]
-        images = [prepare(augment(decode(s.jpeg), rng) if rng else decode(s.jpeg), crops[s.simulator]) for s in chosen]
-        pixels = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
-        return pixels, torch.tensor([s.steering for s in chosen], dtype=torch.float32)
+        images, labels = [], []
+        for sample in chosen:
+            image, steering = decode(sample.jpeg), sample.steering
+            if rng:
+                image, steering = augment(image, steering, rng)
+            images.append(prepare(image, crops[sample.simulator]))
+            labels.append(steering)
+        return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2), torch.tensor(labels, dtype=torch.float32)
 
     with ThreadPoolExecutor(1) as pool:
         pending = pool.submit(load, 0)
@@ -246,5 +315,5 @@ def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop])
         digest.update(f"{sample.simulator} {sample.road_id} {sample.steering} {len(sample.jpeg)} ".encode())
     for simulator, crop in sorted(crops.items()):
         digest.update(f"{simulator} {crop.top} {crop.bottom} ".encode())
-    fixed = {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience")}
+    fixed = {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience", "device")}
     return {**fixed, "data": digest.hexdigest()}

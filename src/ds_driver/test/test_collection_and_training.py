@@ -11,11 +11,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from ds_driver.augmentation import augment
 from ds_driver.collection import CollectionPlan, collect, training_roads
-from ds_driver.dataset import DatasetError, Sample, balance, decode, encode, read_samples, write_manifest
+from ds_driver.dataset import DatasetError, Sample, balance, check_equal, decode, encode, read_samples, write_manifest
 from ds_driver.preprocessing import Crop
-from ds_driver.training import TrainingPlan, split, train
+from ds_driver.training import TrainingError, TrainingPlan, device_of, schedule_of, split, train
 
+JPEG = encode(np.zeros((160, 320, 3), np.uint8))
 PLAN = CollectionPlan(roads=2, seed=5, max_angle=60, every=12)
 
 
@@ -106,7 +108,52 @@ def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> Non
     (tmp_path / "sim" / "a.parquet").write_bytes(b"PAR1 cut")
     with pytest.raises(DatasetError, match="cannot be read"):
         read_samples(tmp_path)
-    row = {"image": b"", "steering": 1.5, "simulator": "sim", "road_id": "r"}
+    row = {"image": JPEG, "steering": 1.5, "simulator": "sim", "road_id": "r"}
     pq.write_table(pa.Table.from_pylist([row]), tmp_path / "sim" / "a.parquet")
     with pytest.raises(DatasetError, match=r"outside \[-1, 1\]"):
         read_samples(tmp_path)
+    for image, state in ((None, "missing"), (b"", "missing"), (JPEG[:-40], "cut"), (b"GIF89a", "cut or no JPEG")):
+        rows = [row | {"image": JPEG, "steering": 0.0}, row | {"image": image, "steering": 0.0}]
+        pq.write_table(pa.Table.from_pylist(rows), tmp_path / "sim" / "a.parquet")
+        with pytest.raises(DatasetError, match=f"a.parquet, row 1: the image is {state}.*collect it again"):
+            read_samples(tmp_path)
+
+
+def test_unequal_simulators_are_refused_in_one_line() -> None:
+    check_equal([sample("a", 1)] * 40 + [sample("b", 1)] * 20 + [sample("c", 1)] * 30)
+    check_equal([sample("a", 1)])
+    with pytest.raises(DatasetError, match=r"^19 images of b and 40 of a: expected at most twice as many"):
+        check_equal([sample("a", 1)] * 40 + [sample("b", 1)] * 19 + [sample("c", 1)] * 30)
+
+
+def test_a_gpu_that_is_not_there_and_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert device_of("auto").type == "cpu"
+    with pytest.raises(TrainingError, match=r"^no GPU .*leave out --device cuda"):
+        device_of("cuda")
+    with pytest.raises(TrainingError, match="expected auto, cpu or cuda"):
+        device_of("tpu")
+    with pytest.raises(TrainingError, match="expected laptop or paper"):
+        schedule_of("weekend", "dave2")
+    assert schedule_of("paper", "dave2").epochs == 50 and schedule_of("paper", "epoch").patience == 20
+
+
+def test_augmentation_turns_the_label_with_the_image() -> None:
+    """Half of the images change; a flipped one steers the other way, a shift to the right steers right (maxitwo)."""
+    image = np.zeros((160, 320, 3), np.uint8)
+    image[:, 240:244] = 255
+    rng = np.random.default_rng(1)
+    results = [augment(image, 0.3, rng) for _ in range(2000)]
+    untouched = sum(changed is image for changed, _ in results)
+    assert 950 < untouched < 1150
+    flipped = shifted = 0
+    for changed, steering in results:
+        assert changed.shape == image.shape and changed.dtype == np.uint8
+        bright = changed[80, :, 0] > 0.15 * 255
+        column = float(np.mean(np.flatnonzero(bright)))
+        flip = column < 160
+        flipped += flip
+        dx = column - (319 - 241.5 if flip else 241.5)
+        shifted += dx != 0
+        assert steering == pytest.approx((-0.3 if flip else 0.3) + 0.002 * dx, abs=1e-9)
+    assert 400 < flipped < 600 and 400 < shifted < 600

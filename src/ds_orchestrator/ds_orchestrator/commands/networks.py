@@ -114,14 +114,19 @@ def train_command(
     out: Annotated[Path, typer.Option(help="Folder for weights; a training that was stopped there goes on.")],
     network: Annotated[str, typer.Option(help="Architecture.")] = "dave2",
     seed: Seed = 1,
-    epochs: Annotated[int, typer.Option(min=1, help="At most.")] = 12,
-    images: Annotated[int | None, typer.Option(min=1, help="At most so many per simulator.")] = None,
+    schedule: Annotated[str, typer.Option(help="laptop, or the paper's, which wants a GPU.")] = "laptop",
+    epochs: Annotated[int | None, typer.Option(min=1, help="At most; the schedule's if left out.")] = None,
+    images: Annotated[int | None, typer.Option(min=1, help="Per simulator; the schedule's if left out.")] = None,
     learning_rate: Annotated[float, typer.Option(min=1e-7, max=1.0, help="Of Adam.")] = 1e-4,
     threads: Annotated[int, typer.Option(min=1, help="Of the mathematics.")] = 2,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
 ) -> None:
     """Train one network for all simulators of a data set."""
-    plan = {"network": network, "seed": seed, "epochs": epochs, "images_per_simulator": images}
-    train(data, out, learning_rate=learning_rate, threads=threads, **plan)
+    from ds_driver.training import schedule_of
+
+    chosen = asdict(schedule_of(schedule, network))
+    chosen |= {k: v for k, v in {"epochs": epochs, "images_per_simulator": images}.items() if v is not None}
+    train(data, out, network=network, seed=seed, learning_rate=learning_rate, threads=threads, device=device, **chosen)
 
 
 @app.command("assess")
