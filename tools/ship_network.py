@@ -1,7 +1,8 @@
 """Put a trained network into ds_driver, with a card that says what it was made of and how well it drives.
 
-`python tools/ship_network.py --data DATA --training DIR [--network dave2] [--roads 25] [--seed 424242]` drives roads
-that no training has seen on every simulator, then writes weights and card to `src/ds_driver/ds_driver/models`.
+`python tools/ship_network.py --data DATA --offline DATA2 --training DIR [--network dave2] [--roads 25] [--seed 424242]`
+drives roads that no training has seen on every simulator in both directions, compares the network with the autopilot
+on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
 """
 
 from __future__ import annotations
@@ -13,16 +14,28 @@ import shutil
 import sys
 from pathlib import Path
 
-from ds_driver.assessment import success_rates, unseen_roads
+import numpy as np
+
+from ds_driver.assessment import steering_errors, success_rates
+from ds_driver.collection import roads_both_ways
 from ds_driver.networks import count_parameters
+from ds_driver.preprocessing import Crop
 from ds_driver.weights import SHIPPED, load_network
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import SIMULATORS, make_simulator
+
+PAPER = {
+    "dave2": {"mean_squared_error": 0.08, "success": 0.84},
+    "chauffeur": {"mean_squared_error": 0.07, "success": 0.72},
+    "epoch": {"mean_squared_error": 0.09, "success": 0.52},
+}
+"""Paper, Table 1, networks for plain images, on the twin; steering there in the same [-1, 1]."""
 
 
 def main() -> None:
     """Assess, then copy weights and write the card."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--offline", type=Path, required=True)
     parser.add_argument("--training", type=Path, required=True)
     parser.add_argument("--network", default="dave2")
     parser.add_argument("--roads", type=int, default=25)
@@ -30,12 +43,16 @@ def main() -> None:
     arguments = parser.parse_args()
     weights = arguments.training / f"{arguments.network}.safetensors"
     manifest = json.loads((arguments.data / "manifest.json").read_text())
+    offline = json.loads((arguments.offline / "manifest.json").read_text())
     training = json.loads((arguments.training / "training.json").read_text())
-    roads = unseen_roads(arguments.roads, arguments.seed)
-    trained_on = {path.name.rpartition("-")[0] for path in arguments.data.glob("*/*.parquet")}
-    seen = [road.road_id for road in roads if road.road_id in trained_on]
+    roads = roads_both_ways(arguments.roads, arguments.seed)
+    trained_on = _road_ids(arguments.data)
+    seen = sorted(trained_on & ({road.road_id for road in roads} | _road_ids(arguments.offline)))
     if seen:
-        sys.exit(f"roads {', '.join(seen)} were trained on: choose another --seed")
+        sys.exit(f"roads {', '.join(seen)} were trained on: choose another --seed, or another offline set")
+    specs = {name: make_simulator(name).spec for name in SIMULATORS}
+    crops = {name: Crop(spec.crop_top, spec.crop_bottom) for name, spec in specs.items()}
+    errors = steering_errors(str(weights), arguments.offline, crops)
     success = success_rates(
         str(weights), list(SIMULATORS), roads, arguments.seed, lambda done, total, line: print(f"{done}/{total} {line}")
     )
@@ -53,16 +70,24 @@ def main() -> None:
             "steering_bins": manifest["steering_bins"],
             "steering_histogram": manifest["steering"],
         },
-        "seeds": {"collection": collection["seed"], "training": plan["seed"], "assessment": arguments.seed},
+        "seeds": {
+            "collection": collection["seed"],
+            "training": plan["seed"],
+            "offline": offline["plan"]["seed"],
+            "assessment": arguments.seed,
+        },
         "commands": [
             f"./ds collect --out data --roads {collection['roads']} --every {collection['every']}"
             f" --seed {collection['seed']}",
-            f"./ds train --data data --out training --epochs {plan['epochs']} --seed {plan['seed']}"
-            f" --learning-rate {plan['learning_rate']:g}"
+            f"./ds collect --out offline --roads {offline['plan']['roads']} --seed {offline['plan']['seed']}",
+            f"./ds train --data data --out training --network {arguments.network} --epochs {plan['epochs']}"
+            f" --seed {plan['seed']} --learning-rate {plan['learning_rate']:g} --threads {plan['threads']}"
             + (f" --images {plan['images_per_simulator']}" if plan["images_per_simulator"] else ""),
-            f"python tools/ship_network.py --data data --training training --seed {arguments.seed}",
+            f"python tools/ship_network.py --data data --offline offline --training training"
+            f" --network {arguments.network} --roads {arguments.roads} --seed {arguments.seed}",
         ],
         "training": plan,
+        "seconds": round(sum(epoch["seconds"] for epoch in history)),
         "loss": {
             "mean_squared_error": "of steering in [-1, 1]",
             "best_epoch": best["epoch"],
@@ -70,14 +95,23 @@ def main() -> None:
             "validation": best["validation_loss"],
             "history": history,
         },
-        "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training"},
+        "offline": {
+            "images": {name: len(values) for name, values in errors.items()},
+            "mean_squared_error": {name: round(float(np.mean(values**2)), 6) for name, values in errors.items()},
+        },
+        "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
         "success": success,
+        "paper": PAPER[arguments.network],
         "versions": manifest["versions"],
     }
     SHIPPED.mkdir(exist_ok=True)
     shutil.copyfile(weights, SHIPPED / weights.name)
     (SHIPPED / f"{arguments.network}.json").write_text(json.dumps(card, indent=1) + "\n")
-    print(json.dumps(success))
+    print(json.dumps({"success": success, **card["offline"]}))
+
+
+def _road_ids(data: Path) -> set[str]:
+    return {path.name.rpartition("-")[0] for path in data.glob("*/*.parquet")}
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ from ds_sim.simulator import Command, Outcome, Simulator
 Progress = Callable[[int, int, str], None]
 """Called with drives done, drives in all, and a line about the last one."""
 
+DIRECTIONS = ("forward", "reverse")
+
 
 @dataclass(frozen=True, kw_only=True)
 class CollectionPlan:
@@ -43,10 +45,15 @@ class CollectionPlan:
 
 def training_roads(plan: CollectionPlan) -> list[Road]:
     """The roads of a plan, valid in both directions; the same seed gives the same roads."""
-    rng = np.random.default_rng(plan.seed)
+    return roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)
+
+
+def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
+    """Random roads that are valid in both directions; the same seed gives the same roads."""
+    rng = np.random.default_rng(seed)
     roads: list[Road] = []
-    while len(roads) < plan.roads:
-        road = generate(rng, max_angle=plan.max_angle)
+    while len(roads) < count:
+        road = generate(rng, max_angle=max_angle)
         # The edge of a sharp bend may fold in one direction only, since it is drawn sample by sample.
         if road.reversed().validity.valid:
             roads.append(road)
@@ -86,7 +93,7 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
             index=index,
         )
         for index, road in enumerate(training_roads(plan))
-        for direction in ("forward", "reverse")
+        for direction in DIRECTIONS
         for name in simulators
     ]
     missing = [job for job in jobs if not job.path.exists()]

@@ -99,7 +99,8 @@ def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
         card = json.loads(path.with_suffix(".json").read_text())
         assert set(card) >= {"network", "parameters", "data", "seeds", "commands", "loss", "success", "roads"}
         assert card["parameters"] == count_parameters(load_network(name))
-        assert all(rate >= 0.5 for rate in card["success"].values()) and len(card["success"]) == 3
+        assert set(card["success"]) == {"bullet", "softbody", "donkey"}
+        assert all(rate >= 0.5 for ways in card["success"].values() for rate in ways.values())
         driver = NetworkDriver(name)
         rng = np.random.default_rng(1)
         image = rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)

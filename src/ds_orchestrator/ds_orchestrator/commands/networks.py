@@ -41,7 +41,8 @@ def train(data: Path, out: Path, **settings: Any) -> None:
 
 def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Result:
     """Drive unseen roads with a network, without ROS."""
-    from ds_driver.assessment import success_rates, unseen_roads
+    from ds_driver.assessment import success_rates
+    from ds_driver.collection import roads_both_ways
     from ds_orchestrator.graph_plan import check_driver
 
     check_driver(network)
@@ -49,13 +50,13 @@ def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Res
         "network": network,
         "roads": roads,
         "seed": seed,
-        "success": success_rates(network, simulators, unseen_roads(roads, seed), seed, countdown()),
+        "success": success_rates(network, simulators, roads_both_ways(roads, seed), seed, countdown()),
     }
 
     def show() -> None:
-        table = Table("simulator", "success")
-        for name, rate in document["success"].items():
-            table.add_row(name, f"{rate:.2f}")
+        table = Table("simulator", "forward", "reverse")
+        for name, rates in document["success"].items():
+            table.add_row(name, *(f"{rate:.2f}" for rate in rates.values()))
         Console().print(table)
 
     return Result(document=document, show=show)
@@ -80,11 +81,15 @@ def models() -> Result:
     def show() -> None:
         table = Table("name", "parameters", "bytes", "success on unseen roads")
         for row in document:
-            success = ", ".join(f"{k} {v:.2f}" for k, v in row["card"]["success"].items())
+            success = ", ".join(f"{k} {_mean(v):.2f}" for k, v in row["card"]["success"].items())
             table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
         Console().print(table)
 
     return Result(document=document, show=show)
+
+
+def _mean(rates: dict[str, float]) -> float:
+    return sum(rates.values()) / len(rates)
 
 
 def _crops() -> dict[str, Any]:
@@ -137,7 +142,7 @@ def assess_command(
     sims: Simulators = "bullet,softbody,donkey",
     as_json: JsonFlag = False,
 ) -> None:
-    """Share of unseen roads that a network completes on each simulator."""
+    """Share of unseen roads that a network completes on each simulator, in both directions."""
     answer(assess(network, roads=roads, seed=seed, simulators=simulators_of(sims)), as_json)
 
 
