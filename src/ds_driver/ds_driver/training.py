@@ -119,6 +119,7 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
     samples = read_samples(data)
     check_equal(samples)
     training, validation = split(samples, plan)
+    del samples  # those left out need not stay in memory
     missing = {s.simulator for s in training} - set(crops)
     if missing:
         raise DatasetError(f"no crop is known for {', '.join(sorted(missing))}: name the simulators of the data set")
