@@ -47,7 +47,7 @@ def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
         ],
         "windows": fit.windows,
         "rms_residuals": {
-            name: {"value": _short(value), "unit": _UNITS[name]}
+            name: {"value": _short(value), "noise": _short(fit.noise[name]), "unit": _UNITS[name]}
             for name, value in fit.rms.items()
             if math.isfinite(value)
         },
