@@ -45,7 +45,10 @@ def main() -> None:
             inside[e.name] += e.low <= true <= e.high
             determined[e.name] += e.determined
             error, half = 100.0 * (e.value - true) / size, 100.0 * (e.high - e.value) / size
-            print(f"  {e.name:20s} true {true:8.5f} found {e.value:8.5f} error {error:6.2f} % interval +-{half:5.2f} %")
+            print(
+                f"  {e.name:20s} true {true:8.5f} found {e.value:8.5f} error {error:6.2f} % "
+                f"interval +-{half:5.2f} % {e.status}"
+            )
     print(f"{'of ' + str(len(seeds)) + ' seeds':22s} within 5 %  in interval  determined")
     for name in FITTED:
         print(f"{name:22s} {close[name]:10d} {inside[name]:12d} {determined[name]:11d}")

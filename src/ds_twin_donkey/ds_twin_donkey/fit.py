@@ -31,8 +31,9 @@ FITTED = {
 """Name -> unit of what is fitted. The rest is held: lengths and masses are measured with ruler and scales; doubling
 `free_speed` and `stall_force` and halving both duties changes nothing, so one of them is read from the data sheet; and
 the dead band is known to one pulse count only, which is 19 % of it."""
-WIDEST = 0.2
-"""Half a 95 % interval over the value; a wider one is not determined. Chosen: the nominal values are no worse."""
+KNOWN, WIDEST = 0.05, 0.2
+"""Half a 95 % interval over the value: up to the first a parameter is known, beyond the second not determined at all.
+Chosen: 5 % is what the fit promises; at 20 % the nominal values are no worse."""
 ROUNDS, SETTLED = 8, 0.1
 """Rounds of weighing and solving at most, and the relative change of the noise that ends them; chosen."""
 ROUGH_SECONDS, ROUGH_LONGEST, ROUGH_SUBSTEPS = 3.0, 120.0, 10
@@ -78,6 +79,14 @@ class Estimate:
     high: float
     start: float
     determined: bool
+
+    @property
+    def status(self) -> str:
+        """`fitted` (half its interval is at most 5 %), `weakly fitted`, or `not determined`."""
+        if not self.determined:
+            return "not determined"
+        half = 0.5 * (self.high - self.low)
+        return "fitted" if half <= KNOWN * SCALES.get(self.name, abs(self.value)) else "weakly fitted"
 
 
 @dataclass(frozen=True, kw_only=True)
