@@ -12,12 +12,13 @@ from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import rollout
 from ds_twin_donkey.excitation import hidden_and_start, manoeuvres, random_commands, recorded
-from ds_twin_donkey.fit import FitError, FitSettings, fit
+from ds_twin_donkey.fit import FitSettings, fit
 from ds_twin_donkey.fit_picture import draw_fit
 from ds_twin_donkey.logs import Log, LogError, drives_of, read_log
 from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.simulator import DonkeySimulator
+from ds_twin_donkey.windows import FitError
 
 P = DonkeyParameters()
 MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
