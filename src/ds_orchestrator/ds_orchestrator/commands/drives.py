@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 import ds_road
+from ds_orchestrator.bags import Level
 from ds_orchestrator.campaign import execution_of
 from ds_orchestrator.commands.answers import Interrupted, Result, end
 from ds_orchestrator.commands.options import AttachFlag, JsonFlag, MaxAngle
@@ -27,6 +28,7 @@ def drive(
     *,
     seed: int,
     bag: Path | None,
+    level: Level,
     video: Path | None,
     attach: bool,
     namespace: str,
@@ -63,9 +65,9 @@ def drive(
                 wall = time.monotonic() - started
         except KeyboardInterrupt:
             raise Interrupted from None
-    if bag is not None:
-        write_bag(bag, namespaces[sim], run, {"simulator": sim, "driver": driver})
     whose = "attached" if attach else driver
+    if bag is not None:
+        write_bag(bag, namespaces[sim], sim, run, {"driver": whose}, level)
     if video is not None:
         # The images travelled to the driver only; the same commands show them again.
         write_video(video, f"{sim}, {Path(whose).name}", road, redrive(sim, run), run.commands)
@@ -105,9 +107,12 @@ def drive_command(
     video: Annotated[Path | None, typer.Option(help="Write an .mp4 of the drive here.")] = None,
     attach: AttachFlag = False,
     namespace: Annotated[str, typer.Option(help="Of the simulator.")] = "/ds1",
+    level: Annotated[Level, typer.Option(help="What the bag holds.")] = "telemetry",
     as_json: JsonFlag = False,
 ) -> None:
     """Drive one road and say how it went."""
     chosen = one_road(road, seed, max_angle)
-    result = drive(sim, driver, chosen, seed=seed, bag=bag, video=video, attach=attach, namespace=namespace)
+    result = drive(
+        sim, driver, chosen, seed=seed, bag=bag, level=level, video=video, attach=attach, namespace=namespace
+    )
     end(result, as_json)
