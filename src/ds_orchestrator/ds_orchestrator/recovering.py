@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
-from mcap.records import Channel, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from ds_orchestrator.bags import BagError, hidden_of
@@ -91,7 +91,8 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     ended: dict[str, str] = {}
     count, first, last, understood = 0, 0, 0, 0
     for record, position in _records(source):
-        understood = position
+        # What follows the footer is the end mark, which belongs to it.
+        understood = source.stat().st_size if isinstance(record, Footer) else position
         if isinstance(record, Metadata) and record.name == ABOUT_RECORD:
             facts = dict(record.metadata)
         elif isinstance(record, Metadata) and record.name == "rosbag2":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator
 
 from ds_sim.registry import make_simulator
@@ -11,7 +12,20 @@ from ds_sim.simulator import Observation, SimulatorError
 
 
 class RedriveError(RuntimeError):
-    """A run that did not come out as it was recorded."""
+    """A run that did not come out as it was recorded.
+
+    Attributes:
+        step: the first one that differs.
+        difference: in words.
+    """
+
+    def __init__(self, simulator: str, step: int, difference: str) -> None:
+        super().__init__(
+            f"{simulator} leaves the recorded run at step {step}, {difference}: it was recorded with another version, "
+            "or on another simulator"
+        )
+        self.step = step
+        self.difference = difference
 
 
 def redrive(simulator_name: str, run: RunRecord) -> Iterator[Observation]:
@@ -30,12 +44,9 @@ def redrive(simulator_name: str, run: RunRecord) -> Iterator[Observation]:
             try:
                 seen = simulator.step(run.commands[step - 1]) if step else simulator.load(run.road, seed=run.seed)
             except SimulatorError as error:
-                raise RedriveError(f"{simulator_name} ends at step {step}, the recorded run goes on: {error}") from None
+                raise RedriveError(simulator_name, step, f"where it goes no further ({error})") from None
             if difference := difference_between(seen, recorded):
-                raise RedriveError(
-                    f"{simulator_name} leaves the recorded run at step {step}, {difference}: it was recorded with "
-                    "another version, or on another simulator"
-                )
+                raise RedriveError(simulator_name, step, difference)
             yield seen
     finally:
         simulator.close()
@@ -47,7 +58,7 @@ def difference_between(seen: Observation, recorded: Observation) -> str:
         name: abs(getattr(a, name) - getattr(b, name))
         for a, b in ((seen.vehicle, recorded.vehicle), (seen.lane, recorded.lane))
         for name in a.__dataclass_fields__
-        if getattr(a, name) != getattr(b, name)
+        if struct.pack("<d", getattr(a, name)) != struct.pack("<d", getattr(b, name))
     }
     if apart:
         metres = math.hypot(seen.vehicle.x - recorded.vehicle.x, seen.vehicle.y - recorded.vehicle.y)
