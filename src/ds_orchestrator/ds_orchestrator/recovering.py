@@ -12,7 +12,8 @@ from mcap.records import Channel, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from ds_orchestrator.bags import BagError, hidden_of
-from ds_orchestrator.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic
+from ds_orchestrator.packing import topic_of_channel
+from ds_orchestrator.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
 
 UNFINISHED = "UNFINISHED"
 """What a recovered bag's custom data has as outcome."""
@@ -104,7 +105,9 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
             writer = writer or Rosbag2Writer(folder, facts)
             if isinstance(record, Channel):
                 if record.id not in channels:
-                    channels[record.id] = writer.channel(_topic(record, schemas[record.schema_id]))
+                    channels[record.id] = writer.channel(
+                        topic_of_channel(record, schemas[record.schema_id], record.topic)
+                    )
                 continue
             writer.write(channels[record.channel_id], record.log_time, record.data)
             first = record.log_time if not count else min(first, record.log_time)
@@ -129,14 +132,3 @@ def _records(source: Path) -> Iterator[tuple[McapRecord, int]]:
             except Exception:  # half a record raises whatever the reader stumbles on
                 return
             yield record, file.tell()
-
-
-def _topic(channel: Channel, schema: Schema) -> Topic:
-    return Topic(
-        name=channel.topic,
-        message_type=schema.name,
-        definition=schema.data.decode(),
-        digest=channel.metadata.get("topic_type_hash", ""),
-        qos=channel.metadata.get("offered_qos_profiles", "[]\n"),
-        encoding=schema.encoding,
-    )

@@ -126,6 +126,11 @@ class Rosbag2Writer:
         self._mcap.flush()
         self._pending = 0
 
+    def note(self, name: str, facts: Mapping[str, str]) -> None:
+        """Write a metadata record behind what was written so far."""
+        self.flush()
+        self._mcap.add_metadata(name, dict(facts))
+
     def close(self, custom_data: Mapping[str, str]) -> None:
         """Write index and metadata.
 
@@ -133,7 +138,8 @@ class Rosbag2Writer:
             custom_data: facts about the bag.
         """
         information = self._information(dict(custom_data))
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
+        # Behind the last message, so that whoever finds this record in the remains of a file has all of them.
+        self.note("rosbag2", {"serialized_metadata": _yaml(information)})
         self._mcap.finish()
         self._file.close()
         text = _yaml({"rosbag2_bagfile_information": information})

@@ -10,7 +10,7 @@ import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -18,17 +18,18 @@ from rich.table import Table
 
 from ds_orchestrator.commands.answers import Interrupted, Result, answer, countdown, end, say
 from ds_orchestrator.commands.options import JsonFlag
-from ds_orchestrator.recorded_frames import Reading, Truth
 
 if TYPE_CHECKING:
     from ds_driver.preprocessing import Crop
     from ds_orchestrator.answering import Answer
-    from ds_orchestrator.recorded_frames import Frame
+    from ds_orchestrator.recorded_frames import Frame, Reading
 
 app = typer.Typer()
 bag_app = typer.Typer(help="Recorded runs: look into them, replay them, drive them again.", no_args_is_help=True)
 app.add_typer(bag_app, name="bag")
 
+Truth = Literal["recorded", "autopilot"]
+By = Literal["cell", "run"]
 BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.")]
 
 
@@ -131,6 +132,43 @@ def bag_redrive(folder: Path, sim: str | None) -> Result:
     if not same:
         say(f"error: {found.simulator} leaves the recorded run at step {found.step}, {found.difference}")
     return Result(document=document, show=show if same else lambda: None, error=not same)
+
+
+def bag_pack(campaign: Path, out: Path, by: By) -> Result:
+    """A campaign's bags as a few."""
+    from ds_orchestrator.packing import groups_of, pack
+
+    progress, packs = countdown(), []
+    groups = groups_of(campaign, by)
+    try:
+        for done, (name, bags) in enumerate(groups.items(), start=1):
+            packs.append(pack(bags, out / name, {"campaign": campaign.resolve().name, "group": name}))
+            progress(done, len(groups), f"{name}: {len(bags)} bags")
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    before = sum(file.stat().st_size for bags in groups.values() for bag in bags for file in bag.iterdir())
+    document = {
+        "packs": [{"folder": str(one.folder), "bags": one.bags, "bytes": one.bytes} for one in packs],
+        "bags": sum(one.bags for one in packs),
+        "bytes": sum(one.bytes for one in packs),
+        "bytes_before": before,
+    }
+
+    def show() -> None:
+        print(
+            f"{document['bags']} bags of {before / 1e6:.1f} MB are in {len(packs)} packs of "
+            f"{document['bytes'] / 1e6:.1f} MB in {out}. The bags are still there: `ds bag unpack` makes them again."
+        )
+
+    return Result(document=document, show=show)
+
+
+def bag_unpack(folder: Path, out: Path, only: str | None) -> Result:
+    """Bags out of a pack."""
+    from ds_orchestrator.packing import unpack
+
+    made = [str(path) for path in unpack(folder, out, only)]
+    return Result(document={"bags": made}, show=lambda: print("\n".join(made)))
 
 
 def bag_drive(
@@ -279,5 +317,29 @@ def drive_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Let a driver answer recorded images one by one: its steering errors, their density and distances."""
+    from ds_orchestrator.recorded_frames import Reading
+
     reading = Reading(camera=camera, steering=steering, factor=factor, rows=_rows(rows), truth=truth)
     answer(bag_drive(folders, driver, reading, out, limit), as_json)
+
+
+@bag_app.command("pack")
+def pack_command(
+    campaign: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign.")],
+    out: Annotated[Path, typer.Option(help="Folder for the packs.")],
+    by: Annotated[By, typer.Option(help="One pack per cell of the feature map, or per run of the search.")] = "cell",
+    as_json: JsonFlag = False,
+) -> None:
+    """Put a campaign's many bags into a few, which any reader opens; each run under its own name."""
+    answer(bag_pack(campaign, out, by), as_json)
+
+
+@bag_app.command("unpack")
+def unpack_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a pack.")],
+    out: Annotated[Path, typer.Option(help="Folder for the bags.")],
+    bag: Annotated[str | None, typer.Option(help="Only the bag of this name.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Take bags out of a pack, byte for byte as they were."""
+    answer(bag_unpack(folder, out, bag), as_json)
