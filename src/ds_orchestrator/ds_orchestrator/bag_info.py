@@ -45,6 +45,8 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"Road {facts.get('road_id', '?')}, seed {facts.get('seed', '?')}, level {facts.get('level', '?')}."
         )
+        if facts.get("images") and facts.get("steps") and int(facts["images"]) <= int(facts["steps"]):
+            lines.append(f"Only {facts['images']} of {int(facts['steps']) + 1} images arrived.")
         if facts.get("test_id"):
             lines.append(f"Test {facts['test_id']} of a campaign.")
         known = [f"{key.removeprefix('version.')} {facts[key]}" for key in sorted(facts) if key.startswith("version.")]

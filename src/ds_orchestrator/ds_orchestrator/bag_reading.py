@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
-from ds_orchestrator.bags import BagError, hidden_of
+from ds_orchestrator.bags import BagError, hidden_of, seen_of
 from ds_road import Road, RoadError
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
@@ -111,7 +111,7 @@ class BagReader:
 
 def _check_finished(path: Path) -> None:
     if not path.exists():
-        if hidden_of(path).exists():
+        if hidden_of(path).exists() or seen_of(path).exists():
             raise BagError(f"{path} was never finished: `ds bag recover {path} --out DIR` makes a bag of what is there")
         raise BagError(f"{path}: no such bag: give the folder of one")
     if path.is_dir() and not (path / "metadata.yaml").is_file():

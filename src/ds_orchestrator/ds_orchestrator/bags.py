@@ -76,7 +76,13 @@ def results_of(run: RunRecord) -> dict[str, str]:
 
 
 def write_bag(
-    folder: Path, namespace: str, simulator: str, run: RunRecord, about: Mapping[str, str], level: Level = "telemetry"
+    folder: Path,
+    namespace: str,
+    simulator: str,
+    run: RunRecord,
+    about: Mapping[str, str],
+    level: Level = "telemetry",
+    seen: Iterable[Observation] | None = None,
 ) -> None:
     """Write one run; stamps count from the start of the run.
 
@@ -90,6 +96,7 @@ def write_bag(
         run: what happened.
         about: facts for the bag's custom data, beside road, seed, versions and outcome, which are always there.
         level: what the bag holds.
+        seen: the run's observations with their images, if somebody has them; empty images are left out.
 
     Raises:
         BagError: the folder cannot be written.
@@ -97,7 +104,8 @@ def write_bag(
     """
     # The files inside are named after their folder, so the unfinished one has that name too, a level deeper.
     hidden = hidden_of(folder)
-    seen = run.observations if level == "telemetry" else redrive(simulator, run)
+    if seen is None:
+        seen = run.observations if level == "telemetry" else redrive(simulator, run)
     try:
         shutil.rmtree(hidden, ignore_errors=True)
         _write(hidden / folder.name, namespace, simulator, run, about, level, seen)
@@ -111,6 +119,11 @@ def write_bag(
 def hidden_of(folder: Path) -> Path:
     """Where a bag lies until it is whole."""
     return folder.with_name(f".{folder.name}.partial")
+
+
+def seen_of(folder: Path) -> Path:
+    """Where the images of a run are kept as they come, until its bag is written; a bag too."""
+    return folder.with_name(f".{folder.name}.seen") / folder.name
 
 
 class RunWriter:
@@ -131,6 +144,7 @@ class RunWriter:
         self._spec = spec
         self._run = run
         self._image = _IMAGE_TOPIC.get(level, "")
+        self.images = 0
         self._make = MessageMaker(namespace)
         self._store = typestore()
         skipped = {topic for topic in _TOPICS if topic.startswith("camera/") and topic != self._image}
@@ -162,7 +176,8 @@ class RunWriter:
         self._put("state", time, make.state(seen, self._run.road.road_id, time))
         self._put("odom", time, make.odometry(seen.vehicle, time))
         self._put("/tf", time, make.body_transform(seen.vehicle, time))
-        if self._image:
+        if self._image and seen.image.size:
+            self.images += 1
             image = make.image if self._image == "camera/image_raw" else make.compressed_image
             self._put(self._image, time, image(seen, time))
             self._put("camera/camera_info", time, make.camera_info(self._spec.camera, time))
@@ -195,7 +210,8 @@ def _write(
         for index, seen in enumerate(observations):
             messages.frame(index, seen)
         messages.end()
-        writer.close(facts | results_of(run))
+        images = {"images": str(messages.images)} if level != "telemetry" else {}
+        writer.close(facts | results_of(run) | images)
     except BaseException:
         writer.abort()
         raise

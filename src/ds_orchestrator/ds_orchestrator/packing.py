@@ -1,7 +1,7 @@
 """Many bags in one, and back: a campaign's runs as one bag per map cell or search run, each run under its own name.
 
-A pack is a rosbag2 folder itself: run NAME has its topic `/ds1/state` at `/NAME/ds1/state`, all runs begin at time 0, and
-a plotter shows them over each other. Messages are copied as bytes, so what is unpacked is the bag that was packed.
+A pack is a rosbag2 folder itself: run NAME has its topic `/ds1/state` at `/NAME/ds1/state`, all runs begin at time 0,
+and a plotter shows them over each other. Messages are copied as bytes, so what is unpacked is the bag that was packed.
 """
 
 from __future__ import annotations

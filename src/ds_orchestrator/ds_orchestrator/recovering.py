@@ -11,7 +11,7 @@ import yaml
 from mcap.records import Channel, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from ds_orchestrator.bags import BagError, hidden_of
+from ds_orchestrator.bags import BagError, hidden_of, seen_of
 from ds_orchestrator.packing import topic_of_channel
 from ds_orchestrator.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
 
@@ -49,7 +49,12 @@ def unfinished_file(path: Path) -> Path:
     """
     if path.is_file():
         return path
-    for folder in (path, path / path.name.removeprefix(".").removesuffix(".partial"), hidden_of(path) / path.name):
+    for folder in (
+        path,
+        path / path.name.removeprefix(".").removesuffix(".partial"),
+        hidden_of(path) / path.name,
+        seen_of(path),
+    ):
         found = sorted(folder.glob("*.mcap"))
         if found and (folder / "metadata.yaml").exists():
             raise BagError(f"{folder} is whole: `ds bag info {folder}` says what it holds")

@@ -147,7 +147,7 @@ def bag_pack(campaign: Path, out: Path, by: By) -> Result:
     except KeyboardInterrupt:
         raise Interrupted from None
     before = sum(file.stat().st_size for bags in groups.values() for bag in bags for file in bag.iterdir())
-    document = {
+    document: dict[str, Any] = {
         "packs": [{"folder": str(one.folder), "bags": one.bags, "bytes": one.bytes} for one in packs],
         "bags": sum(one.bags for one in packs),
         "bytes": sum(one.bytes for one in packs),
