@@ -127,6 +127,7 @@ def with_images(run: RunRecord, folder: Path) -> Iterator[Observation]:
             wanted = None if begin is None else begin + round(seen.time * 1e9)
             while image is not None and wanted is not None and stamp_of(image) < wanted:
                 image = next(kept, None)
-            found = image is not None and stamp_of(image) == wanted and image.encoding == "rgb8"
-            pixels = image.data.reshape(image.height, image.width, 3) if found else np.empty((0, 0, 3), np.uint8)
+            pixels = np.empty((0, 0, 3), np.uint8)
+            if image is not None and stamp_of(image) == wanted and image.encoding == "rgb8":
+                pixels = image.data.reshape(image.height, image.width, 3)
             yield replace(seen, image=pixels)
