@@ -15,7 +15,7 @@ ROS_FILES = {
     "ds_sim/node.py", "ds_sim/frames.py", "ds_sim/messages.py", "ds_sim/ros_runtime.py",
     "ds_driver/node.py", "ds_driver/autopilot_node.py", "ds_driver/eyes.py",
     "ds_orchestrator/graph.py", "ds_orchestrator/executables.py",
-    "ds_orchestrator/recording.py", "ds_orchestrator/replay_node.py",
+    "ds_orchestrator/recording.py", "ds_orchestrator/questioning.py", "ds_orchestrator/replay_node.py",
 }  # fmt: skip
 
 

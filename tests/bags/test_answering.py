@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ from ds_driver.preprocessing import Crop, ImageError
 from ds_driver.tub import TubError, read_tub
 from ds_orchestrator.answering import answer_recording
 from ds_orchestrator.bags import BagError
+from ds_orchestrator.domain import Domain
 from ds_orchestrator.recorded_frames import Frame, Reading, open_recording
 from ds_orchestrator.redriving import redrive
 from ds_orchestrator.steering_errors import BINS, density, distances, pooled_errors, summarise
@@ -226,3 +228,33 @@ def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_pa
     assert len(rows) == 44 and rows[40]["recorded"] == "" and rows[40]["answered"]
     picture = cv2.imread(document["picture"])
     assert picture is not None and picture.shape[1] == 1140
+
+
+@pytest.mark.graph
+def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_path: Path) -> None:
+    """Our driver as a node of its own; it crops nothing here, so neither does what it is held against."""
+    from ds_driver.network_driver import NetworkDriver
+
+    domain = Domain()
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain.number)}
+    node = subprocess.Popen(
+        [sys.executable, "-m", "ds_driver.node", "--ros-args", "-r", "__ns:=/ds1"],
+        env=environment, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        command = [
+            sys.executable, "-m", "ds_orchestrator.cli", "bag", "drive", str(bags / "raw"), "--attach", "--limit", "12",
+            "--out", str(tmp_path), "--json",
+        ]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+    finally:
+        node.terminate()
+        node.wait(20.0)
+        domain.close()
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["groups"][0]["answered"] == 12
+    network = NetworkDriver("dave2")
+    recording = open_recording(bags / "raw", Reading())
+    expected = answer_recording(recording, lambda frame, _: network.steering(_image(frame), Crop()), limit=12)
+    with (tmp_path / "answers.csv").open() as file:
+        assert [float(row["answered"]) for row in csv.DictReader(file)] == expected.answered.tolist()

@@ -314,13 +314,22 @@ def drive_command(
     rows: Annotated[str | None, typer.Option(help="FIRST:LAST image rows to keep; the lower part if left out.")] = None,
     truth: Annotated[Truth, typer.Option(help="Compare with the recorded steering, or the autopilot's.")] = "recorded",
     limit: Annotated[int | None, typer.Option(min=1, help="Only so many images of each.")] = None,
+    attach: Annotated[bool, typer.Option(help="Ask the driver node that runs in this ROS domain.")] = False,
+    namespace: Annotated[str, typer.Option(help="Where that node looks for its simulator.")] = "/ds1",
     as_json: JsonFlag = False,
 ) -> None:
     """Let a driver answer recorded images one by one: its steering errors, their density and distances."""
     from ds_orchestrator.recorded_frames import Reading
 
     reading = Reading(camera=camera, steering=steering, factor=factor, rows=_rows(rows), truth=truth)
-    answer(bag_drive(folders, driver, reading, out, limit), as_json)
+    if not attach:
+        answer(bag_drive(folders, driver, reading, out, limit), as_json)
+        return
+    from ds_orchestrator.questioning import GraphDriver
+
+    with GraphDriver(namespace) as node:
+        node.wait_for_driver()
+        answer(bag_drive(folders, "attached", reading, out, limit, node), as_json)
 
 
 @bag_app.command("pack")
