@@ -7,11 +7,8 @@ import sqlite3
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
-from mcap.reader import make_reader
-from rosbags.highlevel import AnyReader
 
 from ds_driver.control import Autopilot
 from ds_orchestrator.campaign import Campaign, CampaignError, Stopped
@@ -257,47 +254,3 @@ def test_the_shipped_configurations_are_valid() -> None:
         150,
         5,
     )
-
-
-@pytest.mark.graph
-def test_a_bag_holds_the_whole_run_for_another_reader(tmp_path: Path) -> None:
-    """Counts, types and every value, read by `rosbags`; needs the installed message definitions."""
-    from ds_orchestrator.bags import typestore, write_bag
-
-    record = LocalExecutor().execute("donkey", Road([(125.0, 25.0 * i) for i in range(9)]), 3)
-    write_bag(tmp_path / "bag", "/ds1", record, {"driver": "autopilot"})
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["bag"]
-    with AnyReader([tmp_path / "bag"], default_typestore=typestore()) as reader:
-        counts = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
-        messages: dict[str, list[Any]] = {topic: [] for topic in counts}
-        for connection, stamp, raw in reader.messages():
-            messages[connection.topic].append((stamp, reader.deserialize(raw, connection.msgtype)))
-    assert counts == {
-        "/ds1/road": ("ds_interfaces/msg/Road", 1),
-        "/ds1/state": ("ds_interfaces/msg/VehicleState", 61),
-        "/ds1/drive": ("ds_interfaces/msg/DriveCommand", 60),
-        "/ds1/outcome": ("ds_interfaces/msg/Outcome", 1),
-    }
-    for (stamp, state), observation in zip(messages["/ds1/state"], record.observations, strict=True):
-        assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == observation.step * 50_000_000
-        assert (state.step, state.x, state.y, state.yaw) == (
-            observation.step, observation.vehicle.x, observation.vehicle.y, observation.vehicle.yaw
-        )  # fmt: skip
-        assert state.lateral_position == observation.lane.lateral_position
-    for (_, drive), command in zip(messages["/ds1/drive"], record.commands, strict=True):
-        assert (drive.steering, drive.throttle) == (command.steering, command.throttle)
-    assert messages["/ds1/outcome"][0][1].value == int(Outcome.TIMEOUT)
-    assert [(p.x, p.y) for p in messages["/ds1/road"][0][1].control_points] == list(record.road.control_points)
-    metadata = (tmp_path / "bag" / "metadata.yaml").read_text()
-    assert "version: 9" in metadata and "TIMEOUT" in metadata and "autopilot" in metadata
-    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
-        reader_of_mcap = make_reader(file)
-        assert reader_of_mcap.get_header().profile == "ros2"
-        summary = reader_of_mcap.get_summary()
-        assert summary is not None and summary.statistics is not None
-        assert summary.statistics.message_count == 123
-        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
-        assert all("topic_type_hash" in c.metadata for c in summary.channels.values())
-    first = (tmp_path / "bag" / "bag.mcap").read_bytes()
-    write_bag(tmp_path / "bag", "/ds1", record, {"driver": "autopilot"})
-    assert (tmp_path / "bag" / "bag.mcap").read_bytes() == first

@@ -206,8 +206,9 @@ class Campaign:
         bag = ""
         if self._config.record != "none":
             bag = f"bags/{test.test_id}-on-{label_of(simulator)}"
-            about = {"test_id": test.test_id, "simulator": simulator, "driver": self._config.driver}
-            write_bag(self._folder / bag, self._namespaces[simulator], run, about)
+            about = {"test_id": test.test_id, "driver": self._config.driver}
+            namespace = self._namespaces[simulator]
+            write_bag(self._folder / bag, namespace, simulator, run, about, self._config.record)
         execution = execution_of(test.test_id, simulator, run, bag)
         self._store.add_execution(execution)
         return execution

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -52,7 +52,7 @@ class CampaignConfig(_Strict):
         seed: of everything.
         retries: further attempts at a run that ended in an error.
         command_timeout: s of wall clock that a simulator waits for its driver.
-        record: `telemetry` leaves a bag per run, `none` does not.
+        record: what a run's bag holds, `telemetry`, `compressed` or `raw`; `none` leaves no bag.
     """
 
     siblings: Annotated[list[str], Field(min_length=1)] = ["bullet", "softbody"]
@@ -62,7 +62,7 @@ class CampaignConfig(_Strict):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     command_timeout: Annotated[float, Field(gt=0, le=3600)] = 10.0
-    record: Annotated[str, Field(pattern="^(none|telemetry)$")] = "telemetry"
+    record: Literal["none", "telemetry", "compressed", "raw"] = "telemetry"
 
     @model_validator(mode="after")
     def _known_simulators(self) -> CampaignConfig:
