@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ds_orchestrator.evaluation import correlate, evaluate
+from ds_orchestrator.features import Cell
 from ds_orchestrator.maps import FeatureMap, MapCell, campaign_maps, merge, to_json
-from ds_orchestrator.search import Cell
 from ds_orchestrator.store import Execution, Test
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome
@@ -106,7 +106,7 @@ cells = st.dictionaries(
     ),
     max_size=8,
 )  # fmt: skip
-feature_maps = cells.map(lambda c: FeatureMap(name="m", cells=c))
+feature_maps = cells.map(lambda c: FeatureMap(name="m", cells={(*cell,): value for cell, value in c.items()}))
 
 
 @given(st.lists(feature_maps, min_size=1, max_size=4), st.randoms())
@@ -136,10 +136,10 @@ def test_counts_add_up_over_origins() -> None:
 
 
 def row(values: list[float]) -> FeatureMap:
-    return FeatureMap(
-        name="m",
-        cells={(i, 5): MapCell(tests=1, failures=0, probability=v, quality=1 - v) for i, v in enumerate(values)},
-    )
+    cells: dict[Cell, MapCell] = {
+        (i, 5): MapCell(tests=1, failures=0, probability=v, quality=1 - v) for i, v in enumerate(values)
+    }
+    return FeatureMap(name="m", cells=cells)
 
 
 def test_pearson_equals_the_textbook_formula() -> None:
@@ -162,7 +162,7 @@ def test_a_correlation_that_is_not_defined_says_why(ours: list[float], truth: li
 
 
 def test_every_sibling_and_the_merge_are_compared_with_the_twin() -> None:
-    found = evaluate(campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS), SIBLINGS, "twin")
+    found = evaluate(campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS), SIBLINGS, "twin", resamples=20)
     names = ["union_a", "union_b", "union_c", "merged"]
     assert [(c.name, c.value) for c in found] == [(n, v) for v in ("probability", "quality") for n in names]
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_orchestrator.search import DeepHyperion, SearchSettings, cell_of
+from ds_orchestrator.features import Cell
+from ds_orchestrator.search import DeepHyperion, SearchSettings
 from ds_road import Road
 
 SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=120)
+
+
+def cell_of(road: Road) -> Cell:
+    return road.turns_count, road.curvature_bin
 
 
 def fitness_of(road: Road) -> float:
@@ -44,7 +49,7 @@ def test_mutants_come_from_elites() -> None:
 def test_the_archive_holds_the_lowest_fitness_of_each_cell_but_keeps_a_failure() -> None:
     """Replayed by a plain reference: local competition, and an elite that fails already is never replaced."""
     search, roads = run(4, SearchSettings(population=20, iterations=60, min_angle=60, max_angle=300))
-    expected: dict[tuple[int, int], float] = {}
+    expected: dict[Cell, float] = {}
     for road in roads:
         cell, fitness = cell_of(road), fitness_of(road)
         if cell not in expected or (expected[cell] >= 0 and fitness < expected[cell]):
