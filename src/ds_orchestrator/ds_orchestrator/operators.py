@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 LEVEL = 0.95
 """Probability that an interval holds the true value (chosen: the usual one, and the paper's alpha of 0.05)."""
@@ -72,10 +72,10 @@ def jeffreys_interval(failures: int, tests: int) -> tuple[float, float]:
     share (Brown, Cai, DasGupta, Statistical Science 2001, section 4.1.2).
     """
     tail = (1.0 - LEVEL) / 2.0
-    posterior = beta(failures + _PRIOR, tests - failures + _PRIOR)
+    posterior = failures + _PRIOR, tests - failures + _PRIOR
     return (
-        0.0 if failures == 0 else float(posterior.ppf(tail)),
-        1.0 if failures == tests else float(posterior.ppf(1.0 - tail)),
+        0.0 if failures == 0 else float(betaincinv(*posterior, tail)),
+        1.0 if failures == tests else float(betaincinv(*posterior, 1.0 - tail)),
     )
 
 
