@@ -50,6 +50,12 @@ def correlations_of(config: CampaignConfig, maps: dict[str, FeatureMap]) -> list
     return evaluate(maps, config.siblings, config.twin, resamples=RESAMPLES) if config.twin else []
 
 
+def read_correlations(folder: Path) -> list[Correlation]:
+    """What `write_all` wrote of the comparison with the twin."""
+    rows = json.loads((folder / "maps" / "correlations.json").read_text())
+    return [Correlation(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}) for row in rows]
+
+
 def network_of(config: CampaignConfig) -> Network | None:
     """Under which heading the paper has this network, or None if it does not test it."""
     architecture = architecture_of(config.driver)

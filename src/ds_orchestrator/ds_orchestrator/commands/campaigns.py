@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from dataclasses import asdict
@@ -19,7 +18,6 @@ from ds_orchestrator.campaign import Campaign, Stopped
 from ds_orchestrator.commands.answers import Interrupted, Result, answer, end, say
 from ds_orchestrator.commands.options import AttachFlag, Folder, JsonFlag, OutFolder
 from ds_orchestrator.config import MOST_WORKERS, CampaignConfig, ConfigError, read_config
-from ds_orchestrator.evaluation import Correlation
 from ds_orchestrator.features import feature_of
 from ds_orchestrator.lock import only_one
 from ds_orchestrator.paper_tables import correlation_tables
@@ -104,9 +102,8 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
         "report": str(report),
         "executions": len(store.executions()),
         "executions_in_error": campaign.failed_executions,
-        "correlations": json.loads((out / "maps" / "correlations.json").read_text()),
+        "correlations": [asdict(c) for c in (found := results.read_correlations(out))],
     }
-    found = [Correlation(**row) for row in document["correlations"]]
     tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
     store.close()
 
