@@ -46,8 +46,8 @@ def correlation_tables(
         for c in (c for c in correlations if c.value == value):
             role = role_of(c.name, siblings)
             paper = of_paper.get(role)
-            named = "the siblings merged" if role == "DSS" else c.name.removeprefix("union_")
-            rows.append([f"{role} vs DT", named, c.cells, c.r, c.r_interval, c.p, c.auc, c.auc_interval])
+            named = "merged" if role == "DSS" else c.name.removeprefix("union_")
+            rows.append([role, named, c.cells, c.r, c.r_interval, c.p, c.auc, c.auc_interval])
             rows[-1] += [paper.r, paper.p, paper.auc] if paper else [None] * 3
             notes += [f"{role}: no r, {c.reason}."] * bool(c.reason)
             notes += [f"{role}: no AUC-PRC, {c.auc_reason}."] * bool(c.auc_reason)
@@ -56,7 +56,7 @@ def correlation_tables(
             f"DT is {twin}, which fails in {share:.0%} of the cells: AUC-PRC of chance." for share in sorted(shares)
         ]
         columns = [
-            Column("comparison"),
+            Column("vs DT"),
             Column("simulator"),
             Column("cells", "count"),
             Column("r", "number"),
@@ -112,11 +112,11 @@ def error_tables(
         role = role_of(c.name, siblings)
         paper = of_paper.get(role)
         alike = None if c.alike is None else "yes" if c.alike else "no"
-        rows.append([f"{role} vs DT", "the siblings together" if c.name == MERGED else c.name, c.images])
+        rows.append([role, "all siblings" if c.name == MERGED else c.name, c.images])
         rows[-1] += [c.mean_squared, c.distance, c.p, c.effect, c.power, c.enough and round(c.enough), alike]
         rows[-1] += [paper.distance, paper.p] if paper else [None] * 2
     columns = [
-        Column("comparison"),
+        Column("vs DT"),
         Column("simulator"),
         Column("images", "count"),
         Column("MSE", "number"),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import rich.box
 import rich.table
 from rich.console import Console
 from rich.text import Text
@@ -17,6 +18,8 @@ Value = str | float | int | tuple[float, float] | None
 """None where there is no number; a pair is an interval."""
 Style = Literal["text", "count", "number", "small", "p"]
 """small: five digits after the point."""
+WIDTH = 130
+"""Characters of a table in a file; chosen: the widest one of ours fits."""
 _DIGITS = {"number": 3, "small": 5}
 _TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}"}
 _TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
@@ -100,13 +103,17 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def show(self, console: Console) -> None:
-        """Print it."""
+        """Print it; what is not shown on a terminal may be wider than one."""
         table = rich.table.Table(title=self.title, title_justify="left", caption="\n".join(self.notes) or None)
-        table.caption_justify = "left"
+        table.box, table.caption_justify, table.padding = rich.box.SIMPLE_HEAD, "left", (0, 0)
         for column in self.columns:
-            table.add_column(column.name, justify="left" if column.style == "text" else "right")
-        for row in self.texts():
-            table.add_row(*(Text(text) for text in row))
+            table.add_column(column.name, justify="left" if column.style == "text" else "right", overflow="fold")
+        last = ""
+        for first, *others in self.texts():
+            table.add_row("" if first == last else first, *(Text(text) for text in others))
+            last = first
+        if not console.is_terminal:
+            console.width = max(console.width, WIDTH)
         console.print(table)
 
 
@@ -117,7 +124,7 @@ def shown(value: Value, style: Style) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, tuple):
-        return f"{shown(value[0], style)} to {shown(value[1], style)}"
+        return f"[{value[0]:.2f}, {value[1]:.2f}]"
     if style == "p":
         return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
     return f"{value:.{_DIGITS[style]}f}" if style in _DIGITS else str(value)
@@ -136,6 +143,8 @@ def _tex_value(value: Value, style: Style) -> str:
         return rf"${mantissa} \cdot 10^{{{int(exponent)}}}$"
     if isinstance(value, str):
         return tex(value)
+    if isinstance(value, tuple):
+        return "[" + ", ".join(f"${part:.2f}$" for part in value) + "]"
     text = shown(value, style)
     return f"${text}$" if text.startswith("-") else text
 

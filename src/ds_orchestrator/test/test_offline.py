@@ -144,7 +144,7 @@ def test_the_table_stands_beside_the_papers() -> None:
     main, _, bins = error_tables(rows, others, errors, ["bullet", "softbody"], "donkey", ("dave2", "sim"))
     by_name = {c.name: k for k, c in enumerate(main.columns)}
     assert [row[by_name["paper: distance"]] for row in main.rows] == [0.04669, 0.02648, 0.03776]
-    assert [row[0] for row in main.rows] == ["DS1 vs DT", "DS2 vs DT", "DSS vs DT"]
+    assert [row[0] for row in main.rows] == ["DS1", "DS2", "DSS"]
     assert "(paper: 0.08)" in main.notes[0] and len(bins.rows) == 15
     plain = error_tables(rows, others, errors, ["bullet", "softbody"], "donkey", None)[0]
     assert not any(c.name.startswith("paper") for c in plain.columns)

@@ -36,18 +36,24 @@ def test_csv_keeps_every_digit() -> None:
 def test_latex_escapes_and_balances() -> None:
     text = TABLE.latex()
     assert r"\caption{50 \% of a\_b \& \{c\}}" in text and r"x, y\_1" in text
-    assert r"$3 \cdot 10^{-7}$" in text and "0.025" in text and "$-0.123$" in text and " -- " in text
+    assert (
+        r"$3 \cdot 10^{-7}$" in text
+        and "0.025" in text
+        and "$-0.123$" in text
+        and " -- " in text
+        and "[$-0.50$, $0.25$]" in text
+    )
     body = text[text.index(r"\toprule") : text.index(r"\bottomrule")]
     assert [len(re.findall(r"(?<!\\)&", line)) for line in body.splitlines() if line.endswith(r"\\")] == [4, 4, 4]
     assert text.count(r"\begin") == text.count(r"\end") == 2
 
 
 def test_a_person_sees_short_numbers() -> None:
-    assert TABLE.texts() == [["x, y_1", "-0.123", "-0.500 to 0.250", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
+    assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.50, 0.25]", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
     assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
     out = io.StringIO()
-    TABLE.show(Console(file=out, width=100))
-    assert "[" not in out.getvalue() and "100 % sure" in out.getvalue()
+    TABLE.show(Console(file=out, width=40))
+    assert "[-0.50, 0.25]" in out.getvalue() and "100 % sure" in out.getvalue()
 
 
 def test_files(tmp_path: Path) -> None:
@@ -67,7 +73,7 @@ def test_the_papers_rows_stand_beside_ours() -> None:
     rows = [found(n, v, None if n == "merged" else 0.4) for v in ("probability", "quality") for n in names]
     rq2, rq3 = correlation_tables(rows, ["softbody", "bullet"], "donkey", ("epoch", "real"))
     at = {c.name: k for k, c in enumerate(rq2.columns)}
-    assert [row[0] for row in rq2.rows] == ["DS1 vs DT", "DS2 vs DT", "DSS vs DT"]
+    assert [row[0] for row in rq2.rows] == ["DS1", "DS2", "DSS"]
     assert [row[at["paper: r"]] for row in rq2.rows] == [0.469, 0.521, 0.450]
     assert [row[at["paper: AUC-PRC"]] for row in rq3.rows] == [0.608, 0.715, 0.651]
     assert any("DSS: no r, why" in note for note in rq2.notes) and any("25%" in note for note in rq2.notes)

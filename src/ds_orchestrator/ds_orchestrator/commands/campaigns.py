@@ -97,12 +97,13 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
         raise Interrupted from None
     say(f"executed in {time.monotonic() - started:.0f} s")
     report = results.write_all(out, store, again=False, say=say)
+    found = results.read_correlations(out)
     document: dict[str, Any] = {
         "folder": str(out),
         "report": str(report),
         "executions": len(store.executions()),
         "executions_in_error": campaign.failed_executions,
-        "correlations": [asdict(c) for c in (found := results.read_correlations(out))],
+        "correlations": [asdict(c) for c in found],
     }
     tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
     store.close()
@@ -200,7 +201,7 @@ def maps(folder: Path) -> Result:
                     str(cell["tests"]),
                     "" if cell["failures"] is None else str(cell["failures"]),
                     f"{cell['probability']:.2f}",
-                    "" if interval is None else f"{interval[0]:.2f} to {interval[1]:.2f}",
+                    "" if interval is None else f"{interval[0]:.2f}, {interval[1]:.2f}",
                     f"{cell['quality']:.2f}",
                 )
             Console().print(table)
