@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
@@ -26,7 +27,7 @@ from ds_orchestrator.worker_pool import WorkerPool
 from ds_road import Road
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
 
 DONKEYS = ["ds_twin_donkey.simulator:DonkeySimulator", "donkey"]
 CONFIG = CampaignConfig(
@@ -67,6 +68,39 @@ class LocalExecutor:
             session.end(Outcome.TIMEOUT, "sixty steps are enough for a test")
         made.close()
         return session.run
+
+
+class MadeUpExecutor(LocalExecutor):
+    """Drives nothing: an outcome that is made of simulator, road and seed alone, in no time."""
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        if self._left == 0:
+            raise Stopped
+        self._left -= 1
+        self.roads.append((simulator, road.road_id))
+        rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
+        lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
+        failed = bool(np.abs(lateral).max() > HALF_LANE)
+        x, y = road.right_lane_centre[0].tolist()
+        run = RunRecord(road=road, seed=seed, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED)
+        run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
+        run.observations = [
+            Observation(
+                image=np.empty((0, 0, 3), np.uint8),
+                step=k,
+                time=k / 20,
+                vehicle=VehicleState(x=x, y=y + k, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
+                lane=LaneState(
+                    lateral_position=float(offset),
+                    lateral_distance=HALF_LANE - abs(float(offset)),
+                    preview_lateral_position=float(offset),
+                    arc_length=float(k),
+                ),
+                outcome=Outcome.RUNNING if k < 5 else run.outcome,
+            )
+            for k, offset in enumerate(lateral)
+        ]
+        return run
 
 
 class Silent:
@@ -327,8 +361,8 @@ def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> 
     one = CONFIG.model_copy(update={"search": search})
     many = one.model_copy(update={"workers": 3})
     assert one.identity() == many.identity()
-    _, first = run(tmp_path / "one", LocalExecutor(), one)
-    pool = WorkerPool([LocalExecutor(), LocalExecutor(), LocalExecutor()], many.simulators)
+    _, first = run(tmp_path / "one", MadeUpExecutor(), one)
+    pool = WorkerPool([MadeUpExecutor(), MadeUpExecutor(), MadeUpExecutor()], many.simulators)
     _, second = run(tmp_path / "many", pool, many)
     assert maps_text(first) == maps_text(second) and len(first.executions()) == 32
     assert [t.road.road_id for t in first.tests()] == [t.road.road_id for t in second.tests()]
@@ -336,7 +370,7 @@ def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> 
     assert hashes[0] == hashes[1]
     # A campaign that was begun by one worker goes on with three.
     first.close()
-    _, again = run(tmp_path / "one", LocalExecutor(runs=0), many)
+    _, again = run(tmp_path / "one", MadeUpExecutor(runs=0), many)
     assert maps_text(again) == maps_text(second)
 
 
@@ -375,16 +409,16 @@ def test_every_search_goes_on_where_it_was_stopped(tmp_path: Path, method: str) 
     config = CONFIG.model_copy(
         update={"siblings": [DONKEYS[1]], "search": search, "features": ["turns_count", "steering_deviation:2"]}
     )
-    _, whole = run(tmp_path / "whole", LocalExecutor(), config)
-    run(tmp_path / "parts", LocalExecutor(runs=3), config)[1].close()
-    _, parts = run(tmp_path / "parts", LocalExecutor(), config)
+    _, whole = run(tmp_path / "whole", MadeUpExecutor(), config)
+    run(tmp_path / "parts", MadeUpExecutor(runs=3), config)[1].close()
+    _, parts = run(tmp_path / "parts", MadeUpExecutor(), config)
     assert maps_text(parts) == maps_text(whole)
     assert parts.searches() == whole.searches() and parts.searches()[0][:3] == (DONKEYS[1], 0, method)
 
 
 def test_published_drives_the_mutants_centre_line_and_migrates_elites_alone(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"published": True})
-    executor = LocalExecutor()
+    executor = MadeUpExecutor()
     _, store = run(tmp_path / "a", executor, config)
     tests = store.tests()
     assert len(tests) == 2 * (2 + 2 + 1)
@@ -392,31 +426,34 @@ def test_published_drives_the_mutants_centre_line_and_migrates_elites_alone(tmp_
     assert len(mutants) == 2 * 3 and all(len(test.road.points) == 96 for test in mutants)
     driven = {e.test_id: e.trajectory for e in store.executions()}
     for test in mutants:
-        assert driven[test.test_id][0, :2] == pytest.approx(test.road.right_lane_centre[0], abs=0.05)
+        # What is driven begins where the mutant begins, though a simulator is sent control points alone.
+        assert driven[test.test_id][0, :2] == pytest.approx(test.road.right_lane_centre[0], abs=1e-9)
     plan = config.map_plan()
     cells = cells_of(tests, store.executions(), features=plan.features, published=True)
     elites = elites_of(tests, store.executions(), cells)
     migrated = {e.test_id for e in store.executions() if not e.test_id.startswith(label_of(e.simulator) + "-")}
     assert migrated == elites and 0 < len(elites) <= len(tests)
-    first = LocalExecutor(runs=0)
+    first = MadeUpExecutor(runs=0)
     run(tmp_path / "a", first, config)
     assert first.roads == []
 
 
 def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[0]], "twin": "donkey"})
-    _, store = run(tmp_path / "a", LocalExecutor(runs=3), config)
+    _, store = run(tmp_path / "a", MadeUpExecutor(runs=2), config)
     begun = {stage.name: stage for stage in stages_of(config, store)}
     search = begun[f"search {DONKEYS[0]}, run 0"]
-    assert (search.done, search.expected, search.state) == (3, 4, "begun")
+    assert (search.done, search.expected, search.state) == (2, 4, "begun")
     twin = begun[f"twin: {DONKEYS[0]} to donkey"]
     assert (twin.done, twin.expected, twin.state) == (0, None, "to do")
     assert [begun[name].state for name in ("maps", "evaluation", "report")] == ["to do"] * 3
     store.close()
-    _, store = run(tmp_path / "a", LocalExecutor(), config)
+    _, store = run(tmp_path / "a", MadeUpExecutor(), config)
     results = {stage.name: stage for stage in stages_of(config, store)}
     assert (results[twin.name].done, results[twin.name].expected, results[twin.name].state) == (4, 4, "done")
-    assert results[search.name].failures == sum(e.outcome.is_failure for e in store.executions()) // 2
+    assert results[search.name].failures == sum(
+        e.outcome.is_failure for e in store.executions() if e.simulator != "donkey"
+    )
     store.set_result("maps", store.count_executions())
     assert {s.name: s.state for s in stages_of(config, store)}["maps"] == "done"
     store.set_result("maps", 1)
