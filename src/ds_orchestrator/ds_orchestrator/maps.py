@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ds_orchestrator.features import DEFAULT_FEATURES, Cell, cell_of
+from ds_orchestrator.features import DEFAULT_FEATURES, Cell, cell_of, feature_of
 from ds_orchestrator.operators import apply, jeffreys_interval, merged_interval
 from ds_orchestrator.search import Archive
 from ds_orchestrator.store import Execution, Test
@@ -286,12 +286,13 @@ def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
     if len(feature_map.features) < 3:
         return [feature_map]
     first, second, third = feature_map.features
+    of_third = feature_of(third)
     values = sorted({cell[2] for cell in feature_map.cells})
     if not values:
         return [FeatureMap(name=feature_map.name, cells={}, features=(first, second))]
     return [
         FeatureMap(
-            name=f"{feature_map.name}, {third} {value}",
+            name=f"{feature_map.name}, {of_third.title} {of_third.label(value)}",
             cells={cell[:2]: content for cell, content in feature_map.cells.items() if cell[2] == value},
             features=(first, second),
         )

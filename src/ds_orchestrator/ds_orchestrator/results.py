@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from ds_orchestrator.config import CampaignConfig, parse_config
 from ds_orchestrator.evaluation import RESAMPLES, Correlation, evaluate, variants
@@ -52,8 +53,12 @@ def correlations_of(config: CampaignConfig, maps: dict[str, FeatureMap]) -> list
 
 def read_correlations(folder: Path) -> list[Correlation]:
     """What `write_all` wrote of the comparison with the twin."""
-    rows = json.loads((folder / "maps" / "correlations.json").read_text())
-    return [Correlation(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}) for row in rows]
+    rows: list[dict[str, Any]] = json.loads((folder / "maps" / "correlations.json").read_text())
+    found = []
+    for row in rows:
+        intervals = {key: tuple(row[key]) if row[key] else None for key in ("r_interval", "auc_interval")}
+        found.append(Correlation(**{**row, **intervals}))
+    return found
 
 
 def network_of(config: CampaignConfig) -> Network | None:

@@ -321,7 +321,7 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     grid = [(i, j) for i in range(low[0], high[0] + 1) for j in range(low[1], high[1] + 1)]
     with_fillers = [[m[c].probability if c in m else -2.0 for c in grid] for m in (merged.cells, twin)]
     assert len(grid) > len(a) and filled_row.cells == len(grid)
-    assert filled_row.r == pytest.approx(np.corrcoef(*with_fillers)[0, 1])
+    assert filled_row.r == pytest.approx(np.corrcoef(with_fillers[0], with_fillers[1])[0, 1])
     (both,) = [v for v in others if "above 0" in v.what and v.name == "merged" and v.value == "probability"]
     assert both.cells == sum(s > 0 and t > 0 for s, t in zip(score, truth, strict=True))
     averaged = [v for v in others if v.what == "merged by mean" and v.value == "probability"]

@@ -232,6 +232,6 @@ def test_the_archive_keeps_the_elites_that_pyribs_keeps() -> None:
         for m, o in zip(data["measures"], data["objective"], strict=True)
     }
     assert set(found) == set(archive)
-    for cell, elite in archive.items():
-        assert found[cell] == pytest.approx(-0.1 if elite.failed else elite.fitness)
+    for place, elite in archive.items():
+        assert found[place] == pytest.approx(-0.1 if elite.failed else elite.fitness)
     assert 0 < sum(elite.failed for elite in archive.values()) < len(archive)
