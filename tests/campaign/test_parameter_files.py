@@ -73,6 +73,8 @@ class ShortDrives:
 class Silent:
     def stage(self, name: str) -> None: ...
 
+    def expect(self, executions: int) -> None: ...
+
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...
 
 
@@ -84,7 +86,7 @@ def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     config, out = config_with(file), tmp_path / "out"
     assert config.twin
     (out / "bags").mkdir(parents=True)
-    store = Store(out / "campaign.sqlite", config=config.model_dump_json())
+    store = Store(out / "campaign.sqlite", config=config.identity())
     Campaign(config, out, store, ShortDrives(), Silent(), {"donkey": "/ds1", config.twin: "/twin"}).run()
     bags = [out / execution.bag for execution in store.executions()]
     assert len(bags) == len(set(bags)) == len(store.tests()) * 2
