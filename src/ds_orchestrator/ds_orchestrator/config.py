@@ -47,7 +47,8 @@ class CampaignConfig(_Strict):
     Attributes:
         siblings: names of the simulators that act as digital siblings, in order DS1, DS2, ...
         twin: name of the simulator that acts as the digital twin, or none.
-        driver: network by name or weights file, or `autopilot`.
+        driver: `autopilot`, a network by name, weights file or description, or module:Class; as for `ds drive`, and
+            with what computes it if that matters: `dave2@onnx`.
         search: the search on each sibling.
         seed: of everything.
         retries: further attempts at a run that ended in an error.

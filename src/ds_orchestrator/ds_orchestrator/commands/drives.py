@@ -14,7 +14,7 @@ from rich.table import Table
 import ds_road
 from ds_orchestrator.campaign import execution_of
 from ds_orchestrator.commands.answers import Interrupted, Result, end
-from ds_orchestrator.commands.options import AttachFlag, JsonFlag, MaxAngle
+from ds_orchestrator.commands.options import AttachFlag, Backend, Device, DriverName, JsonFlag, MaxAngle, driver_named
 from ds_orchestrator.commands.roads import one_road
 
 app = typer.Typer()
@@ -97,7 +97,9 @@ def drive(
 @app.command("drive")
 def drive_command(
     sim: Annotated[str, typer.Option(help="bullet, softbody, donkey, donkey@FILE, or module:Class.")],
-    driver: Annotated[str, typer.Option(help="autopilot, dave2, or a weights file.")] = "dave2",
+    driver: DriverName = "dave2",
+    backend: Backend = "auto",
+    device: Device = "cpu",
     road: Annotated[Path | None, typer.Option(help="File with one road as JSON.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the run, and of the road if no file is given.")] = 0,
     max_angle: MaxAngle = 270,
@@ -109,5 +111,6 @@ def drive_command(
 ) -> None:
     """Drive one road and say how it went."""
     chosen = one_road(road, seed, max_angle)
-    result = drive(sim, driver, chosen, seed=seed, bag=bag, video=video, attach=attach, namespace=namespace)
+    named = driver_named(driver, backend, device)
+    result = drive(sim, named, chosen, seed=seed, bag=bag, video=video, attach=attach, namespace=namespace)
     end(result, as_json)
