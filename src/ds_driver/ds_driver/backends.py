@@ -187,7 +187,9 @@ def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner
     }
     try:
         if kind == "torchscript":
-            model = openvino.convert_model(torch.jit.load(BytesIO(content)).eval())
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                model = openvino.convert_model(torch.jit.load(BytesIO(content)).eval())
         else:
             model = core.read_model(BytesIO(content))
         compiled = core.compile_model(model, "CPU", settings)
