@@ -60,9 +60,11 @@ class DriverNode(Node):
         """Say in the log how long the answers took."""
         if self._milliseconds:
             median, slow, longest = np.percentile(self._milliseconds, (50, 99, 100))
-            self.get_logger().info(
+            # By now ROS may be shut down, and its logger with it.
+            print(
                 f"{len(self._milliseconds)} frames answered: median {median:.1f} ms, 99 % within {slow:.1f} ms, "
-                f"longest {longest:.1f} ms"
+                f"longest {longest:.1f} ms",
+                file=sys.stderr,
             )
         super().destroy_node()
 
