@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.assessment import unseen_roads
 from ds_driver.backends import with_backend
+from ds_driver.collection import roads_both_ways
 from ds_driver.driving import Drive, drive_all, make_driver
 from ds_driver.network_driver import OwnPilot
 from ds_driver.networks import NETWORKS, make_network
@@ -137,7 +137,7 @@ def main() -> None:
                 speed(name, name if name in shipped else str(weights), arguments.frames, table)
     if arguments.frames:
         console.print(table)
-    roads = unseen_roads(arguments.roads, arguments.seed)
+    roads = roads_both_ways(arguments.roads, arguments.seed)
     for name in (n for n in names if n in shipped and roads):
         differences(name, roads, console)
         outcomes(name, roads, console)

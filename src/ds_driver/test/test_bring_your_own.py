@@ -39,29 +39,33 @@ class Linear(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         sizes = [(3, 24, 5, 2), (24, 32, 5, 2), (32, 64, 5, 2), (64, 64, 3, 1), (64, 64, 3, 1)]
-        self.convolutions = nn.ModuleList(nn.Conv2d(i, o, k, stride=s) for i, o, k, s in sizes)
-        self.dense = nn.ModuleList([nn.Linear(6656, 100), nn.Linear(100, 50)])
-        self.heads = nn.ModuleList([nn.Linear(50, 1), nn.Linear(50, 1)])
+        self.convolutions: list[nn.Conv2d] = [nn.Conv2d(i, o, k, stride=s) for i, o, k, s in sizes]
+        self.dense: list[nn.Linear] = [nn.Linear(6656, 100), nn.Linear(100, 50)]
+        self.heads: list[nn.Linear] = [nn.Linear(50, 1), nn.Linear(50, 1)]
+        self.layers = nn.ModuleList([*self.convolutions, *self.dense, *self.heads])
 
     def forward(self, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         x = image.permute(0, 3, 1, 2)
         for layer in self.convolutions:
             x = torch.relu(layer(x))
         x = x.permute(0, 2, 3, 1).flatten(1)  # Keras flattens with the channels last
-        for layer in self.dense:
-            x = torch.relu(layer(x))
+        for dense in self.dense:
+            x = torch.relu(dense(x))
         return self.heads[0](x), self.heads[1](x)
 
     def to_onnx(self, path: Path) -> None:
         """Write what tf2onnx makes of it: a free batch, images with channels last, outputs by Keras's names."""
-        nodes, constants, at = [], [], "img_in"
+        nodes: list[Any] = []
+        constants: list[Any] = []
+        at = "img_in"
 
         def add(kind: str, inputs: list[str], output: str = "", **attributes: Any) -> str:
             nodes.append(helper.make_node(kind, inputs, [output or f"v{len(nodes)}"], **attributes))
             return output or f"v{len(nodes) - 1}"
 
-        def weights(layer: nn.Module) -> list[str]:
+        def weights(layer: nn.Conv2d | nn.Linear) -> list[str]:
             for value in (layer.weight, layer.bias):
+                assert value is not None
                 constants.append(numpy_helper.from_array(value.detach().numpy(), f"c{len(constants)}"))
             return [f"c{len(constants) - 2}", f"c{len(constants) - 1}"]
 
@@ -69,10 +73,10 @@ class Linear(nn.Module):
         for layer in self.convolutions:
             at = add("Relu", [add("Conv", [at, *weights(layer)], strides=list(layer.stride))])
         at = add("Flatten", [add("Transpose", [at], perm=[0, 2, 3, 1])])
-        for layer in self.dense:
-            at = add("Relu", [add("Gemm", [at, *weights(layer)], transB=1)])
-        for number, layer in enumerate(self.heads):
-            add("Gemm", [at, *weights(layer)], f"n_outputs{number}", transB=1)
+        for dense in self.dense:
+            at = add("Relu", [add("Gemm", [at, *weights(dense)], transB=1)])
+        for number, head in enumerate(self.heads):
+            add("Gemm", [at, *weights(head)], f"n_outputs{number}", transB=1)
         described = [helper.make_tensor_value_info(f"n_outputs{i}", TensorProto.FLOAT, [None, 1]) for i in (0, 1)]
         seen = helper.make_tensor_value_info("img_in", TensorProto.FLOAT, [None, 120, 160, 3])
         graph = helper.make_graph(nodes, "linear", [seen], described, constants)
