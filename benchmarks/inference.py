@@ -108,9 +108,11 @@ def outcomes(name: str, roads: list[Road], console: Console) -> None:
     for backend, found in runs.items():
         pairs = list(zip(runs["torch"], found, strict=True))
         counts = ", ".join(f"{n} {o.name.lower()}" for o, n in sorted(Counter(r.outcome for r in found).items()))
-        gaps = [abs(a.fitness - b.fitness) for a, b in pairs if a.outcome is b.outcome]
+        gaps = [abs(a.fitness - b.fitness) for a, b in pairs if a.outcome is b.outcome and a.outcome.is_verdict]
         other = sum(a.outcome is not b.outcome for a, b in pairs)
-        table.add_row(backend, counts, str(other), f"median {np.median(gaps):.1e}, largest {max(gaps):.1e}")
+        table.add_row(
+            backend, counts, str(other), f"median {np.median(gaps):.1e}, largest {max(gaps, default=0.0):.1e}"
+        )
     console.print(table)
 
 
