@@ -259,6 +259,24 @@ def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> 
     assert outcomes.count(Outcome.SIM_ERROR) == 1 and outcomes[-1] is Outcome.COMPLETED
 
 
+def test_a_driver_that_answers_nan_is_an_error_that_says_so(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody's class, found on PYTHONPATH by the driver's process; its log tells how long the answers took."""
+    from ds_orchestrator.running import running_graph
+
+    (tmp_path / "late.py").write_text(
+        "class Late:\n    def drive(self, seen):\n        return float('nan') if seen.step == 5 else 0.0\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    with running_graph(SPACE, "late:Late", command_timeout=3.0, logs=logs) as executor:
+        run = executor.execute("donkey", ROAD, 1)
+    assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 5
+    assert "no command within 3 s" in run.message and "steering is nan" in run.message
+    log = (logs / "driver.log").read_text()
+    assert "the network's steering is nan" in log and "5 frames answered: median" in log and "Traceback" not in log
+
+
 def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Callable[..., None]) -> None:
     """The network driver refuses it in one line, and answers the next good image."""
     import rclpy

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import cache
 
 from ds_driver.control import Autopilot
+from ds_driver.pilots import DriverError
 from ds_driver.workers import in_workers
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, Observation, Simulator, SimulatorSpec
+from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
 
 AUTOPILOT = "autopilot"
 Driver = Callable[[Observation], Command]
@@ -23,7 +24,7 @@ class Drive:
 
     Attributes:
         simulator: name, as the registry knows it.
-        driver: `autopilot`, a shipped network, or a weights file.
+        driver: `autopilot`, or any name that `ds_driver.network_driver.NetworkDriver` takes.
         road: to drive.
         seed: of the run.
     """
@@ -38,7 +39,7 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
     """A driver for one simulator: the autopilot with its gains, or a network with its crop.
 
     Raises:
-        ValueError: the name stands for nothing, or the weights cannot be used.
+        ValueError: the name stands for nothing, or what it stands for cannot be used.
     """
     if driver == AUTOPILOT:
         autopilot = Autopilot(spec.autopilot)
@@ -47,15 +48,21 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
     from ds_driver.preprocessing import Crop
 
     network, crop = NetworkDriver(driver), Crop(spec.crop_top, spec.crop_bottom)
-    return lambda seen: network.command(seen.image, seen.vehicle.speed, crop)
+    return lambda seen: network.command(seen.image, seen.vehicle.speed, crop, seen.step)
 
 
 def drive_road(simulator: Simulator, driver: Driver, road: Road, seed: int) -> RunRecord:
-    """Drive a road to its end; whatever breaks in the simulator ends the run as an error."""
+    """Drive a road to its end; whatever breaks in the simulator or the driver ends the run as an error."""
     session = Session(simulator)
     observation = session.start(road, seed)
     while session.driving and observation is not None:
-        observation = session.advance(driver(observation))
+        try:
+            command = driver(observation)
+        except DriverError as error:
+            # In the graph, too, a driver without an answer is a silent one.
+            session.end(Outcome.DRIVER_SILENT, str(error))
+            break
+        observation = session.advance(command)
     assert session.run is not None
     return session.run
 
@@ -73,7 +80,7 @@ def _simulator(name: str) -> Simulator:
 
 @cache
 def _network(driver: str, simulator: str) -> Driver:
-    """One per worker; a network keeps nothing of a drive."""
+    """One per worker; a driver forgets the last run when one begins."""
     return make_driver(driver, _simulator(simulator).spec)
 
 

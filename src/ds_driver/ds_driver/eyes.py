@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -11,6 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
+from ds_driver.pilots import DriverError
 from ds_driver.preprocessing import ImageError
 from ds_sim.simulator import Command
 
@@ -26,7 +28,8 @@ class Eyes:
     Args:
         node: that owns the subscriptions.
         namespace: of the simulator; "" for topics relative to the node's own.
-        answer: called once per frame; a ValueError leaves the frame unanswered and is told in one line.
+        answer: called once per frame. A ValueError leaves the frame unanswered and is told in one line. At a
+            DriverError, too, which no later frame mends, a command that no simulator executes says so in the run.
     """
 
     def __init__(self, node: Node, namespace: str, answer: Answer) -> None:
@@ -56,6 +59,8 @@ class Eyes:
             command = self._answer(_pixels(image), state)
         except ValueError as error:
             self._node.get_logger().error(f"frame not answered: {error}", throttle_duration_sec=1.0)
+            if isinstance(error, DriverError):
+                self._drive.publish(DriveCommand(header=image.header, steering=math.nan, throttle=0.0))
             return
         self._drive.publish(DriveCommand(header=image.header, steering=command.steering, throttle=command.throttle))
 

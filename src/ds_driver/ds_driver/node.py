@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+import time
 
 import numpy as np
 from ds_interfaces.msg import VehicleState
 from numpy.typing import NDArray
 from rclpy.node import Node
 
+from ds_driver.backends import with_backend
 from ds_driver.eyes import Answer, Eyes
 from ds_driver.network_driver import NetworkDriver
 from ds_driver.preprocessing import Crop
@@ -19,13 +21,16 @@ from ds_sim.simulator import Command
 class DriverNode(Node):
     """Runs a network; it sees images and speed, never the road, and knows of a simulator only its crop.
 
-    Parameters: `network` (shipped name or weights file), `namespaces` (of the simulators; [""] for its own),
-    `crop_top` and `crop_bottom` (rows, one number per namespace).
+    Parameters: `network` (any name that `NetworkDriver` takes), `backend` (auto, torch, onnx or openvino), `device`
+    (cpu or cuda), `namespaces` (of the simulators; [""] for its own), `crop_top` and `crop_bottom` (rows, one number
+    per namespace).
     """
 
     def __init__(self) -> None:
         super().__init__("driver")
         network = self.declare_parameter("network", "dave2").value
+        backend = self.declare_parameter("backend", "auto").value
+        device = self.declare_parameter("device", "cpu").value
         namespaces = self.declare_parameter("namespaces", [""]).value
         tops = self.declare_parameter("crop_top", [0] * len(namespaces)).value
         bottoms = self.declare_parameter("crop_bottom", [0] * len(namespaces)).value
@@ -34,7 +39,8 @@ class DriverNode(Node):
                 f"parameters namespaces, crop_top and crop_bottom have {len(namespaces)}, {len(tops)} and "
                 f"{len(bottoms)} entries: give one crop per namespace"
             )
-        self._driver = NetworkDriver(network)
+        self._driver = NetworkDriver(with_backend(network, backend, device))
+        self._milliseconds: list[float] = []
         self._eyes = [
             Eyes(self, namespace, self._answer_with(Crop(top, bottom)))
             for namespace, top, bottom in zip(namespaces, tops, bottoms, strict=True)
@@ -43,9 +49,24 @@ class DriverNode(Node):
 
     def _answer_with(self, crop: Crop) -> Answer:
         def answer(image: NDArray[np.uint8], state: VehicleState) -> Command:
-            return self._driver.command(image, state.speed, crop)
+            started = time.perf_counter()
+            command = self._driver.command(image, state.speed, crop, state.step)
+            self._milliseconds.append(1e3 * (time.perf_counter() - started))
+            return command
 
         return answer
+
+    def destroy_node(self) -> None:
+        """Say in the log how long the answers took."""
+        if self._milliseconds:
+            median, slow, longest = np.percentile(self._milliseconds, (50, 99, 100))
+            # By now ROS may be shut down, and its logger with it.
+            print(
+                f"{len(self._milliseconds)} frames answered: median {median:.1f} ms, 99 % within {slow:.1f} ms, "
+                f"longest {longest:.1f} ms",
+                file=sys.stderr,
+            )
+        super().destroy_node()
 
 
 def main() -> None:

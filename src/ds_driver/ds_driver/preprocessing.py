@@ -48,12 +48,22 @@ def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
     Raises:
         ImageError: another size or type.
     """
+    checked(image)
+    part = image[crop.top : IMAGE_HEIGHT - crop.bottom]
+    if part.shape[0] != IMAGE_HEIGHT:
+        part = cv2.resize(part, (IMAGE_WIDTH, IMAGE_HEIGHT), interpolation=cv2.INTER_LINEAR)
+    return cv2.cvtColor(part, cv2.COLOR_RGB2YUV)
+
+
+def checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A camera image that every network here can take.
+
+    Raises:
+        ImageError: another size or type.
+    """
     if image.shape != (IMAGE_HEIGHT, IMAGE_WIDTH, 3) or image.dtype != np.uint8:
         raise ImageError(
             f"image of shape {image.shape} and type {image.dtype}, "
             f"expected ({IMAGE_HEIGHT}, {IMAGE_WIDTH}, 3) uint8 RGB: set the camera to 320 x 160"
         )
-    part = image[crop.top : IMAGE_HEIGHT - crop.bottom]
-    if part.shape[0] != IMAGE_HEIGHT:
-        part = cv2.resize(part, (IMAGE_WIDTH, IMAGE_HEIGHT), interpolation=cv2.INTER_LINEAR)
-    return cv2.cvtColor(part, cv2.COLOR_RGB2YUV)
+    return image

@@ -105,7 +105,8 @@ class CampaignConfig(_Strict):
     Attributes:
         siblings: names of the simulators that act as digital siblings, in order DS1, DS2, ...
         twin: name of the simulator that acts as the digital twin, or none.
-        driver: the network under test by name or weights file, or `autopilot`.
+        driver: `autopilot`, a network by name, weights file or description, or module:Class; as for `ds drive`, and
+            with what computes it if that matters: `dave2@onnx`.
         sim2real: translate every image to a pseudo-real one before the network sees it.
         search: the search on each sibling.
         published: reproduce the five known quirks of the authors' package (docs/method.md).

@@ -73,13 +73,15 @@ def diagnose(root: Path | None = None) -> list[Check]:
     if uses_sourced_ros(root):
         del pins["numpy"]  # that ROS brings the NumPy that its modules were built for
     modules = {name: _MODULES.get(name, name) for name in pins}
-    wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg"}
+    extras = read_pins(root / "requirements/openvino.txt")
+    wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg", **{name: name for name in extras}}
     found = try_imports(python, wanted)
     return [
         *checks,
         Check("environment", True, str(python.parent.parent), ""),
         *check_ros(root, found),
         *check_libraries(pins, found),
+        *check_extras(extras, found),
         check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
     ]
 
@@ -165,6 +167,23 @@ def check_libraries(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]
             problem = f"{version} is installed, {pinned} is pinned"
         fix = f"rm -rf .venv && {_SET_UP}"
         checks.append(_check(name, not problem, version, problem, fix))
+    return checks
+
+
+def check_extras(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) -> list[Check]:
+    """Check the libraries that need not be there: all is well without them, but not with another version.
+
+    Args:
+        pins: distribution and version, as pinned.
+        found: distribution, and its version or why it cannot be imported.
+    """
+    checks = []
+    for name, pinned in pins.items():
+        version, problem = found[name]
+        detail = f"not installed: an extra, for --backend {name} and .tflite files" if problem else version
+        wrong = f"{version} is installed, {pinned} is pinned"
+        fix = f".venv/bin/python -m pip install --no-deps -r requirements/{name}.txt"
+        checks.append(_check(f"{name}, an extra", bool(problem) or version.split("-")[0] == pinned, detail, wrong, fix))
     return checks
 
 

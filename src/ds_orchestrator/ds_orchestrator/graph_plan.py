@@ -59,9 +59,9 @@ def check_driver(driver: str) -> None:
     """Find out before anything starts whether a driver can be had.
 
     Raises:
-        ValueError: its name stands for nothing, or its weights cannot be used.
+        ValueError: its name stands for nothing, or what it stands for cannot be used.
     """
     if driver != AUTOPILOT:
-        from ds_driver.weights import load_network
+        from ds_driver.network_driver import load_pilot
 
-        load_network(driver)
+        load_pilot(driver)

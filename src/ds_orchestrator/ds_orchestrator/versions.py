@@ -5,7 +5,9 @@ from __future__ import annotations
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-_DISTRIBUTIONS = ("numpy", "scipy", "opencv-python-headless", "torch", "pybullet", "pymunk", "shapely")
+_DISTRIBUTIONS = (
+    "numpy", "scipy", "opencv-python-headless", "torch", "onnxruntime", "openvino", "pybullet", "pymunk", "shapely",
+)  # fmt: skip
 
 
 def versions() -> dict[str, str]:

@@ -55,6 +55,19 @@ def test_a_library_must_have_the_pinned_version(installed: tuple[str, str], ok: 
     assert bool(check.fix) is not ok
 
 
+@pytest.mark.parametrize(
+    ("installed", "ok", "told"),
+    [
+        (("2026.4.1-22982-releases", ""), True, "2026.4.1"),
+        (("", "no module"), True, "not installed: an extra"),
+        (("2025.1", ""), False, "2026.4.1 is pinned"),
+    ],
+)
+def test_an_extra_may_be_absent_but_not_another_version(installed: tuple[str, str], ok: bool, told: str) -> None:
+    (check,) = doctor.check_extras({"openvino": "2026.4.1"}, {"openvino": installed})
+    assert check.ok is ok and told in check.detail and bool(check.fix) is not ok
+
+
 def test_pins_are_those_of_the_direct_requirements() -> None:
     pins = doctor.read_pins(REPOSITORY / "requirements/project.txt")
     assert pins["torch"] == "2.13.0"

@@ -59,13 +59,13 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
 
 
 def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
-    from ds_driver.weights import weights_sha256
+    from ds_driver.network_driver import driver_sha256
     from ds_orchestrator.graph_plan import namespaces_of
     from ds_orchestrator.running import running_graph, running_workers
 
     store = Store(out / "campaign.sqlite", config=config.identity())
     if config.driver != AUTOPILOT:
-        weights = weights_sha256(config.driver)
+        weights = driver_sha256(config.driver)
         if store.note("sha256 of the driver's weights", weights) != weights:
             raise ConfigError(f"the weights of {config.driver} have changed since {out} began: choose another --out")
     for name, version in versions().items():

@@ -18,7 +18,7 @@ import ds_road
 from ds_orchestrator.bags import Level
 from ds_orchestrator.campaign import execution_of
 from ds_orchestrator.commands.answers import Interrupted, Result, end, say
-from ds_orchestrator.commands.options import AttachFlag, JsonFlag, MaxAngle
+from ds_orchestrator.commands.options import AttachFlag, Backend, Device, DriverName, JsonFlag, MaxAngle, driver_named
 from ds_orchestrator.commands.roads import one_road
 from ds_sim.registry import SIMULATORS
 from ds_sim.session import RunRecord
@@ -161,7 +161,9 @@ def _keep_bag(
 @app.command("drive")
 def drive_command(
     sim: Annotated[str, typer.Option(help="bullet, softbody, donkey, donkey@FILE, or module:Class.")],
-    driver: Annotated[str, typer.Option(help="autopilot, dave2, or a weights file.")] = "dave2",
+    driver: DriverName = "dave2",
+    backend: Backend = "auto",
+    device: Device = "cpu",
     road: Annotated[Path | None, typer.Option(help="File with one road as JSON.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the run, and of the road if no file is given.")] = 0,
     max_angle: MaxAngle = 270,
@@ -174,7 +176,8 @@ def drive_command(
 ) -> None:
     """Drive one road and say how it went."""
     chosen = one_road(road, seed, max_angle)
+    named = driver_named(driver, backend, device)
     result = drive(
-        sim, driver, chosen, seed=seed, bag=bag, level=level, video=video, attach=attach, namespace=namespace
+        sim, named, chosen, seed=seed, bag=bag, level=level, video=video, attach=attach, namespace=namespace
     )
     end(result, as_json)

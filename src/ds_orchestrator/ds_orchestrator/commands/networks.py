@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_orchestrator.commands.answers import Result, answer, countdown, say
-from ds_orchestrator.commands.options import JsonFlag, Seed, Simulators, simulators_of
+from ds_orchestrator.commands.options import Backend, Device, JsonFlag, Seed, Simulators, driver_named, simulators_of
 from ds_orchestrator.versions import versions
 
 app = typer.Typer()
@@ -136,14 +136,18 @@ def train_command(
 
 @app.command("assess")
 def assess_command(
-    network: Annotated[str, typer.Argument(help="dave2 or a weights file.")] = "dave2",
+    network: Annotated[str, typer.Argument(help="dave2, a .safetensors or .yaml file, or module:Class.")] = "dave2",
+    backend: Backend = "auto",
+    device: Device = "cpu",
     roads: Annotated[int, typer.Option(min=1, help="Random roads that no training has seen.")] = 25,
     seed: Seed = 424242,
     sims: Simulators = "bullet,softbody,donkey",
     as_json: JsonFlag = False,
 ) -> None:
     """Share of unseen roads that a network completes on each simulator, in both directions."""
-    answer(assess(network, roads=roads, seed=seed, simulators=simulators_of(sims)), as_json)
+    answer(
+        assess(driver_named(network, backend, device), roads=roads, seed=seed, simulators=simulators_of(sims)), as_json
+    )
 
 
 @app.command("models")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ds_driver.driving import AUTOPILOT
 from ds_sim.registry import UnknownSimulatorError, make_simulator
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
@@ -16,6 +17,10 @@ Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaig
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the random road.")]
 MaxAngle = Annotated[int, typer.Option(min=1, max=360, help="Maximum angle of random roads, degrees.")]
 Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas.")]
+
+DriverName = Annotated[str, typer.Option(help="autopilot, dave2, a .safetensors or .yaml file, or module:Class.")]
+Backend = Annotated[str, typer.Option(help="What computes the network: auto, torch, onnx or openvino.")]
+Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
 
 def simulators_of(text: str) -> list[str]:
@@ -27,3 +32,17 @@ def simulators_of(text: str) -> list[str]:
     for name in names:
         make_simulator(name).close()
     return names
+
+
+def driver_named(driver: str, backend: str, device: str) -> str:
+    """A driver's name with what computes it, as `dave2@onnx`; the autopilot computes no network.
+
+    Raises:
+        ds_driver.backends.BackendError: backend or device are unknown, or do not go together.
+    """
+    from ds_driver.backends import BackendError, with_backend
+
+    named = with_backend(driver, backend, device)
+    if driver == AUTOPILOT and named != driver:
+        raise BackendError("the autopilot computes no network: leave out --backend and --device")
+    return named

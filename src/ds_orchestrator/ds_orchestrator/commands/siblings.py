@@ -14,7 +14,16 @@ from rich.table import Table
 
 import ds_road
 from ds_orchestrator.commands.answers import Interrupted, Result, countdown, end, number
-from ds_orchestrator.commands.options import JsonFlag, MaxAngle, Seed, Simulators, simulators_of
+from ds_orchestrator.commands.options import (
+    Backend,
+    DriverName,
+    JsonFlag,
+    MaxAngle,
+    Seed,
+    Simulators,
+    driver_named,
+    simulators_of,
+)
 from ds_orchestrator.config import ConfigError
 from ds_orchestrator.pictures import png
 from ds_road import write_roads
@@ -103,7 +112,8 @@ def compare_siblings(
 
 @siblings_app.command("compare")
 def siblings_compare_command(
-    driver: Annotated[str, typer.Option(help="autopilot, dave2, or a weights file.")] = "dave2",
+    driver: DriverName = "dave2",
+    backend: Backend = "auto",
     roads: Annotated[int, typer.Option(min=1, help="Random roads.")] = 40,
     seed: Seed = 40,
     max_angle: MaxAngle = 270,
@@ -112,5 +122,6 @@ def siblings_compare_command(
     as_json: JsonFlag = False,
 ) -> None:
     """The same roads with the same driver: which fail where, and how far apart the vehicles drive."""
-    found = compare_siblings(driver, simulators_of(sims), roads=roads, seed=seed, max_angle=max_angle, out=out)
+    named = driver_named(driver, backend, "cpu")
+    found = compare_siblings(named, simulators_of(sims), roads=roads, seed=seed, max_angle=max_angle, out=out)
     end(found, as_json)

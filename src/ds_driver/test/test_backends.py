@@ -1,0 +1,125 @@
+"""What computes our networks: three programs, one answer."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ds_driver import backends
+from ds_driver.backends import BackendError, onnx_runner, split_backend, with_backend
+from ds_driver.network_driver import NetworkDriver, driver_sha256
+from ds_driver.networks import NETWORKS, make_network
+from ds_driver.onnx_graph import to_onnx
+from ds_driver.preprocessing import Crop, prepare
+from ds_driver.weights import save_weights, weights_sha256
+
+FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.uint8)
+
+
+@pytest.fixture(params=sorted(NETWORKS))
+def weights(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
+    torch.manual_seed(2)
+    path = tmp_path / "w.safetensors"
+    network = make_network(request.param)
+    with torch.no_grad():
+        list(network.parameters())[-2].mul_(0.2)  # answers within the range of steering, none of them cut to it
+    save_weights(network, path, architecture=request.param)
+    return request.param, path
+
+
+def test_every_backend_computes_what_pytorch_computes(weights: tuple[str, Path]) -> None:
+    """Held against the network itself, called in the plainest way: batch first, no memory layout, no runner."""
+    from ds_driver.weights import load_network
+
+    network = load_network(str(weights[1]))
+    with torch.inference_mode():
+        batch = torch.from_numpy(np.stack([prepare(f, Crop(54, 1)) for f in FRAMES])).permute(0, 3, 1, 2).float()
+        expected = network(batch)[:, 0].numpy()
+    assert np.abs(expected).max() < 1.0 and np.ptp(expected) > 1e-4
+    for backend in ("torch", "onnx", "openvino"):
+        driver = NetworkDriver(f"{weights[1]}@{backend}")
+        found = [driver.steering(frame, Crop(54, 1)) for frame in FRAMES]
+        assert found == pytest.approx(expected, abs=2e-5), backend
+        assert found == [driver.steering(frame, Crop(54, 1)) for frame in FRAMES], backend
+
+
+def test_a_backend_gives_the_same_bits_in_another_process() -> None:
+    script = (
+        "import numpy as np\n"
+        "from ds_driver.network_driver import NetworkDriver\n"
+        "from ds_driver.preprocessing import Crop\n"
+        "image = np.random.default_rng(3).integers(0, 256, (160, 320, 3), dtype=np.uint8)\n"
+        "for b in ('torch', 'onnx', 'openvino'):\n"
+        "    print(NetworkDriver('dave2@' + b).steering(image, Crop(54, 0)).hex())"
+    )
+    there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=200)
+    image = np.random.default_rng(3).integers(0, 256, (160, 320, 3), dtype=np.uint8)
+    here = [NetworkDriver(f"dave2@{b}").steering(image, Crop(54, 0)).hex() for b in ("torch", "onnx", "openvino")]
+    assert here == there.stdout.split(), there.stderr
+
+
+def test_a_layer_without_counterpart_is_named() -> None:
+    network = make_network("dave2")
+    network.features.append(torch.nn.Sigmoid())  # type: ignore[operator, union-attr]
+    with pytest.raises(TypeError, match="Sigmoid has no counterpart"):
+        to_onnx(network)
+
+
+@pytest.mark.parametrize(
+    ("backend", "device", "named"),
+    [("auto", "cpu", "dave2"), ("onnx", "cpu", "dave2@onnx"), ("torch", "cuda", "dave2@cuda")],
+)
+def test_a_name_says_what_computes_it(backend: str, device: str, named: str) -> None:
+    assert with_backend("dave2", backend, device) == named
+    expected = ("dave2", backend, device)
+    assert split_backend(named) == expected
+    assert with_backend("dave2@openvino", "onnx") == "dave2@onnx"
+    assert split_backend("/a@b/w.safetensors") == ("/a@b/w.safetensors", "auto", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("backend", "device", "said"),
+    [
+        ("tensorrt", "cpu", "expected one of auto, torch, onnx, openvino"),
+        ("auto", "tpu", "expected one of cpu, cuda"),
+        ("onnx", "cuda", "leave out --device cuda"),
+    ],
+)
+def test_unknown_backends_and_devices_are_refused(backend: str, device: str, said: str) -> None:
+    with pytest.raises(BackendError, match=said):
+        with_backend("dave2", backend, device)
+
+
+def test_a_gpu_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(BackendError, match="no GPU that PyTorch can use is here: leave out --device cuda"):
+        NetworkDriver("dave2@cuda")
+
+
+def test_openvino_that_is_not_installed_is_answered_with_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openvino", None)
+    with pytest.raises(BackendError, match=r"not installed.*pip install --no-deps -r requirements/openvino\.txt"):
+        NetworkDriver("dave2@openvino")
+    assert Path(backends.OPENVINO_INSTALL.split()[-1]).is_file()
+
+
+def test_the_tests_and_the_users_get_the_same_openvino() -> None:
+    def pin(name: str) -> list[str]:
+        return re.findall(r"^openvino==\S+", Path(f"requirements/{name}.txt").read_text(), re.MULTILINE)
+
+    assert pin("openvino") == pin("dev") != []
+
+
+def test_a_damaged_onnx_file_is_refused() -> None:
+    with pytest.raises(BackendError, match=r"cut\.onnx cannot be loaded .*whole ONNX file"):
+        onnx_runner(to_onnx(make_network("dave2"))[:1000], "cut.onnx")
+
+
+def test_the_backend_is_no_part_of_what_a_driver_is() -> None:
+    assert driver_sha256("dave2@onnx") == driver_sha256("dave2") == weights_sha256("dave2")

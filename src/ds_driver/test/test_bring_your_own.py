@@ -1,0 +1,378 @@
+"""Networks that we have never seen: described files and classes, good and bad."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+import torch
+import yaml
+from onnx import TensorProto, helper, numpy_helper
+from torch import nn
+
+from ds_driver.control import throttle
+from ds_driver.driving import drive_road, make_driver
+from ds_driver.network_driver import NetworkDriver, driver_sha256
+from ds_driver.network_file import FilePilot, NetworkFile
+from ds_driver.pilots import DriverError, Seen
+from ds_driver.preprocessing import Crop
+from ds_road import generate
+from ds_sim.registry import make_simulator
+from ds_sim.simulator import Outcome
+
+# PyTorch would rather have another format; people's files are in this one.
+pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+
+GUIDE = Path("docs/bring_your_own_network.md").read_text()
+IMAGE = np.random.default_rng(5).integers(0, 256, (160, 320, 3), dtype=np.uint8)
+
+
+class Linear(nn.Module):
+    """Donkey Car's `linear` pilot (donkeycar 4.5, KerasLinear on its core CNN layers, without dropout)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        sizes = [(3, 24, 5, 2), (24, 32, 5, 2), (32, 64, 5, 2), (64, 64, 3, 1), (64, 64, 3, 1)]
+        self.convolutions: list[nn.Conv2d] = [nn.Conv2d(i, o, k, stride=s) for i, o, k, s in sizes]
+        self.dense: list[nn.Linear] = [nn.Linear(6656, 100), nn.Linear(100, 50)]
+        self.heads: list[nn.Linear] = [nn.Linear(50, 1), nn.Linear(50, 1)]
+        self.layers = nn.ModuleList([*self.convolutions, *self.dense, *self.heads])
+
+    def forward(self, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        x = image.permute(0, 3, 1, 2)
+        for layer in self.convolutions:
+            x = torch.relu(layer(x))
+        x = x.permute(0, 2, 3, 1).flatten(1)  # Keras flattens with the channels last
+        for dense in self.dense:
+            x = torch.relu(dense(x))
+        return self.heads[0](x), self.heads[1](x)
+
+    def to_onnx(self, path: Path) -> None:
+        """Write what tf2onnx makes of it: a free batch, images with channels last, outputs by Keras's names."""
+        nodes: list[Any] = []
+        constants: list[Any] = []
+        at = "img_in"
+
+        def add(kind: str, inputs: list[str], output: str = "", **attributes: Any) -> str:
+            nodes.append(helper.make_node(kind, inputs, [output or f"v{len(nodes)}"], **attributes))
+            return output or f"v{len(nodes) - 1}"
+
+        def weights(layer: nn.Conv2d | nn.Linear) -> list[str]:
+            for value in (layer.weight, layer.bias):
+                assert value is not None
+                constants.append(numpy_helper.from_array(value.detach().numpy(), f"c{len(constants)}"))
+            return [f"c{len(constants) - 2}", f"c{len(constants) - 1}"]
+
+        at = add("Transpose", [at], perm=[0, 3, 1, 2])
+        for layer in self.convolutions:
+            at = add("Relu", [add("Conv", [at, *weights(layer)], strides=list(layer.stride))])
+        at = add("Flatten", [add("Transpose", [at], perm=[0, 2, 3, 1])])
+        for dense in self.dense:
+            at = add("Relu", [add("Gemm", [at, *weights(dense)], transB=1)])
+        for number, head in enumerate(self.heads):
+            add("Gemm", [at, *weights(head)], f"n_outputs{number}", transB=1)
+        described = [helper.make_tensor_value_info(f"n_outputs{i}", TensorProto.FLOAT, [None, 1]) for i in (0, 1)]
+        seen = helper.make_tensor_value_info("img_in", TensorProto.FLOAT, [None, 120, 160, 3])
+        graph = helper.make_graph(nodes, "linear", [seen], described, constants)
+        onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 15)], ir_version=8), path)
+
+
+@pytest.fixture
+def linear() -> Linear:
+    torch.manual_seed(4)
+    network = Linear().eval()
+    with torch.no_grad():
+        network.heads[1].bias.fill_(0.4)  # a throttle that neither bound cuts
+    return network
+
+
+def examples(heading: str) -> list[str]:
+    """The guide's code blocks of a language, without their fences."""
+    return re.findall(rf"```{heading}\n(.*?)```", GUIDE, re.DOTALL)
+
+
+def test_a_donkey_car_pilot_drives_as_the_guide_describes_it(tmp_path: Path, linear: Linear) -> None:
+    """In ONNX and in TorchScript, on every backend that can: what PyTorch says of the squeezed image."""
+    described = yaml.safe_load(next(text for text in examples("yaml") if "mypilot.onnx" in text))
+    small = cv2.resize(IMAGE, (160, 120), interpolation=cv2.INTER_LINEAR).astype(np.float32) / 255
+    with torch.inference_mode():
+        angle, power = (float(part) for part in linear(torch.from_numpy(small)[None]))
+    assert 0.01 < abs(angle) < 1.0 and 0.05 < power < 1.0
+    linear.to_onnx(tmp_path / "mypilot.onnx")
+    torch.jit.trace(linear, torch.zeros(1, 120, 160, 3)).save(str(tmp_path / "mypilot.pt"))
+    for file, backends in {"mypilot.onnx": ("auto", "openvino"), "mypilot.pt": ("auto", "openvino")}.items():
+        described["file"] = file
+        if file.endswith(".pt"):
+            described["outputs"] = {"steering": {"output": 0}, "throttle": {"output": 1}}
+        (tmp_path / "p.yaml").write_text(yaml.safe_dump(described))
+        for backend in backends:
+            command = NetworkDriver(f"{tmp_path / 'p.yaml'}@{backend}").command(IMAGE, 3.0, Crop(40, 0))
+            assert (command.steering, command.throttle) == pytest.approx((angle, power), abs=1e-5), (file, backend)
+
+
+class Pixel(nn.Module):
+    """Answers with one number of its input, so that a test sees what the preprocessing made."""
+
+    def __init__(self, *place: int) -> None:
+        super().__init__()
+        self.place = place
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        found = image[0]
+        for index in self.place:
+            found = found[index]
+        return torch.stack([found.float(), -found.float()])
+
+
+def written(folder: Path, network: nn.Module, shape: tuple[int, ...], **described: Any) -> Path:
+    """A TorchScript file with its description."""
+    torch.jit.trace(network, torch.zeros(shape)).save(str(folder / "n.pt"))
+    (folder / "n.yaml").write_text(yaml.safe_dump({"file": "n.pt"} | described))
+    return folder / "n.yaml"
+
+
+RED, GREEN, BLUE = 200.0, 100.0, 50.0
+LUMA = 0.299 * RED + 0.587 * GREEN + 0.114 * BLUE  # BT.601
+
+
+@pytest.mark.parametrize(
+    ("keys", "place", "expected"),
+    [
+        ({"colour": "rgb"}, (0, 4, 4), RED),
+        ({"colour": "bgr"}, (0, 4, 4), BLUE),
+        ({"colour": "bgr", "layout": "nhwc"}, (4, 4, 2), RED),
+        ({"colour": "yuv"}, (0, 4, 4), LUMA),
+        ({"colour": "grey"}, (0, 4, 4), LUMA),
+        ({"colour": "grey", "layout": "nhwc"}, (4, 4, 0), LUMA),
+        ({"subtract": 127.5, "divide": 127.5}, (1, 4, 4), GREEN / 127.5 - 1),
+        ({"subtract": [1, 2, 3], "divide": [4, 5, 6]}, (2, 4, 4), (BLUE - 3) / 6),
+        ({"subtract": [1, 2, 3], "divide": [4, 5, 6], "layout": "nhwc"}, (4, 4, 1), (GREEN - 2) / 5),
+        ({"type": "uint8"}, (0, 4, 4), RED),
+    ],
+)
+def test_colours_layouts_and_normalisation(
+    tmp_path: Path, keys: dict[str, Any], place: tuple[int, ...], expected: float
+) -> None:
+    image = np.full((160, 320, 3), (RED, GREEN, BLUE), np.uint8)
+    layout, channels = keys.get("layout", "nchw"), 1 if keys.get("colour") == "grey" else 3
+    shape = (1, channels, 8, 16) if layout == "nchw" else (1, 8, 16, channels)
+    path = written(tmp_path, Pixel(*place), shape, input={"size": [8, 16], **keys})
+    found = FilePilot(path).predict(Seen(image=image, speed=1.0))
+    assert found.steering == pytest.approx(expected, abs=0.6 if channels == 1 or "colour" in keys else 1e-5)
+    assert found.throttle is None
+
+
+@pytest.mark.parametrize(
+    ("crop", "first", "last"), [("none", 0, 159), ("simulator", 54, 158), ({"top": 10, "bottom": 30}, 10, 129)]
+)
+def test_crops(tmp_path: Path, crop: object, first: int, last: int) -> None:
+    """Every row of the image holds its own number; the network is as high as what is left, so nothing is resized."""
+    rows = np.broadcast_to(np.arange(160, dtype=np.uint8)[:, None, None], (160, 320, 3))
+    high = last - first + 1
+    for place, expected in ((0, first), (high - 1, last)):
+        network = Pixel(0, place, 7)
+        path = written(tmp_path, network, (1, 3, high, 320), input={"size": [high, 320], "crop": crop})
+        assert FilePilot(path).predict(Seen(image=rows, speed=0.0, crop=Crop(54, 1))).steering == expected
+
+
+def test_outputs_are_chosen_scaled_and_turned(tmp_path: Path) -> None:
+    """Degrees to the left, up to 25, in the second number of an output."""
+    image = np.full((160, 320, 3), 10, np.uint8)
+    outputs = {"steering": {"index": 1, "scale": 0.04}, "throttle": {"scale": 0.01, "offset": 0.2}}
+    path = written(tmp_path, Pixel(0, 0, 0), (1, 3, 8, 16), input={"size": [8, 16]}, outputs=outputs)
+    command = NetworkDriver(str(path)).command(image, 5.0, Crop())
+    assert (command.steering, command.throttle) == pytest.approx((-10 * 0.04, 10 * 0.01 + 0.2))
+
+
+def test_without_a_throttle_it_is_equation_2_and_steering_beyond_full_is_full(tmp_path: Path) -> None:
+    path = written(tmp_path, Pixel(0, 0, 0), (1, 3, 8, 16), input={"size": [8, 16], "divide": 100})
+    driver = NetworkDriver(str(path))
+    half, full = (driver.command(np.full((160, 320, 3), v, np.uint8), 5.0, Crop()) for v in (50, 250))
+    assert half.steering == 0.5 and half.throttle == throttle(0.5, 5.0)
+    assert full.steering == 1.0
+
+
+def change(*keys: str, to: object) -> Callable[[dict[str, Any]], None]:
+    def alter(described: dict[str, Any]) -> None:
+        place = described
+        for key in keys[:-1]:
+            place = place.setdefault(key, {})
+        place[keys[-1]] = to
+
+    return alter
+
+
+@pytest.mark.parametrize(
+    ("alter", "said"),
+    [
+        (change("inputs", to=1), r"inputs: Extra inputs.*keys of the file: file, input, outputs"),
+        (change("input", "color", to="rgb"), r"input\.color: Extra inputs.*keys of input: size, colour, layout"),
+        (change("input", "colour", to="hsv"), "input.colour: Input should be 'rgb', 'bgr', 'yuv' or 'grey'"),
+        (change("input", "size", to=[0, 160]), r"input\.size\.0: Input should be greater than or equal to 1"),
+        (change("input", "divide", to=0), "divide is 0"),
+        (change("input", "crop", to={"top": 100, "bottom": 59}), "leaves nothing to see"),
+        (change("input", "type", to="uint8"), "leave out subtract and divide"),
+        (change("input", "size", to=[160, 120]), "wants an input of anyx120x160x3, its description gives 1x160x120x3"),
+        (change("input", "layout", to="nchw"), "its description gives 1x3x120x160: mend size or layout"),
+        (change("outputs", "steering", to={"output": "angle"}), "no output 'angle'.*one of n_outputs0, n_outputs1"),
+        (change("outputs", "steering", to={"output": 2}), "no output 2 for steering: it has 2, counted from 0"),
+        (change("outputs", "steering", to={"index": 1}), "no index 1 for steering: the output has 1 numbers"),
+        (change("outputs", "steering", to={"scale": float("inf")}), r"outputs\.steering\.scale: .*finite number"),
+        (change("file", to="gone.onnx"), "'gone.onnx' is missing: its path is relative to p.yaml"),
+        (change("file", to="pilot.h5"), r"expected \.onnx, \.pt.*says how to convert"),
+        (change("file", to="cut.onnx"), "cut.onnx cannot be loaded"),
+        (change("file", to="weights.pt"), "weights.pt is not TorchScript.*save it with torch.jit.trace"),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_line(
+    tmp_path: Path, linear: Linear, alter: Callable[[dict[str, Any]], None], said: str
+) -> None:
+    linear.to_onnx(tmp_path / "mypilot.onnx")
+    (tmp_path / "cut.onnx").write_bytes((tmp_path / "mypilot.onnx").read_bytes()[:5000])
+    torch.save(linear.state_dict(), tmp_path / "weights.pt")
+    described = yaml.safe_load(next(text for text in examples("yaml") if "mypilot.onnx" in text))
+    alter(described)
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump(described))
+    with pytest.raises(DriverError, match=said) as refused:
+        NetworkDriver(str(tmp_path / "p.yaml"))
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 500
+
+
+def test_number_types_and_inputs_that_do_not_fit_are_told(tmp_path: Path) -> None:
+    def save(kinds: list[int]) -> str:
+        seen = [helper.make_tensor_value_info(f"i{n}", kind, [1, 3, 8, 16]) for n, kind in enumerate(kinds)]
+        gives = helper.make_tensor_value_info("o", TensorProto.FLOAT, [1, 3, 8, 16])
+        nodes = [helper.make_node("Cast", ["i0"], ["o"], to=TensorProto.FLOAT)]
+        model = helper.make_model(
+            helper.make_graph(nodes, "g", seen, [gives]), opset_imports=[helper.make_opsetid("", 15)], ir_version=8
+        )
+        onnx.save(model, tmp_path / "n.onnx")
+        (tmp_path / "n.yaml").write_text("file: n.onnx\ninput: {size: [8, 16]}")
+        return str(tmp_path / "n.yaml")
+
+    with pytest.raises(DriverError, match="wants numbers of type uint8, its description gives float32: mend type"):
+        NetworkDriver(save([TensorProto.UINT8]))
+    with pytest.raises(DriverError, match=r"has 2 inputs \(i0, i1\): expected one, the image"):
+        NetworkDriver(save([TensorProto.FLOAT, TensorProto.FLOAT]))
+    with pytest.raises(DriverError, match=r"n\.onnx cannot be computed by torch: expected onnx or openvino"):
+        NetworkDriver(save([TensorProto.FLOAT]) + "@torch")
+    with pytest.raises(DriverError, match=r"describe it in a \.yaml"):
+        NetworkDriver(str(tmp_path / "n.onnx"))
+
+
+def test_the_guides_descriptions_are_valid() -> None:
+    found = [NetworkFile.model_validate(yaml.safe_load(text)) for text in examples("yaml")]
+    assert [f.file for f in found] == ["my_net.onnx", "mypilot.onnx"]
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
+    """Writes a module that can be imported; gives its name."""
+    monkeypatch.syspath_prepend(tmp_path)
+    made = iter(range(100))
+
+    def write(text: str) -> str:
+        name = f"brought_{tmp_path.name.replace('-', '_')}_{next(made)}"
+        (tmp_path / f"{name}.py").write_text(text)
+        return name
+
+    return write
+
+
+def test_the_guides_class_drives_a_gentle_road_to_its_end(module: Callable[[str], str]) -> None:
+    name = module(next(text for text in examples("python") if "class MyDriver" in text))
+    simulator = make_simulator("bullet")
+    run = drive_road(
+        simulator,
+        make_driver(f"{name}:MyDriver", simulator.spec),
+        generate(np.random.default_rng(2), max_angle=30),
+        seed=1,
+    )
+    assert run.outcome is Outcome.COMPLETED and {c.throttle for c in run.commands} == {0.3}
+
+
+COUNTER = """
+class Counter:
+    def __init__(self):
+        self.frames = 10
+    def start(self):
+        self.frames = 0
+    def drive(self, seen):
+        self.frames += 1
+        return self.frames / 1000
+"""
+
+
+def test_a_class_that_remembers_is_told_when_a_run_begins(module: Callable[[str], str]) -> None:
+    simulator = make_simulator("donkey")
+    driver = make_driver(f"{module(COUNTER)}:Counter", simulator.spec)
+    runs = [drive_road(simulator, driver, generate(np.random.default_rng(2), max_angle=30), seed=1) for _ in range(2)]
+    assert runs[0].commands == runs[1].commands
+    assert [c.steering for c in runs[0].commands[:3]] == [0.001, 0.002, 0.003]
+
+
+FAULTY = """
+class Silent: pass
+class Broken:
+    def __init__(self): raise RuntimeError("no camera")
+class Wordy:
+    def drive(self, seen): return "left"
+class Late:
+    def drive(self, seen): return float("nan") if seen.step == 5 else 0.0
+class Sudden:
+    def drive(self, seen): return [0.0][seen.step // 5]
+"""
+
+
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [
+        ("Silent", "has no method drive"),
+        ("Broken", "cannot be made .RuntimeError: no camera."),
+        ("Wordy", "gave 'left': expected the steering, or steering and throttle"),
+        ("Missing", "cannot be imported .AttributeError"),
+    ],
+)
+def test_classes_that_cannot_drive_are_refused(module: Callable[[str], str], target: str, said: str) -> None:
+    with pytest.raises(DriverError, match=said):
+        NetworkDriver(f"{module(FAULTY)}:{target}")
+    with pytest.raises(DriverError, match="cannot be imported .ModuleNotFoundError"):
+        NetworkDriver("nowhere_at_all:Driver")
+
+
+@pytest.mark.parametrize(
+    ("target", "said"), [("Late", "the network's steering is nan"), ("Sudden", "drive failed (IndexError")]
+)
+def test_a_driver_without_an_answer_is_an_error_and_no_failure(
+    module: Callable[[str], str], target: str, said: str
+) -> None:
+    simulator = make_simulator("donkey")
+    road = generate(np.random.default_rng(2), max_angle=30)
+    run = drive_road(simulator, make_driver(f"{module(FAULTY)}:{target}", simulator.spec), road, seed=1)
+    assert run.outcome is Outcome.DRIVER_SILENT and run.outcome.is_error and said in run.message
+    assert run.steps == 5
+
+
+def test_a_drivers_hash_covers_description_file_and_class(
+    tmp_path: Path, linear: Linear, module: Callable[[str], str]
+) -> None:
+    linear.to_onnx(tmp_path / "mypilot.onnx")
+    text = next(text for text in examples("yaml") if "mypilot.onnx" in text)
+    path = tmp_path / "p.yaml"
+
+    def told(content: str) -> str:
+        path.write_text(content)
+        return driver_sha256(f"{path}@openvino")
+
+    first, other, again = told(text), told(text + "\n# changed"), told(text)
+    assert first == again != other
+    with (tmp_path / "mypilot.onnx").open("ab") as file:
+        file.write(b"\0")
+    assert told(text) != first
+    assert driver_sha256(f"{module(COUNTER)}:Counter") != driver_sha256(f"{module(FAULTY)}:Late")
