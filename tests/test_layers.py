@@ -9,10 +9,11 @@ from pathlib import Path
 
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "action_msgs", "std_msgs", "std_srvs", "sensor_msgs", "geometry_msgs", "nav_msgs",
-    "visualization_msgs", "ds_interfaces",
+    "visualization_msgs", "diagnostic_msgs", "rcl_interfaces", "rosgraph_msgs", "ds_interfaces",
 }  # fmt: skip
 ROS_FILES = {
     "ds_sim/node.py", "ds_sim/frames.py", "ds_sim/messages.py", "ds_sim/ros_runtime.py",
+    "ds_sim/parameters.py", "ds_sim/simulator_parameters.py", "ds_sim/real_time.py",
     "ds_driver/node.py", "ds_driver/autopilot_node.py", "ds_driver/eyes.py",
     "ds_orchestrator/graph.py", "ds_orchestrator/executables.py",
 }  # fmt: skip
