@@ -62,6 +62,7 @@ class GraphExecutor:
         self._timeout = command_timeout
         self._supervisor = supervisor
         self._revival = threading.Lock()
+        self._driver_renewed = 0.0
         self._stopped = threading.Event()
         rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("orchestrator")
@@ -139,8 +140,22 @@ class GraphExecutor:
             with self._revival:
                 self._supervisor.restart(simulator_process_name(self._namespaces[simulator]))
 
+    def _renew_driver(self, began: float) -> None:
+        """A driver of ours that hangs gets a new process.
+
+        It drives the other simulators too, and their runs fall silent with the old process: that is no reason to
+        start a third one.
+        """
+        if self._supervisor is None or self._stopped.is_set() or DRIVER_PROCESS not in self._supervisor.names:
+            return
+        with self._revival:
+            if self._driver_renewed < began:
+                self._supervisor.restart(DRIVER_PROCESS)
+                self._driver_renewed = time.monotonic()
+
     def _execute(self, name: str, record: RunRecord) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
+        began = time.monotonic()
         if self._supervisor is not None:
             with self._revival:
                 self._supervisor.revive()
@@ -168,6 +183,8 @@ class GraphExecutor:
             self._restart(name)
             return Outcome.SIM_ERROR, "the simulator fell silent during the run"
         _fill(record, result.result)
+        if Outcome(result.result.outcome.value) is Outcome.DRIVER_SILENT:
+            self._renew_driver(began)
         return Outcome(result.result.outcome.value), result.result.message
 
     def _load(self, simulator: _Simulator, record: RunRecord) -> LoadRoad.Response | None:

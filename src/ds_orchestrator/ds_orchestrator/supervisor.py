@@ -72,6 +72,11 @@ class Supervisor:
         for name in self._specs:
             self._start(name)
 
+    @property
+    def names(self) -> list[str]:
+        """Of the processes."""
+        return list(self._specs)
+
     def dead(self) -> list[str]:
         """Names of processes that ended."""
         return [name for name, process in self._processes.items() if process.poll() is not None]
