@@ -5,25 +5,26 @@ from __future__ import annotations
 import json
 import sqlite3
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
-from mcap.reader import make_reader
-from rosbags.highlevel import AnyReader
 
 from ds_driver.control import Autopilot
-from ds_orchestrator.campaign import Campaign, CampaignError, Stopped
+from ds_orchestrator.campaign import Campaign, CampaignError, Executor, Stopped
 from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.lock import LockError, only_one
-from ds_orchestrator.maps import to_json
+from ds_orchestrator.maps import cells_of, elites_of, to_json
 from ds_orchestrator.results import maps_of
+from ds_orchestrator.stages import stages_of
 from ds_orchestrator.store import Execution, Store, StoreError, Test
+from ds_orchestrator.worker_pool import WorkerPool
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import label_of, make_simulator
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
 
 DONKEYS = ["ds_twin_donkey.simulator:DonkeySimulator", "donkey"]
 CONFIG = CampaignConfig(
@@ -66,15 +67,50 @@ class LocalExecutor:
         return session.run
 
 
+class MadeUpExecutor(LocalExecutor):
+    """Drives nothing: an outcome that is made of simulator, road and seed alone, in no time."""
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        if self._left == 0:
+            raise Stopped
+        self._left -= 1
+        self.roads.append((simulator, road.road_id))
+        rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
+        lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
+        failed = bool(np.abs(lateral).max() > HALF_LANE)
+        x, y = road.right_lane_centre[0].tolist()
+        run = RunRecord(road=road, seed=seed, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED)
+        run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
+        run.observations = [
+            Observation(
+                image=np.empty((0, 0, 3), np.uint8),
+                step=k,
+                time=k / 20,
+                vehicle=VehicleState(x=x, y=y + k, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
+                lane=LaneState(
+                    lateral_position=float(offset),
+                    lateral_distance=HALF_LANE - abs(float(offset)),
+                    preview_lateral_position=float(offset),
+                    arc_length=float(k),
+                ),
+                outcome=Outcome.RUNNING if k < 5 else run.outcome,
+            )
+            for k, offset in enumerate(lateral)
+        ]
+        return run
+
+
 class Silent:
     def stage(self, name: str) -> None: ...
+
+    def expect(self, executions: int) -> None: ...
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...
 
 
-def run(folder: Path, executor: LocalExecutor, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
+def run(folder: Path, executor: Executor, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
     folder.mkdir(exist_ok=True)
-    store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
+    store = Store(folder / "campaign.sqlite", config=config.identity())
     campaign = Campaign(config, folder, store, executor, Silent(), SPACES)
     with suppress(Stopped):
         campaign.run()
@@ -88,7 +124,7 @@ def maps_text(store: Store) -> str:
 def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
     executor = LocalExecutor()
     campaign, store = run(tmp_path / "a", executor)
-    assert len(executor.roads) == len(store.executions()) == Campaign.executions_in_all(CONFIG) == 16
+    assert len(executor.roads) == len(store.executions()) == CONFIG.executions_at_most == 16
     assert len(set(executor.roads)) == 16
     assert len(store.tests()) == 8 and campaign.failed_executions == 0
     # The same vehicle under two names: whatever it does alone, both unions hold the same tests in the same cells.
@@ -232,6 +268,17 @@ def test_a_store_of_another_campaign_version_or_kind_is_refused(tmp_path: Path) 
         ({"seed": -1}, "seed"),
         ({"record": "everything"}, "record"),
         ([1, 2], "top level"),
+        ({"search": {"method": "hyperion"}}, "search.method: unknown search 'hyperion': expected one of deephyperion"),
+        ({"search": {"runz": 1}}, "search.runz: there is no such key (keys: method, population"),
+        ({"operators": {"probability": "sum"}}, "operators.probability: unknown operator 'sum'"),
+        ({"operators": {"compare": ["mean", "mean"]}}, "operators.compare: an operator is named twice"),
+        ({"features": ["turns_count", "length"]}, "features: unknown feature 'length': expected one of turns_count"),
+        ({"features": ["curvature"]}, "expected two or three different ones"),
+        ({"features": ["curvature", "curvature:2"]}, "expected two or three different ones"),
+        ({"features": ["turns_count", "segment_count"]}, "the same number"),
+        ({"migration": "some"}, "migration: Input should be 'all' or 'elites'"),
+        ({"sim2real": True}, "sim2real: there is no model"),
+        ({"workers": 0}, "workers"),
     ],
 )
 def test_a_wrong_configuration_is_refused_in_one_line(raw: object, named: str) -> None:
@@ -251,6 +298,8 @@ def test_a_file_that_is_no_yaml_is_refused(tmp_path: Path) -> None:
 def test_the_shipped_configurations_are_valid() -> None:
     configs = sorted(Path("src/ds_bringup/config").glob("*.yaml"))
     named = {path.stem: read_config(path) for path in configs if path.stem in ("demo", "paper")}
+    assert named["paper"].operators.compare == ["minimum", "maximum", "mean", "weighted_mean"]
+    assert parse_config({"twin": "none"}, "c.yaml").twin is None
     assert (named["demo"].search.population, named["demo"].search.iterations, named["demo"].search.runs) == (6, 14, 1)
     assert (named["paper"].search.population, named["paper"].search.iterations, named["paper"].search.runs) == (
         20,
@@ -259,45 +308,106 @@ def test_the_shipped_configurations_are_valid() -> None:
     )
 
 
-@pytest.mark.graph
-def test_a_bag_holds_the_whole_run_for_another_reader(tmp_path: Path) -> None:
-    """Counts, types and every value, read by `rosbags`; needs the installed message definitions."""
-    from ds_orchestrator.bags import typestore, write_bag
+def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
+    """Two runs of the search on each sibling: one after the other, or at the same time."""
+    search = CONFIG.search.model_copy(update={"runs": 2})
+    one = CONFIG.model_copy(update={"search": search})
+    many = one.model_copy(update={"workers": 3})
+    assert one.identity() == many.identity()
+    _, first = run(tmp_path / "one", MadeUpExecutor(), one)
+    pool = WorkerPool([MadeUpExecutor(), MadeUpExecutor(), MadeUpExecutor()], many.simulators)
+    _, second = run(tmp_path / "many", pool, many)
+    assert maps_text(first) == maps_text(second) and len(first.executions()) == 32
+    assert [t.road.road_id for t in first.tests()] == [t.road.road_id for t in second.tests()]
+    hashes = [{(e.test_id, e.simulator): e.trajectory_sha256 for e in s.executions()} for s in (first, second)]
+    assert hashes[0] == hashes[1]
+    # A campaign that was begun by one worker goes on with three.
+    first.close()
+    _, again = run(tmp_path / "one", MadeUpExecutor(runs=0), many)
+    assert maps_text(again) == maps_text(second)
 
-    record = LocalExecutor().execute("donkey", Road([(125.0, 25.0 * i) for i in range(9)]), 3)
-    write_bag(tmp_path / "bag", "/ds1", record, {"driver": "autopilot"})
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["bag"]
-    with AnyReader([tmp_path / "bag"], default_typestore=typestore()) as reader:
-        counts = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
-        messages: dict[str, list[Any]] = {topic: [] for topic in counts}
-        for connection, stamp, raw in reader.messages():
-            messages[connection.topic].append((stamp, reader.deserialize(raw, connection.msgtype)))
-    assert counts == {
-        "/ds1/road": ("ds_interfaces/msg/Road", 1),
-        "/ds1/state": ("ds_interfaces/msg/VehicleState", 61),
-        "/ds1/drive": ("ds_interfaces/msg/DriveCommand", 60),
-        "/ds1/outcome": ("ds_interfaces/msg/Outcome", 1),
-    }
-    for (stamp, state), observation in zip(messages["/ds1/state"], record.observations, strict=True):
-        assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == observation.step * 50_000_000
-        assert (state.step, state.x, state.y, state.yaw) == (
-            observation.step, observation.vehicle.x, observation.vehicle.y, observation.vehicle.yaw
-        )  # fmt: skip
-        assert state.lateral_position == observation.lane.lateral_position
-    for (_, drive), command in zip(messages["/ds1/drive"], record.commands, strict=True):
-        assert (drive.steering, drive.throttle) == (command.steering, command.throttle)
-    assert messages["/ds1/outcome"][0][1].value == int(Outcome.TIMEOUT)
-    assert [(p.x, p.y) for p in messages["/ds1/road"][0][1].control_points] == list(record.road.control_points)
-    metadata = (tmp_path / "bag" / "metadata.yaml").read_text()
-    assert "version: 9" in metadata and "TIMEOUT" in metadata and "autopilot" in metadata
-    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
-        reader_of_mcap = make_reader(file)
-        assert reader_of_mcap.get_header().profile == "ros2"
-        summary = reader_of_mcap.get_summary()
-        assert summary is not None and summary.statistics is not None
-        assert summary.statistics.message_count == 123
-        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
-        assert all("topic_type_hash" in c.metadata for c in summary.channels.values())
-    first = (tmp_path / "bag" / "bag.mcap").read_bytes()
-    write_bag(tmp_path / "bag", "/ds1", record, {"driver": "autopilot"})
-    assert (tmp_path / "bag" / "bag.mcap").read_bytes() == first
+
+def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
+    class Counting:
+        def __init__(self) -> None:
+            self.busy = threading.Lock()
+            self.stopped = False
+            self.runs = 0
+
+        def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+            assert self.busy.acquire(blocking=False), "two runs at once on one simulator of one worker"
+            together.wait(timeout=20.0)
+            self.runs += 1
+            self.busy.release()
+            return RunRecord(road=road, seed=seed)
+
+        def stop(self) -> None:
+            self.stopped = True
+
+    together = threading.Barrier(2)
+    workers = [Counting(), Counting()]
+    pool = WorkerPool(workers, ["donkey"])
+    road = Road([(125.0, 25.0 * i) for i in range(9)])
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(lambda seed: pool.execute("donkey", road, seed), range(6)))
+    assert sum(w.runs for w in workers) == 6
+    pool.stop()
+    assert all(w.stopped for w in workers)
+
+
+@pytest.mark.parametrize("method", ["deephyperion_cs", "random"])
+def test_every_search_goes_on_where_it_was_stopped(tmp_path: Path, method: str) -> None:
+    """With a feature of the run, whose cell the store's execution decides on the way back."""
+    search = CONFIG.search.model_copy(update={"method": method, "iterations": 4})
+    config = CONFIG.model_copy(
+        update={"siblings": [DONKEYS[1]], "search": search, "features": ["turns_count", "steering_deviation:2"]}
+    )
+    _, whole = run(tmp_path / "whole", MadeUpExecutor(), config)
+    run(tmp_path / "parts", MadeUpExecutor(runs=3), config)[1].close()
+    _, parts = run(tmp_path / "parts", MadeUpExecutor(), config)
+    assert maps_text(parts) == maps_text(whole)
+    assert parts.searches() == whole.searches() and parts.searches()[0][:3] == (DONKEYS[1], 0, method)
+
+
+def test_published_drives_the_mutants_centre_line_and_migrates_elites_alone(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"published": True})
+    executor = MadeUpExecutor()
+    _, store = run(tmp_path / "a", executor, config)
+    tests = store.tests()
+    assert len(tests) == 2 * (2 + 2 + 1)
+    mutants = [test for test in tests if test.road.published]
+    assert len(mutants) == 2 * 3 and all(len(test.road.points) == 96 for test in mutants)
+    driven = {e.test_id: e.trajectory for e in store.executions()}
+    for test in mutants:
+        # What is driven begins where the mutant begins, though a simulator is sent control points alone.
+        assert driven[test.test_id][0, :2] == pytest.approx(test.road.right_lane_centre[0], abs=1e-9)
+    plan = config.map_plan()
+    cells = cells_of(tests, store.executions(), features=plan.features, published=True)
+    elites = elites_of(tests, store.executions(), cells)
+    migrated = {e.test_id for e in store.executions() if not e.test_id.startswith(label_of(e.simulator) + "-")}
+    assert migrated == elites and 0 < len(elites) <= len(tests)
+    first = MadeUpExecutor(runs=0)
+    run(tmp_path / "a", first, config)
+    assert first.roads == []
+
+
+def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"siblings": [DONKEYS[0]], "twin": "donkey"})
+    _, store = run(tmp_path / "a", MadeUpExecutor(runs=2), config)
+    begun = {stage.name: stage for stage in stages_of(config, store)}
+    search = begun[f"search {DONKEYS[0]}, run 0"]
+    assert (search.done, search.expected, search.state) == (2, 4, "begun")
+    twin = begun[f"twin: {DONKEYS[0]} to donkey"]
+    assert (twin.done, twin.expected, twin.state) == (0, None, "to do")
+    assert [begun[name].state for name in ("maps", "evaluation", "report")] == ["to do"] * 3
+    store.close()
+    _, store = run(tmp_path / "a", MadeUpExecutor(), config)
+    results = {stage.name: stage for stage in stages_of(config, store)}
+    assert (results[twin.name].done, results[twin.name].expected, results[twin.name].state) == (4, 4, "done")
+    assert results[search.name].failures == sum(
+        e.outcome.is_failure for e in store.executions() if e.simulator != "donkey"
+    )
+    store.set_result("maps", store.count_executions())
+    assert {s.name: s.state for s in stages_of(config, store)}["maps"] == "done"
+    store.set_result("maps", 1)
+    assert {s.name: s.state for s in stages_of(config, store)}["maps"] == "to do"

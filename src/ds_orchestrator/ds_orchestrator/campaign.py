@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Protocol
 
 import numpy as np
 
 from ds_orchestrator.bags import write_bag
 from ds_orchestrator.config import CampaignConfig
-from ds_orchestrator.search import DeepHyperion
+from ds_orchestrator.features import cell_of
+from ds_orchestrator.maps import cells_of, elites_of
+from ds_orchestrator.search import SEARCHES
 from ds_orchestrator.store import Execution, Store, Test
 from ds_road import Road
 from ds_sim.registry import label_of
@@ -32,7 +36,7 @@ class Executor(Protocol):
     """Drives a road on a simulator, wherever that runs."""
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
-        """Drive to an outcome; errors are outcomes too. May be called from one thread per simulator."""
+        """Drive to an outcome; errors are outcomes too. Called from one thread per simulator and worker."""
         ...
 
     def stop(self) -> None:
@@ -55,6 +59,10 @@ class Watcher(Protocol):
         """A stage begins."""
         ...
 
+    def expect(self, executions: int) -> None:
+        """So many executions are there to do in all, those that are done included."""
+        ...
+
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
         """An execution is done; None if it ended in an error for good; not fresh if it stood in the store."""
         ...
@@ -62,6 +70,9 @@ class Watcher(Protocol):
 
 class Campaign:
     """Runs a campaign's stages; safe to stop at any moment.
+
+    Runs of the search on one sibling do not know of each other, nor do the executions of the later stages, so that
+    `config.workers` of them go on at the same time on every simulator, and the results do not depend on their number.
 
     Args:
         config: what to do.
@@ -88,39 +99,67 @@ class Campaign:
         self._watcher = watcher
         self._namespaces = namespaces
         self._stop = threading.Event()
-        self._unlucky: dict[str, list[str]] = {name: [] for name in config.simulators}
+        self._lock = threading.Lock()
+        self._unlucky: dict[str, int] = dict.fromkeys(config.simulators, 0)
         self._given_up = store.given_up()
         self.failed_executions = 0
-
-    @staticmethod
-    def executions_in_all(config: CampaignConfig) -> int:
-        """How many executions a campaign consists of."""
-        tests = config.search.runs * config.search.settings().iterations
-        tests += config.search.runs * config.search.population
-        return tests * len(config.siblings) * len(config.simulators)
 
     def stop(self) -> None:
         """Let no further test begin."""
         self._stop.set()
 
     def run(self) -> None:
-        """Run every stage.
+        """Run every stage that drives.
 
         Raises:
             Stopped: `stop` was called; what was finished stands in the store.
             CampaignError: a simulator gave no outcome for `PATIENCE` tests in a row; the same command goes on there.
         """
+        config = self._config
+        self._watcher.expect(config.executions_at_most)
         self._watcher.stage("search")
-        siblings = self._config.siblings
-        self._in_parallel(siblings, self._search)
-        self._watcher.stage("migration and twin" if self._config.twin else "migration")
+        searches = {
+            sibling: [partial(self._search, sibling, run) for run in range(config.search.runs)]
+            for sibling in config.siblings
+        }
+        try:
+            self._in_parallel(searches)
+        except CampaignError:
+            for sibling in config.siblings:
+                self._take_back(sibling)
+            raise
         tests = self._store.tests()
-        self._in_parallel(self._config.simulators, lambda simulator: self._migrate(simulator, tests))
+        chosen = self._migrated(tests)
+        self._watcher.expect(len(tests) + len(chosen) * (len(config.simulators) - 1))
+        self._watcher.stage("migration and twin" if config.twin else "migration")
+        # Every test on the siblings that did not make it (paper 3.4), all of them on the twin (paper 3.6).
+        self._in_parallel(
+            {
+                simulator: [partial(self._execute, test, simulator) for test in chosen if test.sibling != simulator]
+                for simulator in config.simulators
+            }
+        )
 
-    def _in_parallel(self, simulators: Sequence[str], work: Callable[[str], None]) -> None:
-        """One thread per simulator; the first error stops the others, also in the midst of a run."""
-        with ThreadPoolExecutor(len(simulators)) as pool:
-            futures = [pool.submit(work, simulator) for simulator in simulators]
+    def _migrated(self, tests: Sequence[Test]) -> Sequence[Test]:
+        """The tests that leave the sibling on which they were found."""
+        if not self._config.elites_only:
+            return tests
+        executions = self._store.executions()
+        plan = self._config.map_plan()
+        cells = cells_of(tests, executions, features=plan.features, published=plan.published)
+        elites = elites_of(tests, executions, cells, ignored=self._store.given_up())
+        return [test for test in tests if test.test_id in elites]
+
+    def _in_parallel(self, work: Mapping[str, Sequence[Callable[[], object]]]) -> None:
+        """As many threads per simulator as there are workers; the first error stops the others, amid a run too."""
+        queues: list[SimpleQueue[Callable[[], object]]] = []
+        for units in work.values():
+            queues.append(SimpleQueue())
+            for unit in units:
+                queues[-1].put(unit)
+        workers = self._config.workers
+        with ThreadPoolExecutor(len(queues) * workers) as pool:
+            futures = [pool.submit(self._work_off, queue) for queue in queues for _ in range(workers)]
             try:
                 for future in as_completed(futures):
                     future.result()
@@ -129,39 +168,39 @@ class Campaign:
                 self._executor.stop()
                 raise
 
-    def _search(self, sibling: str) -> None:
-        """Every run of the search on one sibling, with what the store knows already.
+    @staticmethod
+    def _work_off(units: SimpleQueue[Callable[[], object]]) -> None:
+        while True:
+            try:
+                unit = units.get_nowait()
+            except Empty:
+                return
+            unit()
+
+    def _search(self, sibling: str, run: int) -> None:
+        """One run of the search on one sibling, with what the store knows already.
 
         A search that went on without a test's outcome does so again, even if the test has one by now: the roads that
         followed are in the store.
         """
-        for run in range(self._config.search.runs):
-            rng = np.random.default_rng(_seed(self._config.seed, "search", sibling, run))
-            search = DeepHyperion(self._config.search.settings(), rng)
-            for number in range(search.budget):
-                test_id = f"{label_of(sibling)}-{run}-{number:04d}"
-                test = Test(
-                    test_id=test_id,
-                    sibling=sibling,
-                    run=run,
-                    number=number,
-                    road=search.ask(),
-                    seed=_seed(self._config.seed, "test", test_id),
-                )
-                self._store.add_test(test)
-                execution = self._execute(test, sibling)
-                if execution is None:
-                    self._store.give_up(test_id)
-                if execution is None or test_id in self._given_up:
-                    search.tell(None)
-                else:
-                    search.tell(execution.fitness, failed=execution.outcome.is_failure)
-
-    def _migrate(self, simulator: str, tests: Sequence[Test]) -> None:
-        """Every test that another sibling's search made (paper 3.4); all of them on the twin (paper 3.6)."""
-        for test in tests:
-            if test.sibling != simulator:
-                self._execute(test, simulator)
+        config = self._config
+        seed = _seed(config.seed, "search", sibling, run)
+        self._store.add_search(sibling, run, config.search.method, seed)
+        search = SEARCHES[config.search.method](config.settings, np.random.default_rng(seed))
+        for number in range(search.budget):
+            test_id = f"{label_of(sibling)}-{run}-{number:04d}"
+            road = search.ask()
+            test_seed = _seed(config.seed, "test", test_id)
+            test = Test(test_id=test_id, sibling=sibling, run=run, number=number, road=road, seed=test_seed)
+            self._store.add_test(test)
+            execution = self._execute(test, sibling)
+            if execution is None:
+                self._store.give_up(test_id)
+            if execution is None or test_id in self._given_up:
+                search.tell(None)
+            else:
+                cell = cell_of(road, execution, features=config.features, published=config.published)
+                search.tell(execution.fitness, failed=execution.outcome.is_failure, cell=cell)
 
     def _execute(self, test: Test, simulator: str) -> Execution | None:
         """One test on one simulator: from the store, or driven, with a bounded number of attempts at errors."""
@@ -172,42 +211,56 @@ class Campaign:
         for attempt in range(self._config.retries + 1):
             if self._stop.is_set():
                 raise Stopped
-            run = self._executor.execute(simulator, test.road, test.seed)
+            run = self._executor.execute(simulator, _as_driven(test.road), test.seed)
             if run.outcome.is_error and self._stop.is_set():
                 raise Stopped
             if run.outcome.is_verdict:
                 execution = self._keep(test, simulator, run)
-                self._unlucky[simulator].clear()
+                with self._lock:
+                    self._unlucky[simulator] = 0
                 self._watcher.finished(test, simulator, execution, fresh=True)
                 return execution
             self._store.add_error(test.test_id, simulator, attempt, run.outcome, run.message)
-        self.failed_executions += 1
         self._count_unlucky(test, simulator, run)
         self._watcher.finished(test, simulator, None, fresh=True)
         return None
 
     def _count_unlucky(self, test: Test, simulator: str, run: RunRecord) -> None:
-        """Stop where it is no longer this test's bad luck, and leave the tests as if they had never been tried."""
-        if test.sibling == simulator and test.test_id in self._given_up:
-            return  # the search has gone on without it in an earlier session
-        unlucky = self._unlucky[simulator]
-        unlucky.append(test.test_id)
-        if len(unlucky) < PATIENCE:
-            return
-        if test.sibling == simulator:
-            self._store.take_back([t for t in unlucky if t.rpartition("-")[0] == test.test_id.rpartition("-")[0]])
+        """Stop where it is no longer this test's bad luck."""
+        with self._lock:
+            self.failed_executions += 1
+            if test.sibling == simulator and test.test_id in self._given_up:
+                return  # the search has gone on without it in an earlier session
+            self._unlucky[simulator] += 1
+            if self._unlucky[simulator] < PATIENCE:
+                return
         raise CampaignError(
             f"{simulator} gave no outcome for {PATIENCE} tests in a row ({run.outcome.name}: {run.message}): see the "
             "folder logs, mend it, and give the same command again"
         )
+
+    def _take_back(self, sibling: str) -> None:
+        """Leave the tests with which the runs of a search ended without any outcome as if never tried."""
+        done = {e.test_id for e in self._store.executions() if e.simulator == sibling}
+        runs: dict[int, list[str]] = {}
+        for test in self._store.tests():
+            if test.sibling == sibling:
+                last = runs.setdefault(test.run, [])
+                if test.test_id in done or test.test_id in self._given_up:
+                    last.clear()
+                else:
+                    last.append(test.test_id)
+        for tests in runs.values():
+            self._store.take_back(tests)
 
     def _keep(self, test: Test, simulator: str, run: RunRecord) -> Execution:
         """Write the bag, then the store."""
         bag = ""
         if self._config.record != "none":
             bag = f"bags/{test.test_id}-on-{label_of(simulator)}"
-            about = {"test_id": test.test_id, "simulator": simulator, "driver": self._config.driver}
-            write_bag(self._folder / bag, self._namespaces[simulator], run, about)
+            about = {"test_id": test.test_id, "driver": self._config.driver}
+            namespace = self._namespaces[simulator]
+            write_bag(self._folder / bag, namespace, simulator, run, about, self._config.record)
         execution = execution_of(test.test_id, simulator, run, bag)
         self._store.add_execution(execution)
         return execution
@@ -233,7 +286,13 @@ def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") ->
             dtype=np.float64,
         ).reshape(-1, 5),
         bag=bag,
+        steering=np.array([command.steering for command in run.commands], dtype=np.float64),
     )
+
+
+def _as_driven(road: Road) -> Road:
+    """The same centre line for a simulator, which is sent control points alone, not that a spline ignores the first."""
+    return Road(road.control_points[1:], lane_width=road.lane_width) if road.published else road
 
 
 def trajectory_sha256(run: RunRecord) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 import typer
 
-from ds_orchestrator.commands import campaigns, drives, networks, roads, siblings, twin
+from ds_orchestrator.commands import bags, campaigns, drives, evaluations, networks, roads, siblings, twin
 from ds_orchestrator.commands.answers import Interrupted
 
 app = typer.Typer(
@@ -21,7 +21,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for part in (campaigns, drives, roads, networks, siblings, twin):
+for part in (campaigns, evaluations, drives, bags, roads, networks, siblings, twin):
     app.add_typer(part.app)
 
 

@@ -13,6 +13,7 @@ from action_msgs.msg import GoalStatus
 from ds_interfaces.action import DriveRoad
 from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
 from rclpy.action import ActionClient
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -64,10 +65,12 @@ class GraphExecutor:
         self._revival = threading.Lock()
         self._driver_renewed = 0.0
         self._stopped = threading.Event()
-        rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("orchestrator")
+        # A context of its own, because several graphs, each in its domain, may be driven by one process.
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("orchestrator", context=self._context)
         self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
-        self._executor = SingleThreadedExecutor()
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._spinner = threading.Thread(target=self._spin, name="spinner", daemon=True)
         self._spinner.start()
@@ -127,7 +130,7 @@ class GraphExecutor:
     def close(self) -> None:
         """Leave the graph."""
         self.stop()
-        rclpy.try_shutdown()
+        rclpy.try_shutdown(context=self._context)
         self._spinner.join(2.0)
 
     def _processes(self, simulator: str) -> set[str]:
@@ -245,7 +248,7 @@ class GraphExecutor:
 
     def _spin(self) -> None:
         try:
-            while rclpy.ok():
+            while rclpy.ok(context=self._context):
                 self._executor.spin_once(timeout_sec=0.2)
         except ExternalShutdownException:
             pass

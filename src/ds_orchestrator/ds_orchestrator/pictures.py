@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_orchestrator.maps import FeatureMap, MapCell
+from ds_orchestrator.features import feature_of
+from ds_orchestrator.maps import FeatureMap, MapCell, slices_of
 from ds_sim.registry import label_of
 
 Value = Literal["probability", "quality"]
@@ -94,7 +95,7 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
     is known about it.
 
     Args:
-        feature_map: to draw.
+        feature_map: to draw, of two features.
         value: `probability` (of failure) or `quality` (lack of it).
         bounds: part of the feature space to show; the same for all maps that are to be compared.
 
@@ -114,14 +115,15 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
         for row, curvature in enumerate(bounds.rows):
             corner = (_LEFT + column * _CELL_WIDTH, _TOP + row * _CELL_HEIGHT)
             _draw_cell(image, corner, feature_map.cells.get((turns, curvature)), value)
+    across, upwards = (feature_of(name) for name in feature_map.features[:2])
     for column, turns in enumerate(bounds.columns):
         middle = _LEFT + column * _CELL_WIDTH + _CELL_WIDTH // 2
-        _write(image, str(turns), (middle, _TOP + grid_height + 18), 0.45, anchor="middle")
+        _write(image, across.label(turns), (middle, _TOP + grid_height + 18), 0.45, anchor="middle")
     for row, curvature in enumerate(bounds.rows):
         baseline = _TOP + row * _CELL_HEIGHT + _CELL_HEIGHT // 2 + 5
-        _write(image, f"{curvature / 100:.2f}", (_LEFT - 8, baseline), 0.42, anchor="end")
-    _write(image, "turns count", (_LEFT + grid_width // 2, _TOP + grid_height + 40), 0.45, anchor="middle")
-    _write_upwards(image, "curvature, 1/m", (8, _TOP + grid_height // 2))
+        _write(image, upwards.label(curvature), (_LEFT - 8, baseline), 0.42, anchor="end")
+    _write(image, across.title, (_LEFT + grid_width // 2, _TOP + grid_height + 40), 0.45, anchor="middle")
+    _write_upwards(image, upwards.title, (8, _TOP + grid_height // 2))
     _draw_colour_bar(image, (_LEFT + grid_width + 18, _TOP + 8))
     return image
 
@@ -141,9 +143,10 @@ def write_maps(maps: Mapping[str, FeatureMap], folder: Path) -> None:
     values: tuple[Value, ...] = ("probability", "quality")
     for name, feature_map in maps.items():
         for value in values:
-            _save(folder / f"{label_of(name)}_{value}.png", draw_map(feature_map, value, bounds=bounds))
+            parts = [draw_map(part, value, bounds=bounds) for part in slices_of(feature_map)]
+            _save(folder / f"{label_of(name)}_{value}.png", np.hstack(parts))
     compared = [m for name, m in maps.items() if name == "merged" or name.startswith(("union_", "twin_"))]
-    if compared:
+    if compared and len(compared[0].features) == 2:
         rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in values]
         width = max(row.shape[1] for row in rows)
         rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]

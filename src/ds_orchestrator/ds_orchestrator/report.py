@@ -18,10 +18,10 @@ from shapely import LineString
 from ds_driver.control import Autopilot
 from ds_orchestrator.config import CampaignConfig
 from ds_orchestrator.evaluation import Correlation
+from ds_orchestrator.features import Cell, feature_of
 from ds_orchestrator.findings import count, summarise
-from ds_orchestrator.maps import FeatureMap
+from ds_orchestrator.maps import FeatureMap, cells_of
 from ds_orchestrator.pictures import VALUE_TITLES, bounds_of, colour_of, ink_on, png, title_of
-from ds_orchestrator.search import Cell
 from ds_orchestrator.store import Execution, Store, Test
 from ds_road import Road
 from ds_road.picture import PALETTE
@@ -58,13 +58,15 @@ def write_report(
     """
     tests, executions = store.tests(), store.executions()
     notes = store.notes()
+    place = _common_test(tests, executions)
     page = _environment().get_template("report.html.j2")
     text = page.render(
         config=config,
         config_yaml=yaml.safe_dump(config.model_dump(), sort_keys=False, allow_unicode=True),
         findings=summarise(config, maps, correlations, executions, tests=len(tests)),
-        cameras=camera_pictures(config.simulators, place) if (place := _common_test(tests, executions)) else [],
+        cameras=camera_pictures(config.simulators, place) if place else [],
         camera_test=place,
+        camera_cell=_cells(config, tests, executions).get(place.test_id, ()) if place else (),
         camera_place=CAMERA_PLACE,
         data=page_data(config, maps, tests, executions),
         correlations=correlations,
@@ -112,6 +114,7 @@ def page_data(
     """Everything that the page draws by itself, as JSON values; lengths in cm, lines as `_line` has them."""
     bounds = bounds_of(maps.values())
     done = {(e.test_id, e.simulator): e for e in executions}
+    cells = _cells(config, tests, executions)
     compared = [name for name in maps if name == "merged" or name.startswith(("union_", "twin_"))]
     scale = [colour_of(percent / 100) for percent in range(101)]
     return {
@@ -125,6 +128,10 @@ def page_data(
         ],
         "turns": bounds.turns,
         "curvature": bounds.curvature,
+        "axes": [
+            {"title": axis.title, "unit": axis.unit, "width": axis.width}
+            for axis in map(feature_of, config.features[:2])
+        ],
         "scale": [[_hex(colour), _hex(ink_on(colour))] for colour in scale],
         "values": VALUE_TITLES,
         "compared": compared,
@@ -148,7 +155,7 @@ def page_data(
                 "number": test.number,
                 "seed": test.seed,
                 "road": test.road.road_id,
-                "cell": test.cell,
+                "cell": list(cells.get(test.test_id, ())),
                 "runs": [
                     _run(execution, test.road) if (execution := done.get((test.test_id, name))) else None
                     for name in config.simulators
@@ -158,6 +165,12 @@ def page_data(
         ],
         "selected": _telling_cell(maps),
     }
+
+
+def _cells(config: CampaignConfig, tests: Sequence[Test], executions: Sequence[Execution]) -> dict[str, Cell]:
+    """Cell by test over the two features that a page can show."""
+    plan = config.map_plan()
+    return cells_of(tests, executions, features=plan.features[:2], published=plan.published)
 
 
 @dataclass(frozen=True, kw_only=True)

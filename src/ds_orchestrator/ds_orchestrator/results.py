@@ -1,16 +1,24 @@
-"""A campaign's results on disk: maps as JSON and pictures, the comparison with the twin, and the report."""
+"""A campaign's results on disk: maps as JSON and pictures, the comparison with the twin as tables, and the report."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from ds_orchestrator.config import CampaignConfig, parse_config
-from ds_orchestrator.evaluation import Correlation, evaluate
+from ds_orchestrator.evaluation import RESAMPLES, Correlation, evaluate, variants
 from ds_orchestrator.maps import FeatureMap, campaign_maps, to_json
+from ds_orchestrator.paper_tables import NETWORKS, Network, correlation_tables, variant_table
+from ds_orchestrator.predictions import architecture_of
 from ds_orchestrator.store import Store, StoreError
+from ds_orchestrator.tables import Table, write_tables
 from ds_sim.registry import label_of
+
+STAGES = ("maps", "evaluation", "report")
+"""What is made of the executions, in order."""
 
 
 def open_store(folder: Path) -> Store:
@@ -29,39 +37,94 @@ def config_of(store: Store) -> CampaignConfig:
     return parse_config(json.loads(store.config), "campaign.sqlite")
 
 
-def maps_of(store: Store) -> dict[str, FeatureMap]:
-    """Every map of a campaign, finished or not."""
+def maps_of(store: Store, *, features: Sequence[str] | None = None) -> dict[str, FeatureMap]:
+    """Every map of a campaign, finished or not; over other features than its own if wanted."""
     config = config_of(store)
-    return campaign_maps(config.siblings, config.twin, store.tests(), store.executions())
+    plan = config.map_plan(frozenset(store.given_up()))
+    if features is not None:
+        plan = replace(plan, features=tuple(features))
+    return campaign_maps(config.siblings, config.twin, store.tests(), store.executions(), plan)
 
 
 def correlations_of(config: CampaignConfig, maps: dict[str, FeatureMap]) -> list[Correlation]:
     """The comparison with the twin, empty without one."""
-    return evaluate(maps, config.siblings, config.twin) if config.twin else []
+    return evaluate(maps, config.siblings, config.twin, resamples=RESAMPLES) if config.twin else []
 
 
-def write_json(folder: Path, maps: dict[str, FeatureMap], correlations: list[Correlation]) -> None:
-    """Write `maps/<name>.json`, `maps/maps.json` and `maps/correlations.json`."""
+def read_correlations(folder: Path) -> list[Correlation]:
+    """What `write_all` wrote of the comparison with the twin."""
+    rows: list[dict[str, Any]] = json.loads((folder / "maps" / "correlations.json").read_text())
+    found = []
+    for row in rows:
+        intervals = {key: tuple(row[key]) if row[key] else None for key in ("r_interval", "auc_interval")}
+        found.append(Correlation(**{**row, **intervals}))
+    return found
+
+
+def network_of(config: CampaignConfig) -> Network | None:
+    """Under which heading the paper has this network, or None if it does not test it."""
+    architecture = architecture_of(config.driver)
+    return (architecture, "real" if config.sim2real else "sim") if architecture in NETWORKS else None
+
+
+def tables_of(config: CampaignConfig, maps: dict[str, FeatureMap], correlations: Sequence[Correlation]) -> list[Table]:
+    """RQ2, RQ3 and their variants, empty without a twin."""
+    if config.twin is None:
+        return []
+    return [
+        *correlation_tables(correlations, config.siblings, config.twin, network_of(config)),
+        variant_table(variants(maps, config.siblings, config.twin)),
+    ]
+
+
+def write_json(folder: Path, maps: dict[str, FeatureMap]) -> None:
+    """Write `maps/<name>.json` and `maps/maps.json`."""
     out = folder / "maps"
     out.mkdir(exist_ok=True)
     document = to_json(maps)
     for name, content in document.items():
         (out / f"{label_of(name)}.json").write_text(_text(content))
     (out / "maps.json").write_text(_text(document))
-    (out / "correlations.json").write_text(_text([asdict(c) for c in correlations]))
 
 
-def write_all(folder: Path, store: Store) -> Path:
-    """Write maps, pictures and report of what the store holds; the path of the report."""
+def write_all(
+    folder: Path, store: Store, *, again: bool = True, say: Callable[[str], None] = lambda line: None
+) -> Path:
+    """Make maps, evaluation and report of what the store holds.
+
+    Args:
+        folder: of the campaign.
+        store: what was done, finished or not.
+        again: also what was made already of as many executions; otherwise only what is missing.
+        say: told the stage that begins.
+
+    Returns:
+        The path of the report.
+    """
     from ds_orchestrator.pictures import write_maps
     from ds_orchestrator.report import write_report
 
-    config = config_of(store)
+    config, count = config_of(store), store.count_executions()
+    report = folder / "report.html"
+    made = {stage for stage, executions in store.results().items() if executions == count}
+    if not again and made >= set(STAGES) and report.exists():
+        return report
     maps = maps_of(store)
-    correlations = correlations_of(config, maps)
-    write_json(folder, maps, correlations)
+    say("stage: maps")
+    write_json(folder, maps)
     write_maps(maps, folder / "maps")
-    return write_report(folder, store, config, maps, correlations)
+    store.set_result("maps", count)
+    say("stage: evaluation")
+    correlations = correlations_of(config, maps)
+    (folder / "maps" / "correlations.json").write_text(_text([asdict(c) for c in correlations]))
+    write_tables(tables_of(config, maps, correlations), folder / "evaluation")
+    store.set_result("evaluation", count)
+    say("stage: report")
+    # The report's maps have two axes.
+    flat = maps if len(config.features) == 2 else maps_of(store, features=config.features[:2])
+    write_report(folder, store, config, flat, correlations)
+    store.set_result("report", count)
+    return report
 
 
 def _text(value: object) -> str:

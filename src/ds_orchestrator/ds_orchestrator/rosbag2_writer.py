@@ -1,12 +1,15 @@
 """The rosbag2 format of ROS 2 Jazzy: a folder with one MCAP file and `metadata.yaml`, version 9.
 
 MCAP profile `ros2`, messages as `cdr`, schemas as `ros2msg` text; each channel carries its QoS and its type's hash, and
-a metadata record `rosbag2` repeats the folder's metadata, so that the file alone is enough for a reader.
+a metadata record `rosbag2` repeats the folder's metadata, so that the file alone is enough for a reader. A record
+`digital_siblings` at the very beginning says what is being recorded, so that a killed writer leaves that too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,60 +18,118 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys.store import Typestore
 
 CHUNK_SIZE = 64 * 1024
-"""Bytes; small, so that a writer that is killed loses next to nothing of what it was given."""
+"""Bytes before compression; small, so that a writer that is killed loses next to nothing of what it was given."""
+ABOUT_RECORD = "digital_siblings"
+"""Name of the MCAP metadata record with the facts that are known when recording begins."""
 _NEVER = {"sec": 9223372036, "nsec": 854775807}
 """An infinite duration as rmw writes it."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """What a bag says about a topic.
+
+    Attributes:
+        name: with its namespace.
+        message_type: such as `sensor_msgs/msg/Image`.
+        definition: text of the type and of every type in it.
+        digest: RIHS01 hash of the type.
+        qos: profile of the publisher as YAML, a list of one.
+        encoding: of the definition, `ros2msg` or `ros2idl`.
+    """
+
+    name: str
+    message_type: str
+    definition: str
+    digest: str
+    qos: str
+    encoding: str = "ros2msg"
+
+
+# The C library's dumper is eight times faster; a wheel without it has the other.
+_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+def _yaml(value: Any) -> str:
+    return str(yaml.dump(value, Dumper=_Dumper))
+
+
+@lru_cache
+def topic_of(typestore: Typestore, name: str, message_type: str, *, depth: int, latched: bool = False) -> Topic:
+    """A topic of reliable messages, of a type that a typestore knows."""
+    definition, _ = typestore.generate_msgdef(message_type, ros_version=2)
+    return Topic(
+        name=name,
+        message_type=message_type,
+        definition=definition,
+        digest=typestore.hash_rihs01(message_type),
+        qos=_yaml([_qos(depth, latched)]),
+    )
+
+
 class Rosbag2Writer:
-    """Writes one bag; close it to make it whole.
+    """Writes one bag; close it to make it whole. What was flushed can be recovered from one that was not closed.
 
     Args:
         folder: of the bag; must not exist.
-        typestore: knows the messages' definitions and hashes.
+        about: facts that are known now; they are on the disk before the first message.
     """
 
-    def __init__(self, folder: Path, typestore: Typestore) -> None:
+    def __init__(self, folder: Path, about: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
         self._folder = folder
-        self._typestore = typestore
         self._file = (folder / f"{folder.name}.mcap").open("wb")
-        self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
+        # A chunk ends in `write`, which also hands it to the operating system; never by the library's own count.
+        self._mcap = Writer(self._file, chunk_size=2**62, compression=CompressionType.ZSTD)
         self._mcap.start(profile="ros2", library="digital-siblings")
+        self._mcap.add_metadata(ABOUT_RECORD, dict(about))
+        self._file.flush()
         self._schemas: dict[str, int] = {}
         self._channels: dict[int, dict[str, Any]] = {}
         self._first, self._last = 2**63 - 1, 0
+        self._pending = 0
 
-    def channel(self, topic: str, message_type: str, *, depth: int, latched: bool = False) -> int:
-        """Declare a topic of reliable messages; its number is for `write`."""
-        if message_type not in self._schemas:
-            definition, _ = self._typestore.generate_msgdef(message_type, ros_version=2)
-            self._schemas[message_type] = self._mcap.register_schema(message_type, "ros2msg", definition.encode())
-        qos = [_qos(depth, latched)]
-        digest = self._typestore.hash_rihs01(message_type)
+    def channel(self, topic: Topic) -> int:
+        """Declare a topic; its number is for `write`."""
+        if topic.message_type not in self._schemas:
+            self._schemas[topic.message_type] = self._mcap.register_schema(
+                topic.message_type, topic.encoding, topic.definition.encode()
+            )
         number = self._mcap.register_channel(
-            topic,
+            topic.name,
             "cdr",
-            self._schemas[message_type],
-            {"offered_qos_profiles": yaml.safe_dump(qos), "topic_type_hash": digest},
+            self._schemas[topic.message_type],
+            {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.digest},
         )
         topic_metadata = {
-            "name": topic,
-            "type": message_type,
+            "name": topic.name,
+            "type": topic.message_type,
             "serialization_format": "cdr",
-            "offered_qos_profiles": qos,
-            "type_description_hash": digest,
+            "offered_qos_profiles": yaml.safe_load(topic.qos) or [],
+            "type_description_hash": topic.digest,
         }
         self._channels[number] = {"topic_metadata": topic_metadata, "message_count": 0}
         return number
 
-    def write(self, channel: int, nanoseconds: int, message: Any) -> None:
-        """Write one message, an object of the typestore's, at a time."""
+    def write(self, channel: int, nanoseconds: int, data: bytes) -> None:
+        """Write one serialised message at a time."""
         counted = self._channels[channel]
-        data = bytes(self._typestore.serialize_cdr(message, counted["topic_metadata"]["type"]))
         self._mcap.add_message(channel, nanoseconds, data, nanoseconds, counted["message_count"])
         counted["message_count"] += 1
         self._first, self._last = min(self._first, nanoseconds), max(self._last, nanoseconds)
+        self._pending += len(data)
+        if self._pending >= CHUNK_SIZE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Give everything so far to the operating system: a writer that is killed after this loses none of it."""
+        self._mcap.flush()
+        self._pending = 0
+
+    def note(self, name: str, facts: Mapping[str, str]) -> None:
+        """Write a metadata record behind what was written so far."""
+        self.flush()
+        self._mcap.add_metadata(name, dict(facts))
 
     def close(self, custom_data: Mapping[str, str]) -> None:
         """Write index and metadata.
@@ -77,10 +138,11 @@ class Rosbag2Writer:
             custom_data: facts about the bag.
         """
         information = self._information(dict(custom_data))
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information)})
+        # Behind the last message, so that whoever finds this record in the remains of a file has all of them.
+        self.note("rosbag2", {"serialized_metadata": _yaml(information)})
         self._mcap.finish()
         self._file.close()
-        text = yaml.safe_dump({"rosbag2_bagfile_information": information})
+        text = _yaml({"rosbag2_bagfile_information": information})
         (self._folder / "metadata.yaml").write_text(text)
 
     def abort(self) -> None:

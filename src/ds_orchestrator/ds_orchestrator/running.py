@@ -11,6 +11,7 @@ from ds_orchestrator.domain import Domain
 from ds_orchestrator.graph import GraphExecutor
 from ds_orchestrator.graph_plan import driver_process, simulator_processes
 from ds_orchestrator.supervisor import Supervisor
+from ds_orchestrator.worker_pool import WorkerPool
 
 
 @contextmanager
@@ -48,3 +49,23 @@ def running_graph(
         executor.wait_until_ready()
         executor.check_simulators()
         yield executor
+
+
+@contextmanager
+def running_workers(
+    count: int, namespaces: dict[str, str], driver: str, *, command_timeout: float, logs: Path
+) -> Iterator[WorkerPool]:
+    """So many graphs that are ready to drive; each keeps its logs in a folder `worker_<number>`, from 1.
+
+    Raises:
+        ds_orchestrator.graph.GraphError: one does not come up.
+        ds_orchestrator.supervisor.ProcessError: a process of one ended.
+    """
+    with ExitStack() as stack:
+        graphs = [
+            stack.enter_context(
+                running_graph(namespaces, driver, command_timeout=command_timeout, logs=logs / f"worker_{number}")
+            )
+            for number in range(1, count + 1)
+        ]
+        yield WorkerPool(graphs, list(namespaces))

@@ -7,32 +7,36 @@ import sqlite3
 import threading
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_orchestrator.search import Cell, cell_of
 from ds_road import Road
 from ds_sim.simulator import Outcome
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _SCHEMA = """
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE tests (
     test_id TEXT PRIMARY KEY, sibling TEXT NOT NULL, run INTEGER NOT NULL, number INTEGER NOT NULL,
     road_id TEXT NOT NULL, control_points TEXT NOT NULL, turns_count INTEGER NOT NULL, curvature_bin INTEGER NOT NULL,
-    curvature REAL NOT NULL, seed INTEGER NOT NULL);
+    curvature REAL NOT NULL, seed INTEGER NOT NULL, published INTEGER NOT NULL);
 CREATE TABLE executions (
     test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, outcome TEXT NOT NULL, message TEXT NOT NULL,
     fitness REAL NOT NULL, max_lateral_position REAL NOT NULL, steps INTEGER NOT NULL,
-    simulated_seconds REAL NOT NULL, trajectory_sha256 TEXT NOT NULL, trajectory BLOB NOT NULL, bag TEXT NOT NULL,
+    simulated_seconds REAL NOT NULL, trajectory_sha256 TEXT NOT NULL, trajectory BLOB NOT NULL, steering BLOB NOT NULL,
+    bag TEXT NOT NULL,
     PRIMARY KEY (test_id, simulator));
 CREATE TABLE errors (
     test_id TEXT NOT NULL, simulator TEXT NOT NULL, attempt INTEGER NOT NULL, outcome TEXT NOT NULL,
     message TEXT NOT NULL);
 CREATE TABLE given_up (test_id TEXT PRIMARY KEY);
+CREATE TABLE searches (
+    sibling TEXT NOT NULL, run INTEGER NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
+    PRIMARY KEY (sibling, run));
+CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL);
 """
 
 
@@ -62,11 +66,6 @@ class Test:
     road: Road
     seed: int
 
-    @property
-    def cell(self) -> Cell:
-        """Its place in a feature map."""
-        return cell_of(self.road)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Execution:
@@ -75,6 +74,7 @@ class Execution:
     Attributes:
         trajectory: (steps + 1, 5) float64: x, y, yaw, speed, lateral position; m, rad, m/s.
         bag: folder of the bag relative to the campaign's, or "".
+        steering: (steps,) float64, the commands in [-1, 1].
     """
 
     test_id: str
@@ -88,6 +88,7 @@ class Execution:
     trajectory_sha256: str
     trajectory: NDArray[np.float64]
     bag: str = ""
+    steering: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 class Store:
@@ -158,10 +159,10 @@ class Store:
         road = test.road
         row = (
             test.test_id, test.sibling, test.run, test.number, road.road_id, json.dumps(road.control_points),
-            road.turns_count, road.curvature_bin, road.curvature, test.seed,
+            road.turns_count, road.curvature_bin, road.curvature, test.seed, road.published,
         )  # fmt: skip
         with self._lock:
-            self._db.execute("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?)", row)
+            self._db.execute("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
             known = self._db.execute("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,)).fetchone()[0]
         if known != road.road_id:
             raise StoreError(
@@ -174,10 +175,11 @@ class Store:
         row = (
             execution.test_id, execution.simulator, execution.outcome.name, execution.message, execution.fitness,
             execution.max_lateral_position, execution.steps, execution.simulated_seconds,
-            execution.trajectory_sha256, zlib.compress(execution.trajectory.tobytes()), execution.bag,
+            execution.trajectory_sha256, zlib.compress(execution.trajectory.tobytes()),
+            zlib.compress(execution.steering.tobytes()), execution.bag,
         )  # fmt: skip
         with self._lock:
-            self._db.execute("INSERT OR REPLACE INTO executions VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
+            self._db.execute("INSERT OR REPLACE INTO executions VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
 
     def add_error(self, test_id: str, simulator: str, attempt: int, outcome: Outcome, message: str) -> None:
         """Remember an attempt that ended in an error."""
@@ -205,6 +207,26 @@ class Store:
         with self._lock:
             return {row[0] for row in self._db.execute("SELECT test_id FROM given_up")}
 
+    def add_search(self, sibling: str, run: int, method: str, seed: int) -> None:
+        """Remember how one run of a search was begun."""
+        with self._lock:
+            self._db.execute("INSERT OR IGNORE INTO searches VALUES (?,?,?,?)", (sibling, run, method, seed))
+
+    def searches(self) -> list[tuple[str, int, str, int]]:
+        """Every run of a search: sibling, run, method, seed."""
+        with self._lock:
+            return self._db.execute("SELECT * FROM searches ORDER BY sibling, run").fetchall()
+
+    def set_result(self, stage: str, executions: int) -> None:
+        """Remember that a result was made of so many executions."""
+        with self._lock:
+            self._db.execute("INSERT OR REPLACE INTO results VALUES (?,?)", (stage, executions))
+
+    def results(self) -> dict[str, int]:
+        """Result -> number of executions of which it was made."""
+        with self._lock:
+            return dict(self._db.execute("SELECT stage, executions FROM results").fetchall())
+
     def errors(self) -> list[tuple[str, str, int, str, str]]:
         """Attempts that ended in an error: test, simulator, attempt, outcome, message."""
         with self._lock:
@@ -214,11 +236,19 @@ class Store:
         """Every test, ordered by sibling, run and number."""
         with self._lock:
             rows = self._db.execute(
-                "SELECT test_id, sibling, run, number, control_points, seed FROM tests ORDER BY sibling, run, number"
+                "SELECT test_id, sibling, run, number, control_points, seed, published FROM tests"
+                " ORDER BY sibling, run, number"
             ).fetchall()
         return [
-            Test(test_id=i, sibling=s, run=r, number=n, road=Road(json.loads(points)), seed=seed)
-            for i, s, r, n, points, seed in rows
+            Test(
+                test_id=i,
+                sibling=s,
+                run=r,
+                number=n,
+                road=Road(json.loads(points), published=bool(published)),
+                seed=seed,
+            )
+            for i, s, r, n, points, seed, published in rows
         ]
 
     def execution(self, test_id: str, simulator: str) -> Execution | None:
@@ -230,11 +260,16 @@ class Store:
         """Every execution, ordered by simulator and test."""
         return self._executions("", ())
 
+    def count_executions(self) -> int:
+        """Number of executions."""
+        with self._lock:
+            return int(self._db.execute("SELECT count(*) FROM executions").fetchone()[0])
+
     def _executions(self, where: str, values: tuple[str, ...]) -> list[Execution]:
         with self._lock:
             rows = self._db.execute(
                 "SELECT test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds,"
-                f" trajectory_sha256, trajectory, bag FROM executions {where} ORDER BY simulator, test_id",
+                f" trajectory_sha256, trajectory, bag, steering FROM executions {where} ORDER BY simulator, test_id",
                 values,
             ).fetchall()
         return [
@@ -250,6 +285,7 @@ class Store:
                 trajectory_sha256=row[8],
                 trajectory=np.frombuffer(zlib.decompress(row[9])).reshape(-1, 5),
                 bag=row[10],
+                steering=np.frombuffer(zlib.decompress(row[11])),
             )  # fmt: skip
             for row in rows
         ]

@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import beta
+from statsmodels.stats.proportion import proportion_confint
 
-from ds_orchestrator.evaluation import correlate, evaluate
-from ds_orchestrator.maps import FeatureMap, MapCell, campaign_maps, merge, to_json
-from ds_orchestrator.search import Cell
+from ds_orchestrator.evaluation import correlate, evaluate, variants
+from ds_orchestrator.features import Cell
+from ds_orchestrator.maps import (
+    FeatureMap,
+    MapCell,
+    MapPlan,
+    campaign_maps,
+    cells_of,
+    elites_of,
+    merge,
+    slices_of,
+    to_json,
+    union,
+)
+from ds_orchestrator.operators import apply, jeffreys_interval, merged_interval
 from ds_orchestrator.store import Execution, Test
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome
@@ -106,7 +121,7 @@ cells = st.dictionaries(
     ),
     max_size=8,
 )  # fmt: skip
-feature_maps = cells.map(lambda c: FeatureMap(name="m", cells=c))
+feature_maps = cells.map(lambda c: FeatureMap(name="m", cells={(*cell,): value for cell, value in c.items()}))
 
 
 @given(st.lists(feature_maps, min_size=1, max_size=4), st.randoms())
@@ -124,6 +139,247 @@ def test_merge_does_not_depend_on_order_and_never_exceeds_any_sibling(maps: list
 @given(feature_maps)
 def test_one_sibling_gives_itself_back(feature_map: FeatureMap) -> None:
     assert merge("m", [feature_map]).cells == feature_map.cells
+    alone = union("m", [feature_map])
+    assert probabilities(alone) == probabilities(feature_map)
+    for cell, value in alone.cells.items():
+        assert value.quality == feature_map.cells[cell].quality == pytest.approx(value.pooled_quality)
+
+
+@given(st.lists(feature_maps, min_size=1, max_size=4), st.randoms())
+def test_a_union_adds_up_and_does_not_depend_on_order(maps: list[FeatureMap], random: object) -> None:
+    shuffled = list(maps)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    one = union("m", maps)
+    assert one == union("m", shuffled)
+    assert set(one.cells) == set().union(*(m.cells for m in maps))
+    for cell, value in one.cells.items():
+        parts = [m.cells[cell] for m in maps if cell in m.cells]
+        assert value.tests == sum(p.tests for p in parts) and value.failures == sum(p.failures or 0 for p in parts)
+        qualities = [p.quality for p in parts]
+        assert min(qualities) - 1e-12 <= value.quality <= max(qualities) + 1e-12
+        assert value.interval is not None and value.interval[0] <= value.probability <= value.interval[1]
+
+
+def test_both_qualities_of_a_union_with_unequal_counts() -> None:
+    """Nine tests of 0.1 and one of 0.9: the paper's mean of the maps' means is 0.5, maxitwo's mean of tests 0.18."""
+    many = FeatureMap(name="a", cells={(1, 5): MapCell(tests=9, failures=0, probability=0.0, quality=0.1)})
+    one = FeatureMap(
+        name="b",
+        cells={
+            (1, 5): MapCell(tests=1, failures=1, probability=1.0, quality=0.9),
+            (2, 5): MapCell(tests=1, failures=1, probability=1.0, quality=0.9),
+        },
+    )
+    paper, pooled = union("u", [many, one]), union("u", [many, one], pooled_quality=True)
+    assert (paper.cells[1, 5].quality, paper.cells[1, 5].pooled_quality) == pytest.approx((0.5, 0.18))
+    assert pooled.cells[1, 5].quality == pytest.approx(0.18)
+    # A cell that one map leaves empty is the other's: what is not known is not 0.
+    assert paper.cells[2, 5].quality == pooled.cells[2, 5].quality == 0.9
+    assert paper.cells[1, 5].probability == pytest.approx(1 / 10)
+
+
+def test_maps_of_different_features_do_not_mix() -> None:
+    other = FeatureMap(name="b", cells={}, features=("curvature", "turns_count"))
+    for combine in (union, merge):
+        with pytest.raises(ValueError, match="different features"):
+            combine("m", [FeatureMap(name="a", cells={}), other])
+        with pytest.raises(ValueError, match="no maps"):
+            combine("m", [])
+
+
+# Elites of the table: a0 and a3; b0, which failed before b1 did, and b3; c2, which failed where c0 did not, and c3.
+ELITES = {"a0", "a3", "b0", "b3", "c2", "c3"}
+
+
+def test_elites_of_the_hand_worked_campaign() -> None:
+    assert elites_of(TESTS, EXECUTIONS, cells_of(TESTS, EXECUTIONS)) == ELITES
+    # A search that went on without the outcome of a0 kept a1, the first of two equal ones.
+    assert elites_of(TESTS, EXECUTIONS, cells_of(TESTS, EXECUTIONS), ignored={"a0"}) == ELITES - {"a0"} | {"a1"}
+
+
+def test_migrated_elites_and_the_published_way() -> None:
+    x, y = CELLS[X], CELLS[Y]
+    chosen = campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True))
+    assert probabilities(chosen["search_a"]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
+    # a0 and b0 fail on a, c2 does not; of a3, b3 and c3 only c3 does.
+    assert probabilities(chosen["union_a"]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
+    assert probabilities(chosen["union_b"]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
+    assert probabilities(chosen["twin_twin"]) == {x: (3, pytest.approx(2 / 3)), y: (3, 0.0)}
+    assert probabilities(chosen["merged"])[x] == (3, pytest.approx(2 / 3 * 2 / 3 * 2 / 3))
+    published = campaign_maps(
+        SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True, published=True, quality="maximum")
+    )
+    assert all(value.tests == 1 for value in published["search_a"].cells.values())
+    assert published["search_a"].cells.keys() <= {(r.turns_count_published, r.curvature_bin) for r in ROADS.values()}
+
+
+@pytest.mark.parametrize(
+    ("operator", "expected"),
+    [("product", 0.02), ("minimum", 0.1), ("maximum", 0.5), ("mean", 1 / 3), ("weighted_mean", 0.3)],
+)
+def test_operators(operator: str, expected: float) -> None:
+    """Values 0.5, 0.1 and 0.4 of 4, 4 and 2 tests; weighted (2 + 0.4 + 0.8) / 10 = 0.32."""
+    expected = 0.32 if operator == "weighted_mean" else expected
+    assert apply(operator, [0.5, 0.1, 0.4], [4, 4, 2]) == pytest.approx(expected)
+    assert apply(operator, [0.4, 0.5, 0.1], [2, 4, 4]) == apply(operator, [0.5, 0.1, 0.4], [4, 4, 2])
+
+
+def test_jeffreys_interval_is_that_of_statsmodels() -> None:
+    for failures, tests in ((1, 3), (5, 9), (30, 170), (2, 4)):
+        assert jeffreys_interval(failures, tests) == pytest.approx(
+            proportion_confint(failures, tests, method="jeffreys")
+        )
+    assert jeffreys_interval(0, 5)[0] == 0.0 and jeffreys_interval(5, 5)[1] == 1.0
+    assert jeffreys_interval(0, 5)[1] == pytest.approx(proportion_confint(0, 5, method="jeffreys")[1])
+
+
+def test_the_interval_of_a_product_is_that_of_its_distribution() -> None:
+    """Against the distribution function of the product, integrated: P(A B <= z) = E[F_B(z / A)]."""
+    counts = [(3, 9), (4, 9)]
+    a, b = (beta(f + 0.5, n - f + 0.5) for f, n in counts)
+    grid = (np.arange(20_000) + 0.5) / 20_000
+    quantiles = a.ppf(grid)
+    low, high = merged_interval("product", counts)
+    for end, tail in ((low, 0.025), (high, 0.975)):
+        assert float(np.mean(b.cdf(end / quantiles))) == pytest.approx(tail, abs=0.004)
+    # Multiplying the ends of the siblings' intervals would claim far less.
+    assert high < jeffreys_interval(3, 9)[1] * jeffreys_interval(4, 9)[1] - 0.1
+    assert merged_interval("product", counts[::-1]) == (low, high)
+    assert merged_interval("product", [(0, 3), (2, 3)])[0] == 0.0
+    assert merged_interval("product", [(3, 3), (3, 3)])[1] == 1.0
+
+
+def test_the_interval_of_extremes_is_exact() -> None:
+    """P(max <= z) is the product of the distribution functions."""
+    counts = [(1, 5), (2, 5), (4, 8)]
+    low, high = merged_interval("maximum", counts)
+    for end, tail in ((low, 0.025), (high, 0.975)):
+        cdf = math.prod(float(beta(f + 0.5, n - f + 0.5).cdf(end)) for f, n in counts)
+        assert cdf == pytest.approx(tail, abs=0.005)
+
+
+def test_the_authors_rules_on_the_same_counts() -> None:
+    """Plain dictionaries after the authors' rules: pooled unions, merges, -2 in empty cells, average precision."""
+    rng = np.random.default_rng(3)
+    names, where = ["a", "b", "twin"], [(i, j) for i in range(4) for j in range(5, 9)]
+    counted: dict[tuple[str, str], dict[Cell, list[tuple[bool, float]]]] = {}
+    for origin in "ab":
+        filled = [where[k] for k in rng.choice(len(where), 9, replace=False)]
+        sizes = rng.integers(1, 5, len(filled))
+        hard = rng.random(len(filled))
+        for target in names:
+            counted[origin, target] = {
+                cell: [(bool(rng.random() < h), float(rng.random())) for _ in range(size)]
+                for cell, size, h in zip(filled, sizes, hard, strict=True)
+            }
+
+    def feature_map(name: str, individuals: dict[Cell, list[tuple[bool, float]]]) -> FeatureMap:
+        cells: dict[Cell, MapCell] = {}
+        for cell, group in individuals.items():
+            n, q = sum(failed for failed, _ in group), sum(value for _, value in group) / len(group)
+            cells[cell] = MapCell(tests=len(group), failures=n, probability=n / len(group), quality=q, pooled_quality=q)
+        return FeatureMap(name=name, cells=cells)
+
+    def pooled(target: str) -> dict[Cell, list[tuple[bool, float]]]:
+        one, other = counted["a", target], counted["b", target]
+        return {cell: one.get(cell, []) + other.get(cell, []) for cell in {*one, *other}}
+
+    unions = {}
+    for target in names:
+        parts = [feature_map(f"{origin} to {target}", counted[origin, target]) for origin in "ab"]
+        united = union(f"union_{target}", parts, pooled_quality=True)
+        for cell, group in pooled(target).items():
+            assert united.cells[cell].probability == sum(failed for failed, _ in group) / len(group)
+            assert united.cells[cell].quality == pytest.approx(sum(value for _, value in group) / len(group))
+        unions[target] = united
+    a, b, twin = (unions[name].cells for name in names)
+    assert set(a) == set(b) == set(twin)
+    rules = {
+        "product": {c: a[c].probability * b[c].probability for c in a},
+        "mean": {c: (a[c].probability + b[c].probability) / 2 for c in a},
+        "weighted_mean": {
+            c: (a[c].tests * a[c].probability + b[c].tests * b[c].probability) / (a[c].tests + b[c].tests) for c in a
+        },
+    }
+    for operator, expected in rules.items():
+        merged = merge("merged", [unions["a"], unions["b"]], probability=operator)
+        assert {c: v.probability for c, v in merged.cells.items()} == pytest.approx(expected)
+        assert all(merged.cells[c].quality == min(a[c].quality, b[c].quality) for c in a)
+    # Correlation: over the cells of both, and over the whole grid with -2 in what is empty.
+    merged = merge("merged", [unions["a"], unions["b"]])
+    score, truth = ([m[c].probability for c in sorted(a)] for m in (merged.cells, twin))
+    found = correlate(merged, unions["twin"], "probability")
+    assert found.r == pytest.approx(np.corrcoef(score, truth)[0, 1])
+    fails = np.array(truth) > 0
+    assert found.auc == pytest.approx(average_precision(score, fails)) and found.baseline == fails.mean()
+    searches = {f"search_{n}": feature_map("s", counted[n, n]) for n in "ab"}
+    own = {f"migration_{n}_to_twin": feature_map("t", counted[n, "twin"]) for n in "ab"}
+    maps = {**searches, **own, "union_a": unions["a"], "union_b": unions["b"], "merged": merged}
+    others = variants({**maps, "twin_twin": unions["twin"]}, ["a", "b"], "twin")
+    (filled_row,) = [v for v in others if "-2" in v.what and v.name == "merged" and v.value == "probability"]
+    low, high = np.min(sorted(a), axis=0), np.max(sorted(a), axis=0)
+    grid = [(i, j) for i in range(low[0], high[0] + 1) for j in range(low[1], high[1] + 1)]
+    with_fillers = [[m[c].probability if c in m else -2.0 for c in grid] for m in (merged.cells, twin)]
+    assert len(grid) > len(a) and filled_row.cells == len(grid)
+    assert filled_row.r == pytest.approx(np.corrcoef(with_fillers[0], with_fillers[1])[0, 1])
+    (both,) = [v for v in others if "above 0" in v.what and v.name == "merged" and v.value == "probability"]
+    assert both.cells == sum(s > 0 and t > 0 for s, t in zip(score, truth, strict=True))
+    averaged = [v for v in others if v.what == "merged by mean" and v.value == "probability"]
+    assert averaged[0].r == pytest.approx(np.corrcoef([rules["mean"][c] for c in sorted(a)], truth)[0, 1])
+
+
+def average_precision(score: list[float], fails: np.ndarray[Any, Any]) -> float:
+    """Sum over thresholds of (gain in recall) x precision."""
+    total, last = 0.0, 0.0
+    for threshold in sorted(set(score), reverse=True):
+        chosen = np.array(score) >= threshold
+        recall, precision = fails[chosen].sum() / fails.sum(), fails[chosen].mean()
+        total, last = total + (recall - last) * precision, recall
+    return total
+
+
+def test_intervals_over_cells_are_those_of_a_bootstrap() -> None:
+    """Against resamples drawn here; and the same again gives the same."""
+    rng = np.random.default_rng(8)
+    truth = np.round(rng.random(40) * (rng.random(40) < 0.5), 2)
+    ours = np.clip(truth + rng.normal(0, 0.3, 40), 0, 1)
+    found = correlate(row(ours.tolist()), row(truth.tolist()), "probability", resamples=400)
+    again = correlate(row(ours.tolist()), row(truth.tolist()), "probability", resamples=400)
+    assert found == again and found.r is not None and found.r_interval is not None and found.auc_interval is not None
+    drawn = rng.integers(40, size=(4000, 40))
+    expected = np.quantile([np.corrcoef(ours[k], truth[k])[0, 1] for k in drawn], [0.025, 0.975])
+    assert found.r_interval == pytest.approx(expected, abs=0.05)
+    assert found.r_interval[0] < found.r < found.r_interval[1]
+    assert 0 <= found.auc_interval[0] < found.auc_interval[1] <= 1
+    # Where hardly any cell fails, some resamples have no failure at all: they are left out, and never become NaN.
+    rare = correlate(row(ours.tolist()), row([0.0] * 39 + [1.0]), "probability", resamples=100)
+    assert rare.auc_interval is not None and all(map(math.isfinite, (*rare.auc_interval, *(rare.r_interval or (0, 0)))))
+
+
+def test_an_auc_that_is_not_defined_says_why() -> None:
+    for truth, reason in (([0.0] * 3, "no cell"), ([0.5, 1.0, 0.2], "every cell")):
+        found = correlate(row([0.1, 0.2, 0.3]), row(truth), "probability")
+        assert found.auc is None and reason in found.auc_reason
+    assert "no cells" in correlate(row([]), row([]), "probability").auc_reason
+
+
+def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_made_the_test() -> None:
+    """The same cell on every simulator, whatever the steering there; without that run no cell at all."""
+
+    def steered(test_id: str, simulator: str, commands: list[float]) -> Execution:
+        execution = make_execution(test_id, simulator, 0.5)
+        return replace(execution, steering=np.array(commands), trajectory=np.full((3, 5), -0.257))
+
+    tests = [make_test("a0", "a", X), make_test("b0", "b", X)]
+    done = [steered("a0", "a", [0.5, -0.5]), steered("a0", "b", [0.1, 0.1]), steered("b0", "a", [0.2, -0.2])]
+    plan = MapPlan(features=("steering_deviation", "mean_lateral_position:10", "turns_count"))
+    maps = campaign_maps(["a", "b"], None, tests, done, plan)
+    cell = (50, 2, X)  # deviation 0.5; 25 cm in steps of ten
+    assert set(maps["search_a"].cells) == set(maps["migration_a_to_b"].cells) == {cell}
+    assert set(maps["union_a"].cells) == set(maps["union_b"].cells) == {cell}
+    assert not maps["search_b"].cells and not maps["migration_b_to_a"].cells
+    (sliced,) = slices_of(maps["union_a"])
+    assert sliced.features == plan.features[:2] and set(sliced.cells) == {(50, 2)}
 
 
 def test_counts_add_up_over_origins() -> None:
@@ -136,10 +392,10 @@ def test_counts_add_up_over_origins() -> None:
 
 
 def row(values: list[float]) -> FeatureMap:
-    return FeatureMap(
-        name="m",
-        cells={(i, 5): MapCell(tests=1, failures=0, probability=v, quality=1 - v) for i, v in enumerate(values)},
-    )
+    cells: dict[Cell, MapCell] = {
+        (i, 5): MapCell(tests=1, failures=0, probability=v, quality=1 - v) for i, v in enumerate(values)
+    }
+    return FeatureMap(name="m", cells=cells)
 
 
 def test_pearson_equals_the_textbook_formula() -> None:
@@ -162,7 +418,7 @@ def test_a_correlation_that_is_not_defined_says_why(ours: list[float], truth: li
 
 
 def test_every_sibling_and_the_merge_are_compared_with_the_twin() -> None:
-    found = evaluate(campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS), SIBLINGS, "twin")
+    found = evaluate(campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS), SIBLINGS, "twin", resamples=20)
     names = ["union_a", "union_b", "union_c", "merged"]
     assert [(c.name, c.value) for c in found] == [(n, v) for v in ("probability", "quality") for n in names]
 

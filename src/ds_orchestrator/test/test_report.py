@@ -16,6 +16,7 @@ import pytest
 
 from ds_orchestrator.config import CampaignConfig
 from ds_orchestrator.evaluation import Correlation, evaluate
+from ds_orchestrator.features import Cell
 from ds_orchestrator.findings import summarise
 from ds_orchestrator.maps import FeatureMap, MapCell, campaign_maps
 from ds_orchestrator.report import TOLERANCE, camera_pictures, page_data, write_report
@@ -141,7 +142,7 @@ def test_every_map_and_every_test_is_inside(campaign: tuple[Page, str, Store, Ca
     data = page.data
     assert set(data["maps"]) == set(maps) == {*data["compared"], *data["origins"]}
     for name, feature_map in maps.items():
-        cells = {(c[0], c[1]): c[2:] for c in data["maps"][name]["cells"]}
+        cells: dict[Cell, Any] = {(c[0], c[1]): c[2:] for c in data["maps"][name]["cells"]}
         assert set(cells) == set(feature_map.cells)
         for cell, value in feature_map.cells.items():
             assert cells[cell][:2] == [value.tests, value.failures]
@@ -263,7 +264,9 @@ TWIN = (1.0, 0.0, 0.0, 0.5)
 
 
 def hand_made(name: str, values: tuple[float, ...]) -> FeatureMap:
-    cells = {(k, 10): MapCell(tests=2, failures=None, probability=v, quality=v) for k, v in enumerate(values)}
+    cells: dict[Cell, MapCell] = {
+        (k, 10): MapCell(tests=2, failures=None, probability=v, quality=v) for k, v in enumerate(values)
+    }
     return FeatureMap(name=name, cells=cells)
 
 

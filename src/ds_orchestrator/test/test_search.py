@@ -5,10 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_orchestrator.search import DeepHyperion, SearchSettings, cell_of
-from ds_road import Road
+from ds_orchestrator.features import Cell
+from ds_orchestrator.search import (
+    SEARCHES,
+    Archive,
+    DeepHyperion,
+    DeepHyperionCS,
+    RandomSearch,
+    Search,
+    SearchSettings,
+)
+from ds_road import Road, generate
 
 SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=120)
+
+
+def cell_of(road: Road) -> Cell:
+    return road.turns_count, road.curvature_bin
 
 
 def fitness_of(road: Road) -> float:
@@ -44,7 +57,7 @@ def test_mutants_come_from_elites() -> None:
 def test_the_archive_holds_the_lowest_fitness_of_each_cell_but_keeps_a_failure() -> None:
     """Replayed by a plain reference: local competition, and an elite that fails already is never replaced."""
     search, roads = run(4, SearchSettings(population=20, iterations=60, min_angle=60, max_angle=300))
-    expected: dict[tuple[int, int], float] = {}
+    expected: dict[Cell, float] = {}
     for road in roads:
         cell, fitness = cell_of(road), fitness_of(road)
         if cell not in expected or (expected[cell] >= 0 and fitness < expected[cell]):
@@ -94,3 +107,131 @@ def test_a_car_that_got_stuck_in_its_lane_has_failed() -> None:
         again.tell(1.9, failed=True)
         replaced = again.archive[cell_of(road)].failed
     assert replaced
+
+
+def replayed(kind: type[Search], settings: SearchSettings, seed: int) -> tuple[Search, list[Road]]:
+    search = kind(settings, np.random.default_rng(seed))
+    roads = []
+    while not search.done:
+        road = search.ask()
+        roads.append(road)
+        # Some outcomes are errors, so that these are replayed as well.
+        if len(roads) % 7 == 0:
+            search.tell(None)
+        else:
+            search.tell(fitness_of(road))
+    return search, roads
+
+
+@pytest.mark.parametrize("kind", SEARCHES.values())
+def test_every_search_is_replayed_by_its_seed_and_what_it_was_told(kind: type[Search]) -> None:
+    first, roads = replayed(kind, SETTINGS, 5)
+    second, again = replayed(kind, SETTINGS, 5)
+    assert roads == again and first.archive == second.archive
+    assert roads != replayed(kind, SETTINGS, 6)[1]
+    assert all(road.validity.valid for road in roads) and len(roads) == SETTINGS.budget
+
+
+def test_every_search_begins_with_the_same_random_roads() -> None:
+    """The baseline differs from the others in what follows the initial population, not in how roads are drawn."""
+    begun = [replayed(kind, SETTINGS, 5)[1][: SETTINGS.population] for kind in SEARCHES.values()]
+    assert begun[0] == begun[1] == begun[2]
+
+
+def test_random_search_mutates_nothing() -> None:
+    _, roads = replayed(RandomSearch, SETTINGS, 3)
+    for index in range(SETTINGS.population, len(roads)):
+        points = np.array(roads[index].control_points)
+        differences = [np.count_nonzero(points != np.array(r.control_points)) for r in roads[:index]]
+        assert min(differences) > 2
+
+
+def test_published_is_one_iteration_more_and_mutants_without_their_first_control_point() -> None:
+    settings = SearchSettings(population=3, iterations=4, min_angle=60, max_angle=120, published=True)
+    search, roads = replayed(DeepHyperion, settings, 2)
+    assert len(roads) == 3 + 4 + 1
+    assert [road.published for road in roads] == [False] * 3 + [True] * 5
+    for mutant in roads[3:]:
+        assert len(mutant.control_points) == 9 and len(mutant.points) == 96
+        np.testing.assert_array_equal(mutant.points[0], mutant.control_points[2])
+    assert set(search.archive) == {(road.turns_count_published, road.curvature_bin) for road in archived(search)}
+
+
+def archived(search: Search) -> list[Road]:
+    return [elite.road for elite in search.archive.values()]
+
+
+def test_the_cell_that_is_told_counts() -> None:
+    search = DeepHyperion(SearchSettings(population=2, iterations=0), np.random.default_rng(1))
+    for cell in ((7, 7, 7), (7, 7, 8)):
+        search.ask()
+        search.tell(1.0, cell=cell)
+    assert set(search.archive) == {(7, 7, 7), (7, 7, 8)}
+
+
+def test_contribution_is_the_share_of_mutants_that_found_a_place() -> None:
+    """Told by hand: the parent is known by the only cell that there is, and mutants are placed or not as we say."""
+    settings = SearchSettings(population=1, iterations=4, min_angle=60, max_angle=60)
+    search = DeepHyperionCS(settings, np.random.default_rng(4))
+    search.ask()
+    search.tell(1.0, cell=(0, 0))
+    assert search.contribution((0, 0)) == 1.0
+    for fitness, score in ((1.5, 0.0), (1.2, 0.0)):  # not better than the elite of their cell
+        search.ask()
+        search.tell(fitness, cell=(0, 0))
+        assert search.contribution((0, 0)) == score
+    search.ask()
+    search.tell(None)  # an error says nothing of the parent
+    assert search.contribution((0, 0)) == 0.0
+    search.ask()
+    search.tell(1.5, cell=(5, 5))  # placed, since its cell is empty
+    assert search.contribution((0, 0)) == pytest.approx(1 / 3)
+    assert search.contribution((5, 5)) == 1.0
+
+
+def test_cells_of_higher_rank_are_selected_more_often() -> None:
+    """Half of the draws are uniform, half by linear ranking, whose density falls from 1.5 to 0.5 over the ranks."""
+    settings = SearchSettings(population=4, iterations=4000)
+    search = DeepHyperionCS(settings, np.random.default_rng(1))
+    for k in range(4):
+        search.ask()
+        search.tell(1.0, cell=(k, 0))
+    for k in range(4):  # cell k has had k + 1 mutants, one of which was placed
+        search._mutants[(k, 0)] = [True] + [False] * k
+    counts = np.zeros(4)
+    for _ in range(4000):
+        counts[next(search._choices())[0]] += 1
+    # Linear ranking: share of the ranks [a, b) of 1 is 1.5 (b - a) - (b^2 - a^2) / 2; the other half is uniform.
+    edges = np.arange(5) / 4
+    ranked = 1.5 * np.diff(edges) - np.diff(edges**2) / 2
+    np.testing.assert_allclose(counts / 4000, 0.5 * ranked + 0.5 / 4, atol=0.025)
+
+
+def test_the_archive_keeps_the_elites_that_pyribs_keeps() -> None:
+    """The same sequence into `ribs.archives.GridArchive`, whose objective is our fitness turned round; failures tie."""
+    if int(np.__version__.partition(".")[0]) < 2:
+        pytest.skip("ribs wants NumPy 2")
+    from ribs.archives import GridArchive
+
+    rng = np.random.default_rng(11)
+    road = generate(rng)
+    archive = Archive()
+    theirs = GridArchive(solution_dim=1, dims=[6, 8], ranges=[(0, 6), (4, 12)])
+    for index in range(600):
+        cell = (int(rng.integers(6)), int(rng.integers(4, 12)))
+        fitness = float(rng.uniform(-0.3, 2.0))
+        stuck = bool(rng.random() < 0.05)
+        placed = archive.place(cell, road, fitness, failed=stuck)
+        # Every failure counts the same, as the paper's constant of -0.1 does (maxitwo).
+        objective = 0.1 if stuck or fitness < 0 else -fitness
+        status = theirs.add_single([index], objective, np.array(cell) + 0.5)["status"]
+        assert placed == (int(status) > 0)
+    data = theirs.data()
+    found = {
+        tuple(np.floor(m).astype(int).tolist()): -float(o)
+        for m, o in zip(data["measures"], data["objective"], strict=True)
+    }
+    assert set(found) == set(archive)
+    for place, elite in archive.items():
+        assert found[place] == pytest.approx(-0.1 if elite.failed else elite.fitness)
+    assert 0 < sum(elite.failed for elite in archive.values()) < len(archive)

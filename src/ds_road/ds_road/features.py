@@ -1,4 +1,4 @@
-"""Structural features of a road: curvature and turns count (paper 3.3; rules of DeepHyperion as maxitwo has them)."""
+"""Structural features of a road, from the samples of its centre line (paper 3.3; rules of DeepHyperion, maxitwo)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ SHORT_STRAIGHT, SHORT_RUN = 10, 15
 """Samples below which a straight, and any run, is too short to stand on its own (maxitwo)."""
 WINDOW = 5
 """Samples that a circle of the curvature spans: its first, middle and last point (maxitwo)."""
+DIRECTION_BINS = 25
+"""Parts of the full circle into which directions fall (DeepHyperion)."""
+LARGEST_RADIUS = 90.0
+"""m; a road is called straight from there on (DeepHyperion)."""
 
 
 def curvature(points: NDArray[np.float64]) -> float:
@@ -52,6 +56,24 @@ def turns_count(points: NDArray[np.float64], *, published: bool = False) -> int:
     runs = _absorb(runs, _joins_a_straight_or_the_same)
     runs = _absorb(runs, lambda label, length, previous: length < SHORT_RUN)
     return sum(label != "s" for label, _ in runs)
+
+
+def minimum_radius(points: NDArray[np.float64]) -> float:
+    """Radius of the circle that makes the `curvature`, m, at most `LARGEST_RADIUS` (DeepHyperion)."""
+    largest = curvature(points)
+    return min(1.0 / largest, LARGEST_RADIUS) if largest else LARGEST_RADIUS
+
+
+def direction_coverage(points: NDArray[np.float64]) -> float:
+    """Share of all directions in which the road leads, in [0, 1].
+
+    As in DeepHyperion: angle between each step and north, 0 to 180 degrees whether to the left or to the right, in
+    bins of 360 / 25 degrees; used bins over 26, the number of their ends. So a road can cover half of them at most.
+    """
+    steps = np.diff(points, axis=0)
+    angles = np.degrees(np.arccos(np.clip(steps[:, 1] / np.hypot(*steps.T), -1.0, 1.0)))
+    ends = np.linspace(0.0, 360.0, DIRECTION_BINS + 1)
+    return len(np.unique(np.digitize(angles, ends))) / len(ends)
 
 
 def _joins_a_straight_or_the_same(label: str, length: int, previous: str) -> bool:

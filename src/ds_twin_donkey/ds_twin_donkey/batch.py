@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.dynamics import LARGEST_SLIP, STEP, STILL, SUBSTEPS
+from ds_twin_donkey.dynamics import LARGEST_SLIP, STILL, SUBSTEPS
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
 
 Array = NDArray[np.float64]
@@ -28,9 +28,13 @@ class Lanes:
     Args:
         parameters: the sets of parameters.
         which: (n,) the set of each lane.
+        substeps: per frame; fewer are faster and less exact.
     """
 
-    def __init__(self, parameters: Sequence[DonkeyParameters], which: NDArray[np.int64]) -> None:
+    def __init__(
+        self, parameters: Sequence[DonkeyParameters], which: NDArray[np.int64], substeps: int = SUBSTEPS
+    ) -> None:
+        self._step = step = FRAME_TIME / substeps
         names = [field.name for field in dataclasses.fields(DonkeyParameters)]
         table = {name: np.array([getattr(p, name) for p in parameters], dtype=np.float64)[which] for name in names}
         self._p = table
@@ -47,14 +51,14 @@ class Lanes:
         self._roll_stiffness = p["roll_inertia"] * roll**2 + lean
         self._pitch_stiffness = p["pitch_inertia"] * pitch**2 + lean
         self._breakaway = p["rolling_resistance"] * weight
-        self._motor_gain = -np.expm1(-STEP / p["motor_lag"])
+        self._motor_gain = -np.expm1(-step / p["motor_lag"])
         self._frames_of_delay = np.floor_divide(p["command_delay"], FRAME_TIME).astype(np.int64)
         rest = p["command_delay"] - self._frames_of_delay * FRAME_TIME
-        ends = (np.arange(SUBSTEPS) + 1.0) * STEP
-        newer = np.clip((ends[:, None] - rest) / STEP, 0.0, 1.0)
+        ends = (np.arange(substeps) + 1.0) * step
+        newer = np.clip((ends[:, None] - rest) / step, 0.0, 1.0)
         # Per step: share of the newer pulse, and the servo's gain and furthest move under either pulse.
         parts = [
-            (-np.expm1(-part * STEP / p["servo_lag"]), part * STEP * p["servo_rate"]) for part in (1.0 - newer, newer)
+            (-np.expm1(-part * step / p["servo_lag"]), part * step * p["servo_rate"]) for part in (1.0 - newer, newer)
         ]
         self._shares = np.stack((newer, *parts[0], *parts[1]), axis=1)
         # Constants of the four tyres, rows front left, front right, rear left, rear right.
@@ -90,10 +94,17 @@ class Lanes:
         lane = np.arange(len(at))
         return pulses[at - 1, :, lane].T, pulses[at, :, lane].T
 
-    def settle(self, pulses: Array, frames: range) -> tuple[Array, Array, Array]:
-        """Servo, wheels (rad) and duty after some frames, starting where the first frame's pulse puts them."""
+    def settle(self, pulses: Array, frames: range, play: Array) -> tuple[Array, Array, Array]:
+        """Servo, wheels (rad) and duty after some frames, starting where the first frame's pulse puts them.
+
+        Args:
+            pulses: as `pulses` gives them.
+            frames: of the pulses.
+            play: (n,) where in the play the wheels are at first, -1 to 1.
+        """
         older, _ = self.delayed(pulses, frames[0])
-        servo, wheels, duty = older[0].copy(), older[0].copy(), older[1].copy()
+        servo, duty = older[0].copy(), older[1].copy()
+        wheels = servo + play * 0.5 * self._p["servo_backlash"]
         for frame in frames:
             older, newer = self.delayed(pulses, frame)
             for share in self._shares:
@@ -137,7 +148,7 @@ class Lanes:
         tangents = np.stack((tangent / (1.0 - side), tangent / (1.0 + side)))
         cosines = 1.0 / np.sqrt(1.0 + tangents * tangents)
         wheels = (cosines, tangents * cosines, duty, brake, free)
-        h = STEP
+        h = self._step
         k1 = self._slopes(s, wheels)
         k2 = self._slopes(s + 0.5 * h * k1, wheels)
         k3 = self._slopes(s + 0.5 * h * k2, wheels)

@@ -18,9 +18,9 @@ _COLUMNS = [CarState._fields.index(name) for name in ("x", "y", "yaw", "speed", 
 
 
 def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
-    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, off or mostly high.
+    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, three of ten off, the rest mostly high.
 
-    Bends at full throttle are what shows the friction; three throttles of ten are off.
+    Jumps show servo, play, delay and lag.
     """
     count = round(seconds / FRAME_TIME)
     commands = np.zeros((count, 2))
@@ -34,18 +34,44 @@ def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.floa
     return commands
 
 
+def coast(full: float, rolling: float) -> NDArray[np.float64]:
+    """(n, 2): straight at full throttle, then rolling out, s each. A whole run-out tells drag brake from rolling."""
+    commands = np.zeros((round((full + rolling) / FRAME_TIME), 2))
+    commands[: round(full / FRAME_TIME), 1] = 1.0
+    return commands
+
+
+def hard_bends(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
+    """(n, 2): full throttle, left and right in turn for 1 to 2.5 s each; shows friction and stiffness of the tyres."""
+    commands = np.zeros((round(seconds / FRAME_TIME), 2))
+    commands[:, 1] = 1.0
+    at, side = 0, rng.choice([-1.0, 1.0])
+    while at < len(commands):
+        length = int(rng.integers(20, 50))
+        commands[at : at + length, 0] = side * rng.uniform(0.3, 1.0)
+        at, side = at + length, -side
+    return commands
+
+
+def manoeuvres(rng: np.random.Generator) -> NDArray[np.float64]:
+    """(610, 2): 30.5 s with all that a fit needs: rolling out twice, hard bends, and jumps of steering and throttle."""
+    return np.concatenate((coast(2.5, 7.5), hard_bends(rng, 5.0), random_commands(rng, 5.0), coast(2.5, 8.0)))
+
+
 def recorded(
-    car: DonkeyParameters, rng: np.random.Generator, seconds: float, noise: Sequence[float] = TRACKER_NOISE
+    car: DonkeyParameters,
+    rng: np.random.Generator,
+    commands: NDArray[np.float64],
+    noise: Sequence[float] = TRACKER_NOISE,
 ) -> Drive:
-    """A random drive of the twin from rest, as a tracker would have it; the front axle must carry half the load.
+    """A drive of the twin from rest, as a tracker would have it; the front axle must carry half the load.
 
     Args:
         car: that drives.
-        rng: of commands and noise.
-        seconds: its length.
+        rng: of the noise.
+        commands: (n, 2) what it is told.
         noise: spread per channel of `logs.CHANNELS`.
     """
-    commands = random_commands(rng, seconds)
     states = rollout(car, commands)[:-1, _COLUMNS]
     measured = states + rng.normal(size=states.shape) * np.asarray(noise)
     return Drive(commands=commands, measured=measured, from_rest=True)

@@ -29,7 +29,9 @@ def draw_fit(fit: Fit, path: Path) -> None:
     frames = fit.measured.shape[1]
     times = [(place * frames + np.arange(frames)) * FRAME_TIME for place in range(len(chosen))]
     origins = fit.fitted[chosen, :1, :2]
-    measured, fitted = fit.measured[chosen], fit.fitted[chosen]
+    measured = fit.measured[chosen]
+    # A last window may be shorter than the others: nothing is measured in its rest.
+    fitted = np.where(np.isfinite(measured).any(axis=2, keepdims=True), fit.fitted[chosen], np.nan)
     paths = list(zip(measured[..., :2] - origins, fitted[..., :2] - origins, strict=True))
     panels = [
         _Panel("Paths from where each window begins", "x, m", "y, m", [p for pair in paths for p in pair], equal=True)
@@ -113,7 +115,8 @@ class _Panel:
         self.line(line, colour, 1)
 
     def line(self, points: Array, colour: Rgb, width: int) -> None:
-        """A line through points."""
+        """A line through points; those that are NaN are left out."""
+        points = points[np.isfinite(points).all(axis=1)]
         cv2.polylines(self.image, [np.array(self._at(points), np.int32)], False, colour, width, cv2.LINE_AA)
 
     def note(self, text: str, row: int, colour: Rgb) -> None:

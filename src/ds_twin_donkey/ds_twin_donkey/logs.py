@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
+from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.parameters import SCALE
 
@@ -22,6 +24,9 @@ LARGEST_GAP = 0.25
 """s between two rows; chosen: five frames. A longer gap ends a drive, as between two states no command is known."""
 _EVEN = 0.002
 """s; rows whose spacing differs from a frame by less are taken as they are. Chosen: less than a step of the model."""
+_PACE, _AGREE = 0.3, 1.5
+"""Where the car is faster (m/s), positions and speed agree within this factor. Chosen: above the noise of positions; a
+wheel sensor is off by less, and units differ by more (the Donkey simulator's metre has been 8 of its car's)."""
 _STANDING = 0.05
 """Model m/s; a drive that begins slower than this began at rest. Chosen: above the noise of a speed sensor."""
 
@@ -119,6 +124,9 @@ def _even(times: Array, commands: Array, measured: Array) -> Drive:
 def _read_bag(path: Path) -> Log:
     from rosbags.highlevel import AnyReader, AnyReaderError
 
+    simulator = _simulator_of(path)
+    if simulator in SIMULATORS and simulator != "donkey":
+        raise LogError(f"{path}: a drive of {simulator}, which is no 1:16 car: give drives of the car that is fitted")
     states: dict[int, Any] = {}
     told: dict[int, tuple[float, float]] = {}
     try:
@@ -150,6 +158,15 @@ def _read_bag(path: Path) -> Log:
     )
 
 
+def _simulator_of(path: Path) -> str:
+    """Which simulator our bag says it is of; nothing if it does not say."""
+    try:
+        information = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        return str((information.get("custom_data") or {}).get("simulator", ""))
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError):
+        return ""  # the reader of the bag says what is wrong with the file
+
+
 def _read_tub(path: Path) -> Log:
     try:
         lines = (path / "manifest.json").read_text().splitlines()
@@ -165,7 +182,8 @@ def _read_tub(path: Path) -> Log:
         ) from None
     columns = {
         "x": _column(rows, "pos/pos_x"),
-        # Unity's y is up: seen from above, x and z are right and ahead.
+        # Unity's y is up and its axes are left-handed: seen from above, x is to the right and z ahead, so that a turn
+        # to the left is counter-clockwise, as on our roads.
         "y": _column(rows, "pos/pos_z"),
         "speed": _column(rows, "pos/speed", "enc/speed"),
     }
@@ -174,6 +192,9 @@ def _read_tub(path: Path) -> Log:
             f"{path}: a tub of commands without position or speed (pos/pos_x and pos/pos_z, pos/speed or enc/speed): "
             "nothing of the motion can be fitted from it, record these too"
         )
+    if not np.isfinite(times).all():
+        raise LogError(f"{path}: _timestamp_ms of a row is not a number: remove that row")
+    _check_units(path, times, columns)
     measured = np.full((len(rows), len(CHANNELS)), np.nan)
     for name, column in columns.items():
         measured[:, CHANNELS.index(name)] = column
@@ -185,8 +206,24 @@ def _read_tub(path: Path) -> Log:
     )
 
 
+def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:
+    with np.errstate(all="ignore"):
+        pace = np.hypot(np.diff(columns["x"]), np.diff(columns["y"])) / np.diff(times)
+        speed = 0.5 * (columns["speed"][1:] + columns["speed"][:-1])
+        ratio = pace / speed
+    ratio = ratio[np.isfinite(ratio) & ((speed > _PACE) | (pace > _PACE))]
+    if ratio.size and not 1.0 / _AGREE < np.median(ratio) < _AGREE:
+        raise LogError(
+            f"{path}: by its positions the car is {np.median(ratio):.3g} times as fast as by its speed: "
+            "record both in metres of the car"
+        )
+
+
 def _told(row: dict[str, Any]) -> tuple[float, float]:
-    """What the car was told: the pilot's values where it drove, as donkeycar's DriveMode has it."""
+    """What the car was told: the pilot's values where it drove, as donkeycar's DriveMode has it.
+
+    Its steering is ours: -1 is full left (donkeycar, parts/actuator.py, PWMSteering.LEFT_ANGLE), 1 full right.
+    """
     mode = row.get("user/mode", "user")
     angle = row.get("pilot/angle") if mode != "user" else row.get("user/angle")
     throttle = row.get("pilot/throttle") if mode == "local" else row.get("user/throttle")

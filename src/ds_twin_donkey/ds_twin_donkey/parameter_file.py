@@ -34,10 +34,9 @@ def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
             parameters[field.name] = {"value": value, "status": "held"}
             continue
         row: dict[str, Any] = {"value": _short(estimate.value), "unit": estimate.unit}
+        row["status"] = estimate.status
         if estimate.determined:
-            row |= {"status": "fitted", "interval_95": [_short(estimate.low), _short(estimate.high)]}
-        else:
-            row |= {"status": "not determined"}
+            row["interval_95"] = [_short(estimate.low), _short(estimate.high)]
         parameters[field.name] = row | {"start": _short(estimate.start)}
     return {
         "format": FORMAT,
@@ -47,7 +46,7 @@ def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
         ],
         "windows": fit.windows,
         "rms_residuals": {
-            name: {"value": _short(value), "unit": _UNITS[name]}
+            name: {"value": _short(value), "noise": _short(fit.noise[name]), "unit": _UNITS[name]}
             for name, value in fit.rms.items()
             if math.isfinite(value)
         },
@@ -62,8 +61,8 @@ def write_parameters(path: Path, document: dict[str, Any]) -> None:
     """
     head = (
         "# Parameters of the 1:16 car, fitted to recorded drives. SI units of the model car.\n"
-        "# Drive with them by naming the simulator donkey@THIS_FILE. Status: fitted (with its 95 % interval),\n"
-        "# not determined by these logs (left at the start), or held (not fitted).\n"
+        "# Drive with them by naming the simulator donkey@THIS_FILE. Status: fitted (95 % interval within 5 %),\n"
+        "# weakly fitted (wider), not determined by these logs (left at the start), or held (not fitted).\n"
     )
     path.write_text(head + yaml.safe_dump(document, sort_keys=False, width=120))
 

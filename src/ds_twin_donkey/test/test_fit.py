@@ -11,13 +11,14 @@ import pytest
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import rollout
-from ds_twin_donkey.excitation import hidden_and_start, random_commands, recorded
-from ds_twin_donkey.fit import FITTED, FitError, FitSettings, fit
+from ds_twin_donkey.excitation import hidden_and_start, manoeuvres, random_commands, recorded
+from ds_twin_donkey.fit import FitSettings, fit
 from ds_twin_donkey.fit_picture import draw_fit
 from ds_twin_donkey.logs import Log, LogError, drives_of, read_log
 from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.simulator import DonkeySimulator
+from ds_twin_donkey.windows import FitError
 
 P = DonkeyParameters()
 MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
@@ -66,31 +67,37 @@ def test_a_path_moves_evenly_with_the_delay() -> None:
 
 
 def test_hidden_parameters_are_found_again_from_30_percent_off() -> None:
-    rng = np.random.default_rng(11)
-    hidden, start = hidden_and_start(list(FITTED), rng)
-    drives = [recorded(P.changed(**hidden), rng, 20.0, MOTION_CAPTURE) for _ in range(2)]
-    found = fit(drives, P.changed(**start), FitSettings(window_seconds=2.0))
+    """Ten at once within 5 %; `benchmarks/twin_fit.py` does it for all, with a tracker's noise and several seeds."""
+    names = (
+        "max_steering_angle", "steering_trim", "servo_rate", "command_delay", "full_duty", "stall_force", "motor_lag",
+        "rolling_resistance", "friction", "rear_stiffness",
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    hidden, start = hidden_and_start(list(names), rng)
+    drive = recorded(P.changed(**hidden), rng, manoeuvres(rng)[:400], MOTION_CAPTURE)
+    found = fit([drive], P.changed(**start), FitSettings(window_seconds=2.0, max_evaluations=6, names=names))
     inside = 0
     for e in found.estimates:
         size = 0.05 if e.name == "steering_trim" else hidden[e.name]
-        assert e.determined, e
-        # 40 s of driving tell the drag brake to about 7 % only; its stated interval says so.
-        assert abs(e.value - hidden[e.name]) <= max(0.05 * size, e.high - e.value), e
+        assert e.status == "fitted", e
+        assert abs(e.value - hidden[e.name]) <= 0.05 * size, e
         inside += e.low <= hidden[e.name] <= e.high
-    # 14 intervals of 95 %: fewer than 11 inside would be a chance of 1 in 250.
-    assert inside >= 11
+    # Ten intervals of 95 %: fewer than 8 inside would be a chance of 1 in 90.
+    assert inside >= 8
     assert found.rms["x"] == pytest.approx(0.001, rel=0.15) and found.rms["yaw_rate"] == pytest.approx(0.01, rel=0.15)
+    assert all(ratio < 1.3 for ratio in found.misfit.values())
 
 
 def test_what_a_straight_drive_does_not_tell_stays_at_its_start(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
-    commands = np.column_stack((np.zeros(200), np.repeat(rng.uniform(0.2, 0.8, 10), 20)))
-    states = rollout(P, commands)[:-1, [0, 1, 2, 3, 5]] + rng.normal(size=(200, 5)) * MOTION_CAPTURE
+    commands = np.column_stack((np.zeros(120), np.repeat(rng.uniform(0.2, 0.8, 6), 20)))
+    states = rollout(P, commands)[:-1, [0, 1, 2, 3, 5]] + rng.normal(size=(120, 5)) * MOTION_CAPTURE
     drives = drives_of(
-        np.array([i * FRAME_TIME for i in range(200)], dtype=np.float64), commands, states.astype(np.float64)
+        np.array([i * FRAME_TIME for i in range(120)], dtype=np.float64), commands, states.astype(np.float64)
     )
     begin = P.changed(friction=0.7, servo_rate=4.0)
-    found = fit(drives, begin, FitSettings(window_seconds=2.0))
+    names = ("friction", "servo_rate", "front_stiffness", "max_steering_angle", "full_duty", "stall_force")
+    found = fit(drives, begin, FitSettings(window_seconds=2.0, names=names))
     by_name = {e.name: e for e in found.estimates}
     assert not {n for n in ("friction", "servo_rate", "front_stiffness", "max_steering_angle") if by_name[n].determined}
     assert found.parameters.friction == 0.7 and found.parameters.servo_rate == 4.0
@@ -114,7 +121,8 @@ def test_what_a_straight_drive_does_not_tell_stays_at_its_start(tmp_path: Path) 
 def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path) -> None:
     commands = random_commands(np.random.default_rng(5), 2.0)
     x = np.arange(40.0)
-    log = read_log(write_tub(tmp_path / "a", commands, {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": x}))
+    speed = np.full(40, 20.0 * 5.0**0.5)
+    log = read_log(write_tub(tmp_path / "a", commands, {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": speed}))
     (drive,) = log.drives
     # The deleted row 3 is bridged: what was told before it holds, what was measured lies on the line.
     assert drive.commands.shape == (40, 2) and drive.measured[3, :2] == pytest.approx([3.0, 6.0])
@@ -125,6 +133,45 @@ def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path)
     np.testing.assert_array_equal(piloted.drives[0].commands, drive.commands)
     with pytest.raises(LogError, match="nothing of the motion can be fitted"):
         read_log(write_tub(tmp_path / "b", commands, {}))
+
+
+def test_a_left_turn_of_a_tub_is_a_left_turn_of_the_car(tmp_path: Path) -> None:
+    """By hand: ahead is z, so a quarter of a circle to the left goes from (0, 0) to x = -1, z = 1; steering is -0.5."""
+    turn = np.linspace(0.0, 0.5 * np.pi, 60)
+    x, z = np.cos(turn) - 1.0, np.sin(turn)
+    commands = np.tile((-0.5, 0.4), (60, 1))
+    (drive,) = read_log(write_tub(tmp_path / "left", commands, {"pos/pos_x": x, "pos/pos_z": z})).drives
+
+    def bend(path: np.ndarray) -> float:
+        first, last = path[1] - path[0], path[-1] - path[-2]
+        return float(first[0] * last[1] - first[1] * last[0])
+
+    driven = rollout(P, drive.commands)
+    assert driven[-1, 2] > 0.3 and bend(driven[20:, :2]) > 0.0
+    assert bend(drive.measured[:, :2]) > 0.0
+
+
+def test_a_tub_whose_metres_differ_is_refused(tmp_path: Path) -> None:
+    x = np.arange(40.0) * 0.05
+    speed = np.full(40, 8.0)
+    tub = write_tub(
+        tmp_path / "t", np.tile((0.0, 0.5), (40, 1)), {"pos/pos_x": x, "pos/pos_z": 0.0 * x, "pos/speed": speed}
+    )
+    with pytest.raises(LogError, match=r"0\.125 times as fast as by its speed: record both in metres"):
+        read_log(tub)
+
+
+def test_a_bag_of_another_vehicle_is_refused(tmp_path: Path) -> None:
+    about = "rosbag2_bagfile_information: {custom_data: {simulator: bullet}}"
+    (tmp_path / "metadata.yaml").write_text(about)
+    with pytest.raises(LogError, match="a drive of bullet, which is no 1:16 car"):
+        read_log(tmp_path)
+
+
+def test_a_car_that_stands_still_tells_nothing() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(FitError, match="record"):
+        fit([recorded(P, rng, np.zeros((100, 2)))], settings=FitSettings(window_seconds=1.0))
 
 
 def test_gaps_and_reverse_throttle_end_a_drive() -> None:
@@ -145,7 +192,7 @@ def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"the bag .*record it again$"):
         read_log(tmp_path)
     with pytest.raises(FitError, match="record longer ones"):
-        fit([recorded(P, np.random.default_rng(0), 1.0)])
+        fit([recorded(P, np.random.default_rng(0), np.zeros((20, 2)))])
     for text, message in (
         ("a: [", "not YAML"),
         ("a: 1", "not a file of"),

@@ -1,4 +1,4 @@
-"""`ds demo`, `ds campaign`, `ds maps`, `ds evaluate`, `ds report`: campaigns and what came out of them."""
+"""`ds demo`, `ds campaign`, `ds maps`, `ds report`: campaigns and what came out of them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,22 @@ from ds_orchestrator import results
 from ds_orchestrator.campaign import Campaign, Stopped
 from ds_orchestrator.commands.answers import Interrupted, Result, answer, end, say
 from ds_orchestrator.commands.options import AttachFlag, Folder, JsonFlag, OutFolder
-from ds_orchestrator.config import CampaignConfig, ConfigError, read_config
+from ds_orchestrator.config import MOST_WORKERS, CampaignConfig, ConfigError, read_config
+from ds_orchestrator.features import feature_of
 from ds_orchestrator.lock import only_one
+from ds_orchestrator.paper_tables import correlation_tables
 from ds_orchestrator.progress import ScreenWatcher
 from ds_orchestrator.store import Store
 from ds_orchestrator.versions import versions
+
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=MOST_WORKERS,
+        help="Graphs that drive at the same time, instead of the configuration's; results do not depend on it.",
+    ),
+]
 
 app = typer.Typer()
 campaign_app = typer.Typer(help="Campaigns: run, resume, look at.", no_args_is_help=True)
@@ -37,6 +48,8 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
     from ds_orchestrator.graph_plan import check_driver
     from ds_sim.registry import make_simulator
 
+    if attach and config.workers > 1:
+        raise ConfigError(f"workers: {config.workers} with nodes that run already, expected 1: leave out --attach")
     check_driver(config.driver)
     for name in config.simulators:
         make_simulator(name).close()
@@ -48,9 +61,9 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
 def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
     from ds_driver.weights import weights_sha256
     from ds_orchestrator.graph_plan import namespaces_of
-    from ds_orchestrator.running import running_graph
+    from ds_orchestrator.running import running_graph, running_workers
 
-    store = Store(out / "campaign.sqlite", config=config.model_dump_json())
+    store = Store(out / "campaign.sqlite", config=config.identity())
     if config.driver != AUTOPILOT:
         weights = weights_sha256(config.driver)
         if store.note("sha256 of the driver's weights", weights) != weights:
@@ -63,12 +76,16 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
     namespaces = namespaces_of(config.siblings, config.twin)
     started = time.monotonic()
     try:
-        with (
-            running_graph(
+        graphs = (
+            running_workers(
+                config.workers, namespaces, config.driver, command_timeout=config.command_timeout, logs=out / "logs"
+            )
+            if config.workers > 1
+            else running_graph(
                 namespaces, config.driver, command_timeout=config.command_timeout, logs=out / "logs", attach=attach
-            ) as executor,
-            ScreenWatcher(Campaign.executions_in_all(config)) as watcher,
-        ):
+            )
+        )
+        with graphs as executor, ScreenWatcher() as watcher:
             campaign = Campaign(config, out, store, executor, watcher, namespaces)
             try:
                 campaign.run()
@@ -78,20 +95,22 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
     except (KeyboardInterrupt, Stopped):
         store.close()
         raise Interrupted from None
-    say(f"executed in {time.monotonic() - started:.0f} s; drawing maps and report")
-    report = results.write_all(out, store)
+    say(f"executed in {time.monotonic() - started:.0f} s")
+    report = results.write_all(out, store, again=False, say=say)
+    found = results.read_correlations(out)
     document: dict[str, Any] = {
         "folder": str(out),
         "report": str(report),
         "executions": len(store.executions()),
         "executions_in_error": campaign.failed_executions,
-        "correlations": [asdict(c) for c in results.correlations_of(config, results.maps_of(store))],
+        "correlations": [asdict(c) for c in found],
     }
-    table = _correlation_table(document["correlations"])
+    tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
     store.close()
 
     def show() -> None:
-        Console().print(table)
+        for table in tables:
+            table.show(Console())
         print(report)
 
     return Result(document=document, show=show, error=campaign.failed_executions > 0)
@@ -119,7 +138,9 @@ def stored_config(folder: Path) -> CampaignConfig:
 
 
 def status(folder: Path) -> Result:
-    """How far a campaign is."""
+    """How far a campaign is, stage by stage."""
+    from ds_orchestrator.stages import stages_of
+
     store = results.open_store(folder)
     config = results.config_of(store)
     executions = store.executions()
@@ -128,9 +149,14 @@ def status(folder: Path) -> Result:
         counts[execution.simulator][execution.outcome.name] = (
             counts[execution.simulator].get(execution.outcome.name, 0) + 1
         )
+    stages = stages_of(config, store)
+    driving = [stage.expected for stage in stages if stage.failures is not None]
+    known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
     document: dict[str, Any] = {
         "executions": len(executions),
-        "executions_in_all": Campaign.executions_in_all(config),
+        "executions_in_all": known,
+        "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
+        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in store.searches()],
         "outcomes": counts,
         "errors": [
             dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
@@ -141,12 +167,14 @@ def status(folder: Path) -> Result:
 
     def show() -> None:
         table = Table(title=f"{document['executions']} of {document['executions_in_all']} executions")
-        for column in ("simulator", "outcome", "tests"):
-            table.add_column(column)
-        for simulator, outcomes in counts.items():
-            for outcome, count in sorted(outcomes.items()):
-                table.add_row(simulator, outcome.lower(), str(count))
+        for column in ("stage", "state", "done", "of", "failures"):
+            table.add_column(column, justify="left" if column in ("stage", "state") else "right")
+        for stage in stages:
+            numbers = (stage.done, stage.expected, stage.failures) if stage.failures is not None else (None,) * 3
+            table.add_row(stage.name, stage.state, *("" if n is None else str(n) for n in numbers))
         Console().print(table)
+        if document["errors"]:
+            print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
 
     return Result(document=document, show=show)
 
@@ -162,29 +190,23 @@ def maps(folder: Path) -> Result:
     def show() -> None:
         for name, content in document.items():
             table = Table(title=name)
-            for column in ("turns", "curvature", "tests", "failures", "probability", "quality"):
+            features = [feature_of(name) for name in content["features"]]
+            columns = [*(f.title for f in features), "tests", "failures", "probability", "95 %", "quality"]
+            for column in columns:
                 table.add_column(column, justify="right")
             for cell in content["cells"]:
+                interval = cell["interval"]
                 table.add_row(
-                    str(cell["turns_count"]),
-                    f"{cell['curvature_bin'] / 100:.2f}",
+                    *(feature.label(cell[feature.name]) for feature in features),
                     str(cell["tests"]),
                     "" if cell["failures"] is None else str(cell["failures"]),
                     f"{cell['probability']:.2f}",
+                    "" if interval is None else f"{interval[0]:.2f}, {interval[1]:.2f}",
                     f"{cell['quality']:.2f}",
                 )
             Console().print(table)
 
     return Result(document=document, show=show)
-
-
-def evaluation(folder: Path) -> Result:
-    """Each sibling and the merged map against the twin."""
-    store = results.open_store(folder)
-    document = [asdict(c) for c in results.correlations_of(results.config_of(store), results.maps_of(store))]
-    store.close()
-    table = _correlation_table(document)
-    return Result(document=document, show=lambda: Console().print(table))
 
 
 def report(folder: Path) -> Path:
@@ -193,6 +215,11 @@ def report(folder: Path) -> Path:
     path = results.write_all(folder, store)
     store.close()
     return path
+
+
+def _with(config: CampaignConfig, workers: int | None) -> CampaignConfig:
+    """The configuration with another number of workers."""
+    return config if workers is None else config.model_copy(update={"workers": workers})
 
 
 def shipped_config(name: str) -> CampaignConfig:
@@ -204,41 +231,32 @@ def shipped_config(name: str) -> CampaignConfig:
     raise ConfigError(f"{name}.yaml of ds_bringup is not on AMENT_PREFIX_PATH: build and source the workspace")
 
 
-def _correlation_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table("map", "against the twin's failures", "cells", "Pearson r", "p", "")
-    for row in rows:
-        table.add_row(
-            row["name"],
-            row["value"],
-            str(row["cells"]),
-            "" if row["r"] is None else f"{row['r']:.3f}",
-            "" if row["p"] is None else f"{row['p']:.2g}",
-            row["reason"],
-        )
-    return table
-
-
 @app.command("demo")
-def demo_command(out: OutFolder = Path("demo"), attach: AttachFlag = False, as_json: JsonFlag = False) -> None:
+def demo_command(
+    out: OutFolder = Path("demo"), workers: Workers = None, attach: AttachFlag = False, as_json: JsonFlag = False
+) -> None:
     """The whole method, small, with the shipped network; ends with the path of the report."""
-    end(run_campaign(shipped_config("demo"), out, attach=attach), as_json)
+    end(run_campaign(_with(shipped_config("demo"), workers), out, attach=attach), as_json)
 
 
 @campaign_app.command("run")
 def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="What to do.")],
     out: OutFolder,
+    workers: Workers = None,
     attach: AttachFlag = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Run a campaign, or go on with the one in the folder if it has the same configuration."""
-    end(run_campaign(read_config(config), out, attach=attach), as_json)
+    end(run_campaign(_with(read_config(config), workers), out, attach=attach), as_json)
 
 
 @campaign_app.command("resume")
-def campaign_resume_command(folder: Folder, attach: AttachFlag = False, as_json: JsonFlag = False) -> None:
+def campaign_resume_command(
+    folder: Folder, workers: Workers = None, attach: AttachFlag = False, as_json: JsonFlag = False
+) -> None:
     """Go on with a campaign that was stopped."""
-    end(run_campaign(stored_config(folder), folder, attach=attach), as_json)
+    end(run_campaign(_with(stored_config(folder), workers), folder, attach=attach), as_json)
 
 
 @campaign_app.command("status")
@@ -251,12 +269,6 @@ def campaign_status_command(folder: Folder, as_json: JsonFlag = False) -> None:
 def maps_command(folder: Folder, as_json: JsonFlag = False) -> None:
     """Every feature map of a campaign."""
     answer(maps(folder), as_json)
-
-
-@app.command("evaluate")
-def evaluate_command(folder: Folder, as_json: JsonFlag = False) -> None:
-    """How well the siblings and their merge foretell the twin."""
-    answer(evaluation(folder), as_json)
 
 
 @app.command("report")

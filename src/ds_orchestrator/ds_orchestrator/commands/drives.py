@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 import ds_road
+from ds_orchestrator.bags import Level
 from ds_orchestrator.campaign import execution_of
-from ds_orchestrator.commands.answers import Interrupted, Result, end
+from ds_orchestrator.commands.answers import Interrupted, Result, end, say
 from ds_orchestrator.commands.options import AttachFlag, JsonFlag, MaxAngle
 from ds_orchestrator.commands.roads import one_road
+from ds_sim.registry import SIMULATORS
+from ds_sim.session import RunRecord
+
+if TYPE_CHECKING:
+    from ds_orchestrator.recording import GraphRecorder
 
 app = typer.Typer()
 
@@ -27,12 +36,13 @@ def drive(
     *,
     seed: int,
     bag: Path | None,
+    level: Level,
     video: Path | None,
     attach: bool,
     namespace: str,
 ) -> Result:
     """Drive one road through the graph; with `attach`, whatever driver runs there drives."""
-    from ds_orchestrator.bags import BagError, write_bag
+    from ds_orchestrator.bags import BagError
     from ds_orchestrator.graph_plan import check_driver
     from ds_orchestrator.redriving import redrive
     from ds_orchestrator.running import running_graph
@@ -57,15 +67,20 @@ def drive(
     namespaces = {sim: namespace}
     with tempfile.TemporaryDirectory(prefix="ds_drive_") as logs:
         try:
-            with running_graph(namespaces, driver, command_timeout=10.0, logs=Path(logs), attach=attach) as executor:
+            with (
+                running_graph(namespaces, driver, command_timeout=10.0, logs=Path(logs), attach=attach) as executor,
+                _recorder(bag, level, sim, namespace, road, seed, attach) as recorder,
+            ):
                 started = time.monotonic()
                 run = executor.execute(sim, road, seed)
                 wall = time.monotonic() - started
+                if recorder is not None and not recorder.wait_for_images(len(run.observations)):
+                    say(f"only {recorder.images} of {len(run.observations)} images arrived here")
         except KeyboardInterrupt:
             raise Interrupted from None
-    if bag is not None:
-        write_bag(bag, namespaces[sim], run, {"simulator": sim, "driver": driver})
     whose = "attached" if attach else driver
+    if bag is not None:
+        _keep_bag(bag, namespace, sim, run, {"driver": whose}, level, seen=recorder is not None)
     if video is not None:
         # The images travelled to the driver only; the same commands show them again.
         write_video(video, f"{sim}, {Path(whose).name}", road, redrive(sim, run), run.commands)
@@ -94,6 +109,46 @@ def drive(
     return Result(document=document, show=show, error=run.outcome.is_error)
 
 
+@contextmanager
+def _recorder(
+    bag: Path | None, level: Level, sim: str, namespace: str, road: ds_road.Road, seed: int, attach: bool
+) -> Iterator[GraphRecorder | None]:
+    """Records the images of a simulator that is not ours to drive again; None where none is needed.
+
+    What runs somewhere else may be another version with another look, and a simulator of the user's own may not come
+    out the same: there the driver's images are taken from the graph.
+    """
+    from ds_orchestrator.bags import facts_of, seen_of
+    from ds_orchestrator.graph import GraphError
+
+    if bag is None or level == "telemetry" or not (attach or sim.partition("@")[0] not in SIMULATORS):
+        yield None
+        return
+    from ds_orchestrator.recording import GraphRecorder
+
+    folder = seen_of(bag)
+    shutil.rmtree(folder.parent, ignore_errors=True)
+    with GraphRecorder(folder, namespace, facts_of(sim, RunRecord(road=road, seed=seed), level)) as recorder:
+        if not recorder.wait_for_camera():
+            raise GraphError(f"{namespace} publishes no camera/image_raw to record: choose --level telemetry")
+        yield recorder
+
+
+def _keep_bag(
+    bag: Path, namespace: str, sim: str, run: RunRecord, about: dict[str, str], level: Level, *, seen: bool
+) -> None:
+    """Write the bag, with the images that were recorded or those of driving again."""
+    from ds_orchestrator.bags import seen_of, write_bag
+
+    if not seen:
+        write_bag(bag, namespace, sim, run, about, level)
+        return
+    from ds_orchestrator.recording import with_images
+
+    write_bag(bag, namespace, sim, run, about, level, with_images(run, seen_of(bag)))
+    shutil.rmtree(seen_of(bag).parent)
+
+
 @app.command("drive")
 def drive_command(
     sim: Annotated[str, typer.Option(help="bullet, softbody, donkey, donkey@FILE, or module:Class.")],
@@ -105,9 +160,12 @@ def drive_command(
     video: Annotated[Path | None, typer.Option(help="Write an .mp4 of the drive here.")] = None,
     attach: AttachFlag = False,
     namespace: Annotated[str, typer.Option(help="Of the simulator.")] = "/ds1",
+    level: Annotated[Level, typer.Option(help="What the bag holds.")] = "telemetry",
     as_json: JsonFlag = False,
 ) -> None:
     """Drive one road and say how it went."""
     chosen = one_road(road, seed, max_angle)
-    result = drive(sim, driver, chosen, seed=seed, bag=bag, video=video, attach=attach, namespace=namespace)
+    result = drive(
+        sim, driver, chosen, seed=seed, bag=bag, level=level, video=video, attach=attach, namespace=namespace
+    )
     end(result, as_json)

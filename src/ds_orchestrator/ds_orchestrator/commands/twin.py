@@ -12,6 +12,8 @@ from rich.table import Table
 from ds_orchestrator.commands.answers import Interrupted, Result, answer, say
 from ds_orchestrator.commands.options import JsonFlag
 
+MISFIT = 2.0
+"""Residuals over noise above which the fit says so; chosen: the noise itself is known to some tens of a percent."""
 app = typer.Typer()
 twin_app = typer.Typer(help="The digital twin: fit it to recorded drives.", no_args_is_help=True)
 app.add_typer(twin_app, name="twin")
@@ -32,6 +34,12 @@ def fit_twin(paths: list[Path], out: Path, start: Path | None, *, window: float,
         found = fit(drives, begin, FitSettings(window_seconds=window, max_evaluations=evaluations), say)
     except KeyboardInterrupt:
         raise Interrupted from None
+    for name, ratio in found.misfit.items():
+        if ratio > MISFIT:
+            say(
+                f"{name}: what is left over is {ratio:.1f} times the noise of the drives: "
+                "the model does not follow them, and the intervals are too narrow"
+            )
     document = document_of(found, logs)
     write_parameters(out, document)
     picture = out.parent / "fit.png"
@@ -57,7 +65,7 @@ def twin_fit_command(
         "parameters.yaml"
     ),
     start: Annotated[Path | None, typer.Option(help="File of parameters to begin with; nominal if left out.")] = None,
-    window: Annotated[float, typer.Option(min=1.0, max=30.0, help="Length of a window, s.")] = 3.0,
+    window: Annotated[float, typer.Option(min=1.0, max=30.0, help="Length of a window, s.")] = 10.0,
     evaluations: Annotated[int, typer.Option(min=1, help="At most, per round.")] = 40,
     as_json: JsonFlag = False,
 ) -> None:

@@ -6,6 +6,9 @@
   const FIRST_TESTS = 6;
   const key = (turns, curvature) => `${turns}-${curvature}`;
   const plural = (n, thing) => `${n} ${thing}${n === 1 ? "" : "s"}`;
+  // Where a bin of an axis begins, in the unit of its title.
+  const label = (axis, bin) => ((bin * axis.width) * axis.unit).toFixed(axis.unit === 1 ? 0 : 2);
+  const place = (turns, curvature) => data.axes.map((axis, i) => `${axis.title} ${label(axis, [turns, curvature][i])}`).join("; ");
   const range = (low, high) => Array.from({ length: high - low + 1 }, (_, i) => low + i);
 
   function fill(node, attributes, children) {
@@ -35,8 +38,8 @@
 
   function tableCell(name, value, turns, curvature) {
     const cell = values[name][key(turns, curvature)];
-    const label = `${plural(turns, "turn")}, curvature ${(curvature / 100).toFixed(2)}: ${describe(cell, value)}`;
-    const td = html("td", { tabindex: "-1", title: label, "aria-label": label, "data-cell": key(turns, curvature) });
+    const text = `${place(turns, curvature)}: ${describe(cell, value)}`;
+    const td = html("td", { tabindex: "-1", title: text, "aria-label": text, "data-cell": key(turns, curvature) });
     if (cell) {
       const [colour, ink] = data.scale[Math.round(100 * valueOf(cell, value))];
       td.style.background = colour;
@@ -51,18 +54,18 @@
 
   function mapFigure(name, value) {
     const title = `${data.maps[name].title}: ${data.values[value]}`;
-    const table = html("table", { role: "grid", "aria-label": `${title}; columns are turns counts, rows curvatures` });
-    const top = html("th", { class: "name", colspan: turnsCounts.length + 1 }, "curvature, 1/m");
+    const table = html("table", { role: "grid", "aria-label": `${title}; columns are ${data.axes[0].title}, rows ${data.axes[1].title}` });
+    const top = html("th", { class: "name", colspan: turnsCounts.length + 1 }, data.axes[1].title);
     const widths = [html("col", { style: "width: 34px" }), ...turnsCounts.map(() => html("col"))];
     table.append(html("colgroup", {}, ...widths), html("thead", {}, html("tr", {}, top)));
     const body = html("tbody");
     for (const curvature of curvatures) {
-      const row = html("tr", {}, html("th", { scope: "row" }, (curvature / 100).toFixed(2)));
+      const row = html("tr", {}, html("th", { scope: "row" }, label(data.axes[1], curvature)));
       for (const turns of turnsCounts) row.append(tableCell(name, value, turns, curvature));
       body.append(row);
     }
-    const feet = turnsCounts.map((turns) => html("th", { scope: "col", class: "name" }, String(turns)));
-    const axis = html("th", { class: "name", colspan: turnsCounts.length }, "turns count");
+    const feet = turnsCounts.map((turns) => html("th", { scope: "col", class: "name" }, label(data.axes[0], turns)));
+    const axis = html("th", { class: "name", colspan: turnsCounts.length }, data.axes[0].title);
     table.append(body, html("tfoot", {}, html("tr", {}, html("th"), ...feet), html("tr", {}, html("th"), axis)));
     return html("figure", { class: "map" }, html("figcaption", {}, data.maps[name].title), table);
   }
@@ -107,10 +110,8 @@
     const failures = (test) => test.runs.filter((run) => run && run.failed).length;
     const worst = (test) => Math.min(...test.runs.map((run) => (run ? run.fitness : Infinity)));
     tests.sort((a, b) => failures(b) - failures(a) || worst(a) - worst(b));
-    const low = (curvature / 100).toFixed(2);
-    const high = ((curvature + 1) / 100).toFixed(2);
     panel.replaceChildren(
-      html("h3", { "aria-live": "polite" }, `${plural(turns, "turn")}, curvature ${low} to ${high} 1/m: ${plural(tests.length, "test")}`),
+      html("h3", { "aria-live": "polite" }, `${place(turns, curvature)}: ${plural(tests.length, "test")}`),
       tests.length ? cellTable(key(turns, curvature)) : html("p", {}, "No test has such a road, so nothing is known here."),
     );
     if (!tests.length) return;

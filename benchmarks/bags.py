@@ -1,0 +1,115 @@
+"""What recording costs: bytes and time per frame at each level, the loop with and without, a campaign's bags in all.
+
+`python benchmarks/bags.py [--sim donkey] [--roads 5]`. A bag is written after its run, from the record that the graph
+hands over, so that it costs the loop nothing while it runs; a campaign waits for it before its next test. The loop is
+measured through ROS, with and without a bag of level telemetry, run by run in turn on the same roads. For the other
+levels the run is driven again to see its images; that part is measured apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ds_driver.driving import drive_road, make_driver
+from ds_orchestrator.bags import LEVELS, Level, write_bag
+from ds_orchestrator.redriving import redrive
+from ds_orchestrator.running import running_graph
+from ds_road import Road, generate
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
+
+TESTS = 5000
+"""Of a campaign; each is driven on two siblings and the twin."""
+
+
+def seconds_of(work: Callable[[], object]) -> float:
+    """Wall clock that something takes."""
+    started = time.perf_counter()
+    work()
+    return time.perf_counter() - started
+
+
+def bytes_in(folder: Path) -> int:
+    """Of every file."""
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+
+
+def costs(sim: str, runs: list[RunRecord], folder: Path) -> dict[Level, tuple[float, float, float]]:
+    """Level -> bytes per frame, us per frame, and kB of a whole bag; medians over the runs, the first one not timed."""
+    found = {}
+    for level in LEVELS:
+        sizes, times, whole = [], [], []
+        for run in [runs[0], *runs]:
+            took = seconds_of(lambda run=run, level=level: write_bag(folder / level, "/ds1", sim, run, {}, level))  # type: ignore[misc]
+            frames = len(run.observations)
+            sizes.append(bytes_in(folder / level) / frames)
+            times.append(1e6 * took / frames)
+            whole.append(bytes_in(folder / level) / 1e3)
+        found[level] = (statistics.median(sizes[1:]), statistics.median(times[1:]), statistics.median(whole[1:]))
+    return found
+
+
+def loop(sim: str, driver: str, roads: list[Road], folder: Path) -> tuple[float, float]:
+    """Milliseconds per frame of the loop through ROS without and with a bag, medians of the roads, in turn."""
+    plain: list[float] = []
+    recorded: list[float] = []
+    with running_graph({sim: "/ds1"}, driver, command_timeout=10.0, logs=folder / "logs") as executor:
+        executor.execute(sim, roads[0], 0)
+        for road in roads:
+            for times, keep in ((plain, False), (recorded, True)):
+                started = time.perf_counter()
+                run = executor.execute(sim, road, 0)
+                if keep:
+                    write_bag(folder / "loop", "/ds1", sim, run, {"driver": driver})
+                times.append(1e3 * (time.perf_counter() - started) / run.steps)
+    return statistics.median(plain), statistics.median(recorded)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sim", default="donkey")
+    parser.add_argument("--driver", default="dave2")
+    parser.add_argument("--roads", type=int, default=5)
+    options = parser.parse_args()
+    rng = np.random.default_rng(7)
+    roads = [generate(rng, max_angle=270) for _ in range(options.roads)]
+    simulator = make_simulator(options.sim)
+    runs = [drive_road(simulator, make_driver("autopilot", simulator.spec), road, 0) for road in roads]
+    frames = statistics.mean(len(run.observations) for run in runs)
+    console = Console()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        again = statistics.median(
+            1e6 * seconds_of(lambda run=run: list(redrive(options.sim, run))) / len(run.observations)  # type: ignore[misc]
+            for run in runs
+        )
+        table = Table("level", "kB per frame", "us per frame", "of it driving again", f"bag of {frames:.0f} frames, kB")
+        found = costs(options.sim, runs, folder)
+        for level, (size, took, whole) in found.items():
+            part = "" if level == "telemetry" else f"{again:.0f}"
+            table.add_row(level, f"{size / 1e3:.2f}", f"{took:.0f}", part, f"{whole:.0f}")
+        console.print(table)
+        plain, recorded = loop(options.sim, options.driver, roads, folder)
+        console.print(
+            f"frame through ROS with {options.driver}: {plain:.2f} ms without, {recorded:.2f} ms with telemetry, "
+            f"{100 * (recorded / plain - 1):+.1f} %; the bag alone takes {found['telemetry'][1] / 1e3:.2f} ms"
+        )
+        bags = TESTS * 3
+        for level, (_, _, whole) in found.items():
+            console.print(
+                f"{TESTS} tests x 3 simulators, {level}: {bags} bags, {2 * bags} files, {bags * whole / 1e6:.1f} GB"
+            )
+
+
+if __name__ == "__main__":
+    main()

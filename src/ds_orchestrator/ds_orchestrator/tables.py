@@ -1,0 +1,165 @@
+"""Tables of results: for a terminal, as CSV with every digit, and as LaTeX for a paper."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import rich.box
+import rich.table
+from rich.console import Console
+from rich.text import Text
+
+Value = str | float | int | tuple[float, float] | None
+"""None where there is no number; a pair is an interval."""
+Style = Literal["text", "count", "number", "small", "p"]
+"""small: five digits after the point."""
+WIDTH = 130
+"""Characters of a table in a file; chosen: the widest one of ours fits."""
+_DIGITS = {"number": 3, "small": 5}
+_TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}"}
+_TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its heading, and how its values are shown."""
+
+    name: str
+    style: Style = "text"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table.
+
+    Attributes:
+        name: of its files, without suffix.
+        title: in words.
+        columns: headings.
+        rows: one value per column.
+        notes: sentences below it.
+    """
+
+    name: str
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Value]]
+    notes: Sequence[str] = field(default=())
+
+    def texts(self) -> list[list[str]]:
+        """Rows as a person reads them."""
+        return [[shown(v, c.style) for v, c in zip(row, self.columns, strict=True)] for row in self.rows]
+
+    def document(self) -> dict[str, Any]:
+        """The table as JSON values."""
+        names = [c.name for c in self.columns]
+        rows = [
+            dict(zip(names, (list(v) if isinstance(v, tuple) else v for v in row), strict=True)) for row in self.rows
+        ]
+        return {"name": self.name, "title": self.title, "rows": rows, "notes": list(self.notes)}
+
+    def csv(self) -> str:
+        """Comma-separated values; an interval takes two columns, what does not exist is empty."""
+        wide = [any(isinstance(row[k], tuple) for row in self.rows) for k in range(len(self.columns))]
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        heads: list[str] = []
+        for column, pair in zip(self.columns, wide, strict=True):
+            heads += [f"{column.name}, low", f"{column.name}, high"] if pair else [column.name]
+        writer.writerow(heads)
+        for row in self.rows:
+            values: list[str] = []
+            for value, pair in zip(row, wide, strict=True):
+                parts = value if isinstance(value, tuple) else (value, None) if pair else (value,)
+                values += ["" if part is None else str(part) for part in parts]
+            writer.writerow(values)
+        return out.getvalue()
+
+    def latex(self) -> str:
+        """A `table` with `tabular`; needs the package booktabs."""
+        lines = [
+            r"\begin{table}[ht]",
+            r"\centering",
+            rf"\caption{{{tex(self.title)}}}",
+            rf"\label{{table:{self.name}}}",
+            rf"\begin{{tabular}}{{{''.join('l' if c.style == 'text' else 'r' for c in self.columns)}}}",
+            r"\toprule",
+            " & ".join(tex(c.name) for c in self.columns) + r" \\",
+            r"\midrule",
+            *(
+                " & ".join(_tex_value(v, c.style) for v, c in zip(row, self.columns, strict=True)) + r" \\"
+                for row in self.rows
+            ),
+            r"\bottomrule",
+            r"\end{tabular}",
+            *(rf"\par {tex(note)}" for note in self.notes),
+            r"\end{table}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def show(self, console: Console) -> None:
+        """Print it; what is not shown on a terminal may be wider than one."""
+        table = rich.table.Table(title=self.title, title_justify="left", caption="\n".join(self.notes) or None)
+        table.box, table.caption_justify, table.padding = rich.box.SIMPLE_HEAD, "left", (0, 0)
+        for column in self.columns:
+            table.add_column(column.name, justify="left" if column.style == "text" else "right", overflow="fold")
+        last = ""
+        for first, *others in self.texts():
+            table.add_row("" if first == last else first, *(Text(text) for text in others))
+            last = first
+        if not console.is_terminal:
+            console.width = max(console.width, WIDTH)
+        console.print(table)
+
+
+def shown(value: Value, style: Style) -> str:
+    """A value as a person reads it; empty where there is none."""
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, tuple):
+        return f"[{value[0]:.2f}, {value[1]:.2f}]"
+    if style == "p":
+        return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+    return f"{value:.{_DIGITS[style]}f}" if style in _DIGITS else str(value)
+
+
+def tex(text: str) -> str:
+    """Text with LaTeX's special characters written out."""
+    return "".join(_TEX.get(c, c) for c in text)
+
+
+def _tex_value(value: Value, style: Style) -> str:
+    if value is None:
+        return "--"
+    if style == "p" and isinstance(value, float) and 0 < value < 0.001:
+        mantissa, _, exponent = f"{value:.0e}".partition("e")
+        return rf"${mantissa} \cdot 10^{{{int(exponent)}}}$"
+    if isinstance(value, str):
+        return tex(value)
+    if isinstance(value, tuple):
+        return "[" + ", ".join(f"${part:.2f}$" for part in value) + "]"
+    text = shown(value, style)
+    return f"${text}$" if text.startswith("-") else text
+
+
+def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
+    """Write `<name>.csv` and `<name>.tex` of every table; the folder is made if needed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for table in tables:
+        for suffix, text in (("csv", table.csv()), ("tex", table.latex())):
+            paths.append(folder / f"{table.name}.{suffix}")
+            paths[-1].write_text(text, encoding="utf-8")
+    return paths
+
+
+def document_of(tables: Sequence[Table]) -> Mapping[str, Any]:
+    """Tables by name as JSON values."""
+    return {table.name: table.document() for table in tables}

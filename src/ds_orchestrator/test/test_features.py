@@ -1,0 +1,79 @@
+"""Features by name, against values that can be worked out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ds_orchestrator.features import FEATURES, FeatureError, cell_of, feature_of
+from ds_road import Road, generate
+
+STRAIGHT = Road([(125.0, 25.0 * k) for k in range(9)])
+
+
+@dataclass
+class Driven:
+    steering: NDArray[np.float64]
+    trajectory: NDArray[np.float64]
+
+
+def circle(radius: float) -> Road:
+    """Half a circle to the left, as points."""
+    angle = np.linspace(0, np.pi, 100)
+    return Road.from_road_points(np.stack((125 + radius * np.cos(angle), 50 + radius * np.sin(angle)), axis=1))
+
+
+def test_features_of_a_straight_road() -> None:
+    names = ["turns_count", "curvature", "minimum_radius", "direction_coverage", "segment_count"]
+    # 90 m in feet; one direction of 26 ends of bins.
+    assert cell_of(STRAIGHT, features=names) == (0, 0, 295, 3, 0)
+
+
+def test_features_of_half_a_circle() -> None:
+    road = circle(20.0)
+    # 20 m are 65.6 feet; from north to south over west there are the bins from 0 to 180 degrees, 13 of 26.
+    cell = cell_of(road, features=["minimum_radius", "turns_count"])
+    assert cell == (65, 1) and road.curvature == pytest.approx(0.05)
+    assert cell_of(road, features=["direction_coverage", "turns_count"]) == (50, 1)
+
+
+def test_direction_coverage_counts_bins_of_the_angle_to_north() -> None:
+    """By hand: steps to the north, to the east, and at 100 degrees: bins 1, 7 (86.4 to 100.8 degrees) and 7 again."""
+    far = [(0.0, 0.0), (0.0, 10.0), (10.0, 10.0), (10.0 + np.sin(np.radians(100)), 10.0 + np.cos(np.radians(100)))]
+    assert cell_of(Road.from_road_points(far), features=["direction_coverage", "turns_count"])[0] == int(100 * 2 / 26)  # type: ignore[index]
+
+
+def test_features_of_the_run_need_the_run() -> None:
+    path = np.zeros((4, 5))
+    path[:, 4] = [0.5, -0.5, 0.25, -0.24]
+    driven = Driven(np.array([0.3, -0.3, 0.3, -0.3]), path)
+    names = ["steering_deviation", "mean_lateral_position"]
+    assert cell_of(STRAIGHT, driven, features=names) == (30, 37)  # mean of the absolute values: 0.3725 m
+    assert cell_of(STRAIGHT, features=names) is None
+    assert cell_of(STRAIGHT, features=["turns_count", "steering_deviation"]) is None
+    nothing = Driven(np.empty(0), np.empty((0, 5)))
+    assert cell_of(STRAIGHT, nothing, features=names) == (0, 0)
+
+
+def test_a_width_makes_bins_of_several() -> None:
+    road = circle(20.0)
+    radius, wide = (cell_of(road, features=[name, "turns_count"]) for name in ("minimum_radius", "minimum_radius:20"))
+    assert radius is not None and wide is not None and wide[0] == radius[0] // 20 == 3
+    assert feature_of("minimum_radius:20").label(3) == "60" and feature_of("curvature:2").label(8) == "0.16"
+
+
+@pytest.mark.parametrize("name", ["turns", "curvature:", "curvature:0", "curvature:x", ""])
+def test_names_that_stand_for_nothing(name: str) -> None:
+    with pytest.raises(FeatureError, match="expected"):
+        feature_of(name)
+
+
+def test_published_counts_turns_with_its_own_constants() -> None:
+    roads = [generate(np.random.default_rng(s), max_angle=300) for s in range(30)]
+    cells = [cell_of(road, published=True) for road in roads]
+    assert cells == [(road.turns_count_published, road.curvature_bin) for road in roads]
+    assert cells != [cell_of(road) for road in roads]
+    assert set(FEATURES) >= {"turns_count", "curvature"}

@@ -1,0 +1,88 @@
+"""Tables as CSV that a reader gets back, as LaTeX that compiles, and with the paper's numbers in the right rows."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from pathlib import Path
+
+from rich.console import Console
+
+from ds_orchestrator.evaluation import Correlation, Variant
+from ds_orchestrator.paper_tables import correlation_tables, role_of, variant_table
+from ds_orchestrator.tables import Column, Table, shown, write_tables
+
+TABLE = Table(
+    name="t",
+    title="50 % of a_b & {c}",
+    columns=[Column("name"), Column("r", "number"), Column("95 %", "number"), Column("p", "p"), Column("n", "count")],
+    rows=[["x, y_1", -0.123456789, (-0.5, 0.25), 3.2e-7, 12], ["z", None, None, 0.025, 3]],
+    notes=["100 % sure"],
+)
+
+
+def test_csv_keeps_every_digit() -> None:
+    rows = list(csv.DictReader(io.StringIO(TABLE.csv())))
+    assert [float(rows[0]["r"]), float(rows[0]["95 %, low"]), float(rows[0]["95 %, high"])] == [
+        -0.123456789,
+        -0.5,
+        0.25,
+    ]
+    assert rows[0]["name"] == "x, y_1" and float(rows[0]["p"]) == 3.2e-7
+    assert rows[1]["r"] == rows[1]["95 %, low"] == "" and rows[1]["n"] == "3"
+
+
+def test_latex_escapes_and_balances() -> None:
+    text = TABLE.latex()
+    assert r"\caption{50 \% of a\_b \& \{c\}}" in text and r"x, y\_1" in text
+    assert (
+        r"$3 \cdot 10^{-7}$" in text
+        and "0.025" in text
+        and "$-0.123$" in text
+        and " -- " in text
+        and "[$-0.50$, $0.25$]" in text
+    )
+    body = text[text.index(r"\toprule") : text.index(r"\bottomrule")]
+    assert [len(re.findall(r"(?<!\\)&", line)) for line in body.splitlines() if line.endswith(r"\\")] == [4, 4, 4]
+    assert text.count(r"\begin") == text.count(r"\end") == 2
+
+
+def test_a_person_sees_short_numbers() -> None:
+    assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.50, 0.25]", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
+    assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
+    out = io.StringIO()
+    TABLE.show(Console(file=out, width=40))
+    assert "[-0.50, 0.25]" in out.getvalue() and "100 % sure" in out.getvalue()
+
+
+def test_files(tmp_path: Path) -> None:
+    paths = write_tables([TABLE], tmp_path / "new")
+    assert [p.name for p in paths] == ["t.csv", "t.tex"] and all(p.read_text() for p in paths)
+
+
+def found(name: str, value: str, r: float | None) -> Correlation:
+    return Correlation(
+        name=name, value=value, cells=9, r=r, p=None if r is None else 0.01, reason="" if r is not None else "why",
+        r_interval=None if r is None else (r - 0.1, r + 0.1), auc=0.5, auc_interval=(0.2, 0.8), baseline=0.25,
+    )  # fmt: skip
+
+
+def test_the_papers_rows_stand_beside_ours() -> None:
+    names = ["union_softbody", "union_bullet", "merged"]
+    rows = [found(n, v, None if n == "merged" else 0.4) for v in ("probability", "quality") for n in names]
+    rq2, rq3 = correlation_tables(rows, ["softbody", "bullet"], "donkey", ("epoch", "real"))
+    at = {c.name: k for k, c in enumerate(rq2.columns)}
+    assert [row[0] for row in rq2.rows] == ["DS1", "DS2", "DSS"]
+    assert [row[at["paper: r"]] for row in rq2.rows] == [0.469, 0.521, 0.450]
+    assert [row[at["paper: AUC-PRC"]] for row in rq3.rows] == [0.608, 0.715, 0.651]
+    assert any("DSS: no r, why" in note for note in rq2.notes) and any("25%" in note for note in rq2.notes)
+    ours, _ = correlation_tables(rows, ["softbody", "bullet"], "donkey", None)
+    assert len(ours.columns) == len(rq2.columns) - 3
+    # A third sibling has no counterpart in the paper.
+    assert role_of("union_x", ["a", "b", "x"]) == "DS3" and role_of("merged", ["a"]) == "DSS"
+
+
+def test_variants_are_one_row_each() -> None:
+    table = variant_table([Variant(what="w", name="merged", against="twin_d", value="quality", cells=4, r=0.5)])
+    assert table.rows == [["w", "merged", "twin_d", "quality", 4, 0.5, None, None]]

@@ -1,0 +1,44 @@
+"""A short drive, recorded at every level."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ds_driver.driving import make_driver
+from ds_orchestrator.bags import LEVELS, write_bag
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import Outcome
+
+FRAMES = 40
+ROAD = Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)])
+
+
+def drive(frames: int = FRAMES, *, seed: int = 3) -> RunRecord:
+    """The autopilot on the twin, cut after so many frames."""
+    simulator = make_simulator("donkey")
+    driver, session = make_driver("autopilot", simulator.spec), Session(simulator)
+    observation = session.start(ROAD, seed)
+    while observation is not None and session.driving and observation.step < frames:
+        observation = session.advance(driver(observation))
+    session.end(Outcome.CANCELLED, "that is enough")
+    simulator.close()
+    assert session.run is not None
+    return session.run
+
+
+@pytest.fixture(scope="session")
+def run() -> RunRecord:
+    return drive()
+
+
+@pytest.fixture(scope="session")
+def bags(run: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a bag of each level, named after it; never written to by a test."""
+    folder = tmp_path_factory.mktemp("bags")
+    for level in LEVELS:
+        write_bag(folder / level, "/twin", "donkey", run, {"driver": "autopilot"}, level)
+    return folder

@@ -1,0 +1,260 @@
+"""A driver answers recorded images: none is lost, the errors are right, whoever recorded them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.stats import wasserstein_distance
+
+from ds_driver.driving import make_driver
+from ds_driver.pixels import fit_to_network, rgb_of, rgb_of_file
+from ds_driver.preprocessing import Crop, ImageError
+from ds_driver.tub import TubError, read_tub
+from ds_orchestrator.answering import answer_recording
+from ds_orchestrator.bags import BagError
+from ds_orchestrator.domain import Domain
+from ds_orchestrator.recorded_frames import Frame, Reading, open_recording
+from ds_orchestrator.redriving import redrive
+from ds_orchestrator.steering_errors import BINS, density, distances, pooled_errors, summarise
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
+
+RNG = np.random.default_rng(1)
+PICTURE = RNG.integers(0, 255, (30, 40, 3), dtype=np.uint8)
+
+
+def brightness(frame: Frame, crop: Crop) -> float:
+    """A driver whose answer anybody can work out."""
+    assert frame.image is not None and frame.image.shape == (160, 320, 3)
+    return float(frame.image.mean()) / 255.0
+
+
+@pytest.fixture
+def tub(tmp_path: Path) -> Path:
+    """Five records of 160 x 120: the third deleted by its user, the fourth by the pilot, the fifth's image missing."""
+    folder = tmp_path / "tub"
+    (folder / "images").mkdir(parents=True)
+    for index in range(4):
+        cv2.imwrite(str(folder / "images" / f"{index}.png"), np.full((120, 160, 3), 50 * index, np.uint8))
+    rows: list[dict[str, Any]] = [
+        {
+            "_index": i, "_timestamp_ms": 1000 + 50 * i, "cam/image_array": f"{i}.png", "user/angle": 0.1 * i,
+            "user/throttle": 0.5, "user/mode": "user",
+        }
+        for i in range(5)
+    ]  # fmt: skip
+    rows[3] |= {"user/mode": "local", "pilot/angle": -0.7, "pilot/throttle": 0.2}
+    (folder / "catalog_0.catalog").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    last = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": [2]})
+    (folder / "manifest.json").write_text(f"[]\n[]\n{{}}\n{{}}\n{last}\n")
+    return folder
+
+
+def test_a_tub_is_read_with_its_sign_and_without_what_was_deleted(tub: Path) -> None:
+    records = read_tub(tub)
+    assert [(r.index, r.steering, r.throttle) for r in records] == [
+        (0, 0.0, 0.5), (1, 0.1, 0.5), (3, -0.7, 0.2), (4, 0.4, 0.5)
+    ]  # fmt: skip
+    (tub / "manifest.json").write_text("[]")
+    with pytest.raises(TubError, match="not a tub of version 2"):
+        read_tub(tub)
+
+
+def test_no_image_of_a_tub_is_lost_and_a_missing_one_is_told(tub: Path) -> None:
+    answers = answer_recording(open_recording(tub, Reading()), brightness)
+    assert answers.index.tolist() == [0, 1, 3] and answers.images == 4
+    np.testing.assert_allclose(answers.errors, [0.0, 50 / 255 - 0.1, 150 / 255 + 0.7], atol=0.003)
+    assert len(answers.trouble) == 1 and "4.png" in answers.trouble[0]
+    assert answers.worst[0][0].index == 3
+
+
+def test_a_network_answers_a_raw_bag_as_it_answered_in_the_loop(bags: Path, run: RunRecord) -> None:
+    """Bit by bit for raw images; the autopilot's own answers are what the bag recorded."""
+    driver = make_driver("dave2", make_simulator("donkey").spec)
+    expected = [driver(seen).steering for seen in redrive("donkey", run)]
+    from ds_driver.network_driver import NetworkDriver
+
+    network = NetworkDriver("dave2")
+    for truth in ("recorded", "autopilot"):
+        recording = open_recording(bags / "raw", Reading(truth=truth))  # type: ignore[arg-type]
+        answers = answer_recording(recording, lambda frame, crop: network.steering(_image(frame), crop))
+        assert answers.answered.tolist() == expected and answers.group == "donkey"
+        told = [command.steering for command in run.commands]
+        assert answers.recorded[:40].tolist() == told
+        assert np.isfinite(answers.recorded[40]) == (truth == "autopilot")
+
+
+def _image(frame: Frame) -> Any:
+    assert frame.image is not None
+    return frame.image
+
+
+@pytest.fixture(params=["Image", "CompressedImage"])
+def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A real car's bag by another writer, in SQLite: a camera, and a command of a type that nobody here knows."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("float32 angle", "my_car/msg/Wheel"))
+    store.register(get_types_from_msg("std_msgs/Header header\nmy_car/Wheel wheel", "my_car/msg/Cmd"))
+    types: Any = store.types
+    with Writer(tmp_path / "car", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        camera = writer.add_connection("/cam", f"sensor_msgs/msg/{request.param}", typestore=store)
+        wheel = writer.add_connection("/cmd", "my_car/msg/Cmd", typestore=store)
+
+        def header(time: int) -> Any:
+            stamp = types["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
+            return types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+
+        for number in range(6):
+            time = 10**9 + number * 200_000_000
+            grey = np.full((48, 64, 3), 40 * number, np.uint8)
+            if request.param == "Image":
+                message = types["sensor_msgs/msg/Image"](
+                    header=header(time), height=48, width=64, encoding="bgr8", is_bigendian=0, step=192,
+                    data=grey.reshape(-1),
+                )  # fmt: skip
+            else:
+                data = cv2.imencode(".jpg", grey)[1].reshape(-1)
+                message = types["sensor_msgs/msg/CompressedImage"](header=header(time), format="jpeg", data=data)
+            writer.write(camera, time, bytes(store.serialize_cdr(message, camera.msgtype)))
+            # The wheel speaks 20 ms later, and falls silent after the fourth image.
+            if number < 4:
+                told = types["my_car/msg/Cmd"](
+                    header=header(time + 20_000_000), wheel=types["my_car/msg/Wheel"](angle=-0.1 * number)
+                )
+                writer.write(wheel, time + 20_000_000, bytes(store.serialize_cdr(told, "my_car/msg/Cmd")))
+    return tmp_path / "car"
+
+
+def test_anybody_s_bag_with_steering_from_any_field(foreign: Path) -> None:
+    reading = Reading(steering="/cmd:wheel.angle", factor=-2.0)
+    answers = answer_recording(open_recording(foreign, reading), brightness)
+    np.testing.assert_allclose(answers.seconds, np.arange(6) * 0.2)
+    np.testing.assert_allclose(answers.recorded[:4], [0.0, 0.2, 0.4, 0.6], atol=1e-6)
+    assert np.isnan(answers.recorded[4:]).all() and np.isfinite(answers.answered).all()
+    np.testing.assert_allclose(answers.errors, np.arange(4) * (40 / 255 - 0.2), atol=0.006)
+    summary = summarise([answers])[0]
+    assert (summary.group, summary.images, summary.answered, summary.compared) == ("car", 6, 6, 4)
+    for wrong, said in (("/cmd", "expected TOPIC:FIELD"), ("/no:x", "/cam, /cmd"), ("/cmd:wheel", "no number 'wheel'")):
+        with pytest.raises(BagError, match=said):
+            answer_recording(open_recording(foreign, Reading(steering=wrong)), brightness)
+    with pytest.raises(BagError, match="no images of topic /other"):
+        open_recording(foreign, Reading(camera="/other"))
+
+
+def test_a_bag_without_images_says_what_to_do(bags: Path) -> None:
+    with pytest.raises(BagError, match="--level compressed or raw"):
+        open_recording(bags / "telemetry", Reading())
+
+
+@pytest.mark.parametrize(
+    ("encoding", "code"),
+    [
+        ("rgb8", None), ("bgr8", cv2.COLOR_RGB2BGR), ("rgba8", cv2.COLOR_RGB2RGBA), ("bgra8", cv2.COLOR_RGB2BGRA),
+        ("yuv422", cv2.COLOR_RGB2YUV_UYVY), ("yuv422_yuy2", cv2.COLOR_RGB2YUV_YUY2),
+    ],
+)  # fmt: skip
+def test_encodings_against_opencv_s_conversion_the_other_way(encoding: str, code: int | None) -> None:
+    """Rows are padded, as some drivers do; YUV with half the colour is compared on a picture of one colour a row."""
+    picture = PICTURE if "yuv" not in encoding else np.repeat(PICTURE[:, :1], 40, axis=1)
+    raw = picture if code is None else np.asarray(cv2.cvtColor(picture, code))
+    rows = raw.reshape(30, -1)
+    padded = np.hstack((rows, np.zeros((30, 7), np.uint8))).reshape(-1)
+    back = rgb_of(padded, encoding=encoding, height=30, width=40, step=rows.shape[1] + 7)
+    assert np.abs(back.astype(int) - picture).max() <= (3 if "yuv" in encoding else 0)
+
+
+def test_grey_images_and_what_is_no_image() -> None:
+    grey = np.ascontiguousarray(PICTURE[..., 0])
+    back = rgb_of(grey.reshape(-1), encoding="mono8", height=30, width=40, step=40)
+    assert all(np.array_equal(back[..., channel], grey) for channel in range(3))
+    with pytest.raises(ImageError, match="encoding '32FC1'"):
+        rgb_of(grey.reshape(-1), encoding="32FC1", height=30, width=40, step=40)
+    with pytest.raises(ImageError, match="does not fit"):
+        rgb_of(grey.reshape(-1), encoding="rgb8", height=30, width=40, step=120)
+    with pytest.raises(ImageError, match="damaged"):
+        rgb_of_file(b"no picture")
+
+
+def test_an_image_is_cut_to_two_to_one_at_its_top_or_its_sides() -> None:
+    tall = np.zeros((120, 160, 3), np.uint8)
+    tall[40:] = 200
+    assert (fit_to_network(tall) == 200).all()
+    assert (fit_to_network(tall, (0, 40)) == 0).all()
+    wide = np.zeros((100, 400, 3), np.uint8)
+    wide[:, 100:300] = 90
+    assert (fit_to_network(wide) == 90).all()
+    with pytest.raises(ImageError, match="expected 0 to 120"):
+        fit_to_network(tall, (10, 121))
+
+
+def test_density_and_distance_against_scipy(tub: Path) -> None:
+    errors = RNG.normal(0.1, 0.2, 500)
+    assert float((density(errors) * np.diff(BINS)).sum()) == pytest.approx(1.0)
+    moved = {"a": errors, "b": errors + 0.25}
+    [(one, other, apart)] = distances(moved)
+    assert (one, other) == ("a", "b") and apart == pytest.approx(0.25)
+    answers = answer_recording(open_recording(tub, Reading()), brightness)
+    summary = summarise([answers, answers])[0]
+    both = pooled_errors([answers, answers])["tub"]
+    assert summary.compared == 6 and summary.mean_absolute == pytest.approx(np.abs(both).mean())
+    expected = wasserstein_distance(answers.answered, answers.recorded)
+    assert summary.outputs_apart == pytest.approx(expected)
+
+
+@pytest.mark.graph
+def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_path: Path) -> None:
+    command = [
+        sys.executable, "-m", "ds_orchestrator.cli", "bag", "drive", str(bags / "compressed"), str(tub),
+        "--driver", "dave2", "--out", str(tmp_path / "out"), "--json",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert [(g["group"], g["images"], g["compared"]) for g in document["groups"]] == [("donkey", 41, 40), ("tub", 4, 3)]
+    assert len(document["distances"]) == 1 and "4.png" in done.stderr
+    with (tmp_path / "out" / "answers.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 44 and rows[40]["recorded"] == "" and rows[40]["answered"]
+    picture = cv2.imread(document["picture"])
+    assert picture is not None and picture.shape[1] == 1140
+
+
+@pytest.mark.graph
+def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_path: Path) -> None:
+    """Our driver as a node of its own; it crops nothing here, so neither does what it is held against."""
+    from ds_driver.network_driver import NetworkDriver
+
+    domain = Domain()
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain.number)}
+    node = subprocess.Popen(
+        [sys.executable, "-m", "ds_driver.node", "--ros-args", "-r", "__ns:=/ds1"],
+        env=environment, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        command = [
+            sys.executable, "-m", "ds_orchestrator.cli", "bag", "drive", str(bags / "raw"), "--attach", "--limit", "12",
+            "--out", str(tmp_path), "--json",
+        ]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+    finally:
+        node.terminate()
+        node.wait(20.0)
+        domain.close()
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["groups"][0]["answered"] == 12
+    network = NetworkDriver("dave2")
+    recording = open_recording(bags / "raw", Reading())
+    expected = answer_recording(recording, lambda frame, _: network.steering(_image(frame), Crop()), limit=12)
+    with (tmp_path / "answers.csv").open() as file:
+        assert [float(row["answered"]) for row in csv.DictReader(file)] == expected.answered.tolist()

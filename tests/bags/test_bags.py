@@ -1,0 +1,224 @@
+"""What a bag holds, by the word of other people's readers; needs the installed message definitions."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from ds_orchestrator.bag_info import in_words, info
+from ds_orchestrator.bag_messages import MessageMaker, typestore
+from ds_orchestrator.bag_reading import BagReader, read_run
+from ds_orchestrator.bags import LEVELS, BagError, Level, write_bag
+from ds_orchestrator.redriving import RedriveError, redrive
+from ds_sim.camera import Camera
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome, VehicleState
+
+pytestmark = pytest.mark.graph
+
+FRAMES = 41
+ALWAYS = {
+    "/twin/road": ("ds_interfaces/msg/Road", 1),
+    "/twin/road_markers": ("visualization_msgs/msg/MarkerArray", 1),
+    "/tf_static": ("tf2_msgs/msg/TFMessage", 1),
+    "/tf": ("tf2_msgs/msg/TFMessage", FRAMES),
+    "/twin/state": ("ds_interfaces/msg/VehicleState", FRAMES),
+    "/twin/odom": ("nav_msgs/msg/Odometry", FRAMES),
+    "/twin/drive": ("ds_interfaces/msg/DriveCommand", FRAMES - 1),
+    "/twin/outcome": ("ds_interfaces/msg/Outcome", 1),
+}
+INFO = {"/twin/camera/camera_info": ("sensor_msgs/msg/CameraInfo", FRAMES)}
+EXTRA: dict[Level, dict[str, tuple[str, int]]] = {
+    "telemetry": {},
+    "compressed": INFO | {"/twin/camera/image_raw/compressed": ("sensor_msgs/msg/CompressedImage", FRAMES)},
+    "raw": INFO | {"/twin/camera/image_raw": ("sensor_msgs/msg/Image", FRAMES)},
+}
+
+
+def read_all(folder: Path) -> dict[str, list[tuple[int, Any]]]:
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with AnyReader([folder]) as reader:  # the strict typestore: schemas in the file, hashes compared
+        for connection, stamp, raw in reader.messages():
+            found.setdefault(connection.topic, []).append((stamp, reader.deserialize(raw, connection.msgtype)))
+    return found
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_rosbags_reads_every_value(bags: Path, run: RunRecord, level: Level) -> None:
+    with AnyReader([bags / level]) as reader:
+        counts = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
+        jazzy = get_typestore(Stores.ROS2_JAZZY)
+        for connection in reader.connections:
+            if connection.msgtype in jazzy.fielddefs:
+                assert connection.digest == jazzy.hash_rihs01(connection.msgtype)
+    assert counts == ALWAYS | EXTRA[level]
+    messages = read_all(bags / level)
+    for (stamp, state), seen in zip(messages["/twin/state"], run.observations, strict=True):
+        assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == seen.step * 50_000_000
+        assert (state.step, state.x, state.y, state.yaw, state.lateral_position) == (
+            seen.step, seen.vehicle.x, seen.vehicle.y, seen.vehicle.yaw, seen.lane.lateral_position
+        )  # fmt: skip
+    for (_, drive), command in zip(messages["/twin/drive"], run.commands, strict=True):
+        assert (drive.steering, drive.throttle) == (command.steering, command.throttle)
+    assert messages["/twin/outcome"][0][1].value == int(Outcome.CANCELLED)
+    assert [(p.x, p.y) for p in messages["/twin/road"][0][1].control_points] == list(run.road.control_points)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_mcap_and_its_ros2_support_read_it_from_the_schemas_inside(bags: Path, level: Level) -> None:
+    file = bags / level / f"{level}.mcap"
+    with file.open("rb") as opened:
+        reader = make_reader(opened, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        assert summary is not None and summary.statistics is not None
+        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
+        assert all({"topic_type_hash", "offered_qos_profiles"} <= c.metadata.keys() for c in summary.channels.values())
+        assert {m.name for m in reader.iter_metadata()} == {"rosbag2", "digital_siblings"}
+        times = [message.log_time for _, _, message in reader.iter_messages(log_time_order=False)]
+    assert times == sorted(times)
+    expected = ALWAYS | EXTRA[level]
+    counts: dict[str, int] = {}
+    for message in read_ros2_messages(file):
+        counts[message.channel.topic] = counts.get(message.channel.topic, 0) + 1
+    assert counts == {topic: count for topic, (_, count) in expected.items()}
+
+
+def test_images_are_those_that_the_driver_saw(bags: Path, run: RunRecord) -> None:
+    images = [seen.image for seen in redrive("donkey", run)]
+    raw = read_all(bags / "raw")["/twin/camera/image_raw"]
+    compressed = read_all(bags / "compressed")["/twin/camera/image_raw/compressed"]
+    for image, (_, kept), (_, jpeg) in zip(images, raw, compressed, strict=True):
+        assert (kept.encoding, kept.step, kept.header.frame_id) == ("rgb8", 960, "twin/camera")
+        assert kept.data.tobytes() == image.tobytes()
+        assert "jpeg" in jpeg.format and jpeg.header.frame_id == "twin/camera"
+        assert jpeg.header.stamp.nanosec == kept.header.stamp.nanosec
+        decoded = cv2.cvtColor(cv2.imdecode(jpeg.data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+        assert cv2.PSNR(decoded, image) > 32.0
+
+
+def test_transforms_and_camera_info_put_the_road_where_the_camera_draws_it() -> None:
+    """A body that leans and nods: the chain of transforms against the pose that the camera itself draws with."""
+    spec = make_simulator("donkey").spec
+    vehicle = VehicleState(
+        x=31.0, y=-7.0, yaw=2.1, speed=0.0, yaw_rate=0.0, steering_angle=0.0, roll=0.05, pitch=-0.08, heave=0.03
+    )
+    maker = MessageMaker("/twin")
+    body = maker.body_transform(vehicle, 0).transforms[0]
+    camera = maker.camera_transform(spec.camera, 0).transforms[0]
+    assert (body.header.frame_id, body.child_frame_id) == ("road", camera.header.frame_id)
+
+    def matrix(stamped: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+        place, turn = stamped.transform.translation, stamped.transform.rotation
+        made = np.eye(4)
+        made[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+        made[:3, 3] = (place.x, place.y, place.z)
+        return made
+
+    chain = matrix(body) @ matrix(camera)
+    axes, position = Camera(spec.camera, spec.look)._pose(vehicle)
+    np.testing.assert_allclose(chain[:3, :3].T, axes, atol=1e-12)
+    np.testing.assert_allclose(chain[:3, 3], position, atol=1e-12)
+
+
+def test_messages_are_those_of_the_graph_byte_for_byte(run: RunRecord) -> None:
+    """Serialised by rclpy from the graph's own messages, against the bag's writer, which knows no ROS."""
+    pytest.importorskip("rclpy")
+    from rclpy.serialization import serialize_message
+    from std_msgs.msg import Header
+
+    from ds_sim import messages
+
+    spec, seen, time = make_simulator("donkey").spec, run.observations[17], 850_000_000
+    maker, store = MessageMaker("/twin"), typestore()
+    header = Header(stamp=messages.to_time(0.85), frame_id="twin/camera")
+    road_header = Header(stamp=header.stamp, frame_id="road")
+    pairs: list[tuple[Any, Any, str]] = [
+        (
+            messages.state_to_message(seen, road_header, run.road.road_id),
+            maker.state(seen, run.road.road_id, time),
+            "ds_interfaces/msg/VehicleState",
+        ),
+        (
+            messages.odometry_message(seen.vehicle, header, "twin/base_link"),
+            maker.odometry(seen.vehicle, time),
+            "nav_msgs/msg/Odometry",
+        ),
+        (
+            messages.camera_info_message(spec.camera, header),
+            maker.camera_info(spec.camera, time),
+            "sensor_msgs/msg/CameraInfo",
+        ),
+        (
+            messages.road_markers(run.road, spec.look, messages.to_time(0.85)),
+            maker.road_markers(run.road, spec.look, time),
+            "visualization_msgs/msg/MarkerArray",
+        ),
+        (messages.road_to_message(run.road), maker.road(run.road), "ds_interfaces/msg/Road"),
+    ]
+    for theirs, ours, kind in pairs:
+        # rclpy leaves anything in the gaps between fields: written again they are zero.
+        again = store.deserialize_cdr(serialize_message(theirs), kind)
+        assert bytes(store.serialize_cdr(again, kind)) == bytes(store.serialize_cdr(ours, kind)), kind
+
+
+def test_a_bag_alone_tells_what_happened(bags: Path, run: RunRecord) -> None:
+    with BagReader(bags / "telemetry") as bag:
+        recorded = read_run(bag)
+    found = recorded.run
+    assert (found.road, found.seed, found.commands) == (run.road, run.seed, run.commands)
+    assert (found.outcome, found.message) == (run.outcome, run.message)
+    for ours, theirs in zip(found.observations, run.observations, strict=True):
+        assert (ours.step, ours.time, ours.vehicle, ours.lane) == (
+            theirs.step, theirs.time, theirs.vehicle, theirs.lane
+        )  # fmt: skip
+    assert (recorded.simulator, recorded.driver, recorded.namespace) == ("donkey", "autopilot", "/twin")
+    document = info(bags / "raw")
+    facts = document["facts"]
+    assert json.loads(facts["road"]) == [list(point) for point in run.road.control_points]
+    assert (facts["seed"], facts["outcome"], facts["steps"]) == ("3", "CANCELLED", "40")
+    assert float(facts["fitness"]) == run.fitness and facts["version.numpy"] == np.__version__
+    words = "\n".join(in_words(document))
+    assert "autopilot drove on donkey: cancelled after 40 frames (that is enough)" in words
+    assert f"Road {run.road.road_id}, seed 3, level raw" in words
+
+
+def test_the_same_run_gives_the_same_bytes_and_replaces_its_bag(bags: Path, run: RunRecord, tmp_path: Path) -> None:
+    for _ in range(2):
+        write_bag(tmp_path / "telemetry", "/twin", "donkey", run, {"driver": "autopilot"})
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["telemetry"]
+        for name in ("telemetry.mcap", "metadata.yaml"):
+            assert (tmp_path / "telemetry" / name).read_bytes() == (bags / "telemetry" / name).read_bytes()
+
+
+def test_images_of_a_run_that_does_not_come_out_the_same_are_refused(run: RunRecord, tmp_path: Path) -> None:
+    with pytest.raises(RedriveError, match="at step 1, "):
+        write_bag(tmp_path / "bag", "/twin", "softbody", run, {}, "raw")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_what_is_no_bag_is_told_in_one_line(bags: Path, tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="no such bag"):
+        info(tmp_path / "none")
+    with pytest.raises(BagError, match=r"expected a folder with metadata\.yaml"):
+        info(tmp_path)
+    shutil.copytree(bags / "telemetry", tmp_path / "cut")
+    file = tmp_path / "cut" / "telemetry.mcap"
+    file.write_bytes(file.read_bytes()[:2000])
+    with pytest.raises(BagError, match="ds bag recover"):
+        info(tmp_path / "cut")
+    (tmp_path / "cut" / "metadata.yaml").write_text("{")
+    with pytest.raises(BagError, match="cannot be read"):
+        info(tmp_path / "cut")

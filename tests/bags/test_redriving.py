@@ -1,0 +1,57 @@
+"""Recorded commands given again: the same bits, or the step and by how much."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ds_orchestrator.bag_redriving import redrive_bag
+from ds_orchestrator.bags import LEVELS, BagError, Level, write_bag
+from ds_orchestrator.redriving import difference_between
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Command
+
+pytestmark = pytest.mark.graph
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_recorded_run_comes_out_the_same(bags: Path, level: Level) -> None:
+    found = redrive_bag(bags / level)
+    assert (found.step, found.frames, found.images) == (None, 41, 0 if level == "telemetry" else 41)
+
+
+def test_the_step_and_the_distance_of_a_changed_command_are_told(run: RunRecord, tmp_path: Path) -> None:
+    """A bag that says another throttle than was driven: the car stands, so the difference shows a little later."""
+    commands = list(run.commands)
+    commands[20] = Command(commands[20].steering, 0.0)
+    write_bag(tmp_path / "bag", "/twin", "donkey", replace(run, commands=commands), {})
+    found = redrive_bag(tmp_path / "bag")
+    assert found.step is not None and 21 <= found.step <= 23 and "m away" in found.difference
+    command = [sys.executable, "-m", "ds_orchestrator.cli", "bag", "redrive", str(tmp_path / "bag"), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and f"at step {found.step}, " in done.stderr
+    document = json.loads(done.stdout)
+    assert not document["same"] and document["step"] == found.step == document["frames"]
+
+
+def test_one_bit_is_a_difference(run: RunRecord) -> None:
+    seen = run.observations[30]
+    moved = replace(seen, vehicle=replace(seen.vehicle, x=math.nextafter(seen.vehicle.x, math.inf)))
+    assert difference_between(seen, seen) == ""
+    apart = abs(moved.vehicle.x - seen.vehicle.x)
+    assert difference_between(moved, seen) == f"{apart:.3g} m away (x by {apart:.3g})"
+    signed = replace(seen, vehicle=replace(seen.vehicle, heave=-0.0))
+    assert "heave by 0" in difference_between(signed, replace(seen, vehicle=replace(seen.vehicle, heave=0.0)))
+
+
+def test_another_simulator_and_another_bag_are_told(bags: Path, tmp_path: Path) -> None:
+    found = redrive_bag(bags / "raw", "softbody")
+    assert found.step == 1 and found.simulator == "softbody"
+    with pytest.raises(BagError, match="no such bag"):
+        redrive_bag(tmp_path / "none")

@@ -1,0 +1,97 @@
+"""A campaign whose twin is a fitted car: its file may not change on the way, and its path may be a long one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from ds_driver.control import Autopilot
+from ds_orchestrator import results
+from ds_orchestrator.campaign import Campaign
+from ds_orchestrator.commands.answers import Interrupted
+from ds_orchestrator.commands.campaigns import run_campaign
+from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig
+from ds_orchestrator.store import Execution, Store, Test
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import Outcome
+
+CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}\n"
+
+
+def config_with(file: Path) -> CampaignConfig:
+    return CampaignConfig(
+        siblings=["donkey"], twin=f"donkey@{file}", driver="autopilot", seed=7, record="telemetry", retries=0,
+        search=SearchConfig(population=2, iterations=1, runs=1, min_angle=40, max_angle=90),
+    )  # fmt: skip
+
+
+def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def stopped(*_: object, **__: object) -> Iterator[None]:
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr("ds_orchestrator.running.running_graph", stopped)
+    file = tmp_path / "car.yaml"
+    file.write_text(CAR)
+    config, out = config_with(file), tmp_path / "out"
+    with pytest.raises(Interrupted):
+        run_campaign(config, out)
+    file.write_text(CAR.replace("0.8", "0.7"))
+    with pytest.raises(ConfigError, match="the file has changed since the campaign began: restore it") as caught:
+        run_campaign(config, out)
+    assert "\n" not in str(caught.value)
+    file.write_text(CAR)
+    with pytest.raises(Interrupted):
+        run_campaign(config, out)
+
+
+class ShortDrives:
+    """Twenty steps of the autopilot in this process."""
+
+    def stop(self) -> None: ...
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        made = make_simulator(simulator)
+        session, pilot = Session(made), Autopilot(made.spec.autopilot)
+        observation = session.start(road, seed)
+        while session.driving and observation is not None and observation.step < 20:
+            observation = session.advance(
+                pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
+            )
+        session.end(Outcome.TIMEOUT, "enough for a test")
+        made.close()
+        assert session.run is not None
+        return session.run
+
+
+class Silent:
+    def stage(self, name: str) -> None: ...
+
+    def expect(self, executions: int) -> None: ...
+
+    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...
+
+
+def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
+    folder = tmp_path / "a car's folder"
+    folder.mkdir()
+    file = folder / "car.yaml"
+    file.write_text(CAR)
+    config, out = config_with(file), tmp_path / "out"
+    assert config.twin
+    (out / "bags").mkdir(parents=True)
+    store = Store(out / "campaign.sqlite", config=config.identity())
+    Campaign(config, out, store, ShortDrives(), Silent(), {"donkey": "/ds1", config.twin: "/twin"}).run()
+    bags = [out / execution.bag for execution in store.executions()]
+    assert len(bags) == len(set(bags)) == len(store.tests()) * 2
+    assert all(bag.parent == out / "bags" and (bag / "metadata.yaml").is_file() for bag in bags)
+    report = results.write_all(out, store)
+    assert config.twin.replace("'", "&#39;") in report.read_text()
+    pictures = [path.name for path in out.rglob("*.png")]
+    assert any("car.yaml" in name for name in pictures), pictures
