@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from ds_driver.command_outputs import CommandOutput
-from ds_driver.image_decoding import decode, decompress, to_network_size
 from ds_driver.latency_report import LatencyReport
+from ds_driver.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_sim.simulator import Command
 
 Drive = Callable[[NDArray[np.uint8], float], Command]
@@ -57,20 +58,22 @@ class CameraEyes:
         self._speed = float(odometry.twist.twist.linear.x)
 
     def _on_image(self, image: Image) -> None:
-        self._answer(
-            image.header, lambda: decode(image.encoding, image.height, image.width, image.step, image.data)
-        )
+        def pixels() -> NDArray[np.uint8]:
+            data = np.frombuffer(image.data, np.uint8)
+            return rgb_of(data, encoding=image.encoding, height=image.height, width=image.width, step=image.step)
+
+        self._answer(image.header, pixels)
 
     def _on_compressed(self, image: CompressedImage) -> None:
-        self._answer(image.header, lambda: decompress(image.data))
+        self._answer(image.header, lambda: rgb_of_file(bytes(image.data)))
 
     def _answer(self, header: Header, pixels: Callable[[], NDArray[np.uint8]]) -> None:
         began = time.monotonic()
         try:
-            command = self._drive(to_network_size(pixels()), self._speed)
+            command = self._drive(fit_to_network(pixels()), self._speed)
             self._output.send(command, header)
-        except ValueError as error:
+        except (ValueError, cv2.error) as error:
             self._report.latency.refused += 1
-            self._node.get_logger().error(f"frame not answered: {error}", throttle_duration_sec=1.0)
+            self._node.get_logger().error(f"frame not answered: {' '.join(str(error).split())}", throttle_duration_sec=1.0)
             return
         self._report.latency.add(time.monotonic() - began)

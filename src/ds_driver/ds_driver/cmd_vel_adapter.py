@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from importlib import import_module
 from typing import Any
 
 from ds_interfaces.msg import DriveCommand, VehicleState
@@ -14,6 +13,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import Header
 
+from ds_driver.command_outputs import message_type
 from ds_driver.frame_matching import FrameMatching
 from ds_driver.speed_control import SpeedControl
 from ds_driver.vehicle_commands import KINDS, Geometry, Motion, MotionError, part
@@ -44,7 +44,7 @@ class CmdVelAdapter(Node):
         self._matching: FrameMatching[VehicleState, Motion | MotionError] = FrameMatching()
         self._drive = self.create_publisher(DriveCommand, "drive", 1)
         self.create_subscription(VehicleState, "state", self._on_state, 5)
-        self.create_subscription(_message_type(self._kind), self._kind.topic, self._on_command, 5)
+        self.create_subscription(message_type(self._kind), self._kind.topic, self._on_command, 5)
         if self._geometry is None:
             self._info = self.create_client(GetSimulatorInfo, "get_info")
             self._asking = self.create_timer(ASK_AGAIN, self._ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -95,14 +95,6 @@ class CmdVelAdapter(Node):
         else:
             throttle = self._speed_control.throttle(motion.speed or 0.0, state.speed)
         self._drive.publish(DriveCommand(header=header, steering=motion.steering, throttle=throttle))
-
-
-def _message_type(kind: Any) -> Any:
-    """Raises ValueError if its package is not installed."""
-    try:
-        return getattr(import_module(f"{kind.package}.msg"), kind.type_name)
-    except ImportError:
-        raise ValueError(f"{kind.package} is not installed: install it, or choose another message") from None
 
 
 def _nanoseconds(stamp: Any) -> int:
