@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,6 +38,18 @@ def spin() -> Iterator[Callable[..., None]]:
     stop.set()
     for thread in threads:
         thread.join(2.0)
+
+
+@pytest.fixture
+def join() -> Iterator[Callable[..., None]]:
+    """Lets nodes of the test's own process join an executor's graph; the executor has a context of its own."""
+    import rclpy
+
+    def start(executor: Any) -> None:
+        rclpy.init(domain_id=executor._context.get_domain_id())
+
+    yield start
+    rclpy.try_shutdown()
 
 
 @pytest.fixture

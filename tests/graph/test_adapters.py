@@ -18,7 +18,7 @@ SPACE = {"donkey": "/ds1"}
 
 
 @pytest.fixture
-def adapted(logs: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
+def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey, and the adapter with the parameters of the test."""
     from ds_orchestrator.domain import Domain
     from ds_orchestrator.graph import GraphExecutor
@@ -32,11 +32,10 @@ def adapted(logs: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
         namespace="/ds1",
         parameters={"simulator": "donkey", "command_timeout": 10.0, "sync": sync},
     )
-    adapter = ProcessSpec(
-        name="driver", module="ds_driver.cmd_vel_adapter", namespace="/ds1", parameters=parameters
-    )
+    adapter = ProcessSpec(name="driver", module="ds_driver.cmd_vel_adapter", namespace="/ds1", parameters=parameters)
     supervisor = Supervisor([simulator, adapter], domain=domain.number, logs=logs)
     executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
+    join(executor)
     yield executor
     executor.close()
     supervisor.close()
@@ -76,9 +75,7 @@ def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any
 
 
 @pytest.mark.parametrize("adapted", [("realtime", {"message": "twist"})], indirect=True)
-def test_a_twist_without_stamp_drives_in_real_time_and_silence_ends_it(
-    adapted: Any, spin: Callable[..., None]
-) -> None:
+def test_a_twist_without_stamp_drives_in_real_time_and_silence_ends_it(adapted: Any, spin: Callable[..., None]) -> None:
     """The message of the result tells the jitter; the watchdog ends a run whose driver stops sending."""
     from geometry_msgs.msg import Twist
     from rclpy.node import Node

@@ -30,16 +30,17 @@ SPACE = {"donkey": "/ds1"}
 
 
 @pytest.fixture
-def graph(logs: Path) -> Iterator[Any]:
+def graph(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey with the autopilot."""
     from ds_orchestrator.running import running_graph
 
     with running_graph(SPACE, "autopilot", command_timeout=5.0, logs=logs) as executor:
+        join(executor)
         yield executor
 
 
 @pytest.fixture
-def lonely_simulator(logs: Path) -> Iterator[Any]:
+def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey that waits 1.5 s for a driver that the test brings; gives (executor, ROS domain)."""
     from ds_orchestrator.domain import Domain
     from ds_orchestrator.graph import GraphExecutor
@@ -49,6 +50,7 @@ def lonely_simulator(logs: Path) -> Iterator[Any]:
     domain = Domain()
     supervisor = Supervisor(simulator_processes(SPACE, 1.5), domain=domain.number, logs=logs)
     executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=1.5, supervisor=supervisor)
+    join(executor)
     yield executor, domain.number
     executor.close()
     supervisor.close()

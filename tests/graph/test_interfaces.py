@@ -102,7 +102,9 @@ def interfaces_of(asker: Any, node: str) -> set[tuple[str, ...]]:
         for name, (type_name,) in services(node, space):
             if name.endswith("/_action/send_goal"):
                 action = name.removesuffix("/_action/send_goal")
-                found.add(("action", relative(action), type_name.replace("/action/", "/").removesuffix("_SendGoal"), ""))
+                found.add(
+                    ("action", relative(action), type_name.replace("/action/", "/").removesuffix("_SendGoal"), "")
+                )
             elif f"/{node}/" not in name and "/_action/" not in name and "get_type_description" not in name:
                 found.add((kind, relative(name), type_name.replace("/srv/", "/"), ""))
     return found
@@ -137,9 +139,7 @@ def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any
     names = ask(ListParameters, "list_parameters", ListParameters.Request()).result.names
     names = sorted(n for n in names if n not in ("use_sim_time", "start_type_description_service"))
     descriptors = ask(DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)).descriptors
-    described = {
-        (d.name, TYPES[d.type], d.additional_constraints, d.description) for d in descriptors
-    }
+    described = {(d.name, TYPES[d.type], d.additional_constraints, d.description) for d in descriptors}
     assert described == {(row[0], row[1], row[3], row[4]) for row in tables(node)[1]}
     assert all(d.read_only and d.description for d in descriptors)
     for d in descriptors:

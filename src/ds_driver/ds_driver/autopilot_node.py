@@ -32,9 +32,7 @@ class AutopilotNode(Node):
         super().__init__("autopilot")
         namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
         columns = {
-            name: declare(
-                self, name, [default] * len(namespaces), about, low=low, high=high, length=len(namespaces)
-            )
+            name: declare(self, name, [default] * len(namespaces), about, low=low, high=high, length=len(namespaces))
             for name, default, low, high, about in GAINS
         }
         self._eyes = [

@@ -28,7 +28,9 @@ class CameraDriver(Node):
         super().__init__("camera_driver")
         network = declare(self, "network", "dave2", "Shipped network, or a file of weights.")
         output = declare(self, "output", "drive_command", "Message by which it drives.", choices=OUTPUTS)
-        compressed = declare(self, "compressed", False, "Subscribe to camera/image_raw/compressed instead of image_raw.")
+        compressed = declare(
+            self, "compressed", False, "Subscribe to camera/image_raw/compressed instead of image_raw."
+        )
         about = "odom: from the topic odom; none: taken as 0, for outputs that carry a speed."
         speed_from = declare(self, "speed_from", "odom", about, choices=("odom", "none"))
         about = "Speed at steering 0, m/s, for outputs that carry a speed."
@@ -47,9 +49,7 @@ class CameraDriver(Node):
         def drive(image: NDArray[np.uint8], speed: float) -> Command:
             return driver.command(image, speed, crop)
 
-        self._eyes = CameraEyes(
-            self, drive, sender, compressed=compressed, speed_from_odometry=speed_from == "odom"
-        )
+        self._eyes = CameraEyes(self, drive, sender, compressed=compressed, speed_from_odometry=speed_from == "odom")
         self.get_logger().info(f"{network} answers images with {output}")
 
 

@@ -46,9 +46,7 @@ class CameraEyes:
         self._speed = 0.0
         self._report = LatencyReport(node)
         if compressed:
-            node.create_subscription(
-                CompressedImage, "camera/image_raw/compressed", self._on_compressed, CAMERA_QOS
-            )
+            node.create_subscription(CompressedImage, "camera/image_raw/compressed", self._on_compressed, CAMERA_QOS)
         else:
             node.create_subscription(Image, "camera/image_raw", self._on_image, CAMERA_QOS)
         if speed_from_odometry:
@@ -74,6 +72,8 @@ class CameraEyes:
             self._output.send(command, header)
         except (ValueError, cv2.error) as error:
             self._report.latency.refused += 1
-            self._node.get_logger().error(f"frame not answered: {' '.join(str(error).split())}", throttle_duration_sec=1.0)
+            self._node.get_logger().error(
+                f"frame not answered: {' '.join(str(error).split())}", throttle_duration_sec=1.0
+            )
             return
         self._report.latency.add(time.monotonic() - began)

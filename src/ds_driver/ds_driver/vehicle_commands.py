@@ -185,14 +185,18 @@ KINDS = {
     ),
     "twist": MessageKind("geometry_msgs", "Twist", "cmd_vel", "", "", from_twist, to_twist),
     "ackermann": MessageKind(
-        "ackermann_msgs", "AckermannDriveStamped", "ackermann_cmd", "drive", "header.stamp", from_ackermann, to_ackermann
+        "ackermann_msgs",
+        "AckermannDriveStamped",
+        "ackermann_cmd",
+        "drive",
+        "header.stamp",
+        from_ackermann,
+        to_ackermann,
     ),
     "servo": MessageKind(
         "deepracer_interfaces_pkg", "ServoCtrlMsg", "servo_msg", "", "", from_servo, to_servo, needs_throttle=True
     ),
-    "autoware": MessageKind(
-        "autoware_control_msgs", "Control", "control_cmd", "", "stamp", from_autoware, to_autoware
-    ),
+    "autoware": MessageKind("autoware_control_msgs", "Control", "control_cmd", "", "stamp", from_autoware, to_autoware),
 }
 """By the name that parameters use."""
 

@@ -108,9 +108,7 @@ def test_what_is_not_a_number_is_refused_by_name(kind: str, bad: float, which: i
 
 def test_a_circle_driven_by_a_twist_has_the_radius_that_was_asked_for() -> None:
     """Integrated in small steps, independently of the formula that is under test."""
-    motion = KINDS["twist"].read(
-        SimpleNamespace(linear=SimpleNamespace(x=4.0), angular=SimpleNamespace(z=0.5)), CAR
-    )
+    motion = KINDS["twist"].read(SimpleNamespace(linear=SimpleNamespace(x=4.0), angular=SimpleNamespace(z=0.5)), CAR)
     angle, x, y, yaw, dt = CAR.angle_of(motion.steering), 0.0, 0.0, 0.0, 1e-3
     points = []
     for _ in range(round(2 * math.pi / 0.5 / dt)):

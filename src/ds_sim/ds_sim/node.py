@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 
 from ds_interfaces.action import DriveRoad
@@ -24,7 +23,7 @@ from ds_sim.registry import make_simulator
 from ds_sim.ros_runtime import run_node
 from ds_sim.session import Session
 from ds_sim.simulator import FRAME_TIME, Command, CommandError, Observation, Outcome
-from ds_sim.simulator_parameters import SYNC_MODES, declare_parameters
+from ds_sim.simulator_parameters import check_goal, declare_parameters
 
 
 class SimulatorNode(Node):
@@ -39,23 +38,20 @@ class SimulatorNode(Node):
         parameters = declare_parameters(self, simulator)
         self._sync, self._timeout = parameters.sync, parameters.command_timeout
         self._session = Session(make_simulator(parameters.simulator))
-        spec = self._session.simulator.spec
-        self._frames = FramePublisher(self, spec, clock=parameters.publish_clock)
+        self._frames = FramePublisher(self, self._session.simulator.spec, clock=parameters.publish_clock)
         self._road: Road | None = None
-        self._seed = 0
+        self._seed, self._sync_now = 0, self._sync
         self._goal: ServerGoalHandle | None = None
-        self._handed_over = False
+        self._handed_over, self._refused = False, ""
         self._last: Observation | None = None
         self._awaited = Header()
         self._patience = Patience(self._timeout)
-        self._refused = ""
-        self._sync_now = self._sync
         # Stamps never go back over the life of the node, as tf, bags and filters expect of a clock; they begin above
         # 0, so that a driver that leaves its stamp unset never answers by chance.
         self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", self._on_command, 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
-        self.create_service(GetSimulatorInfo, "get_info", lambda _, answer: messages.info_response(spec, answer))
+        self.create_service(GetSimulatorInfo, "get_info", self._on_get_info)
         self.create_service(Trigger, "reset", self._on_reset)
         self._server = ActionServer(
             self,
@@ -76,6 +72,9 @@ class SimulatorNode(Node):
         """Close the simulator with the node."""
         self._session.simulator.close()
         super().destroy_node()
+
+    def _on_get_info(self, _: object, response: GetSimulatorInfo.Response) -> GetSimulatorInfo.Response:
+        return messages.info_response(self._session.simulator.spec, response)
 
     def _on_load_road(self, request: LoadRoad.Request, response: LoadRoad.Response) -> LoadRoad.Response:
         try:
@@ -106,17 +105,14 @@ class SimulatorNode(Node):
 
     def _on_goal(self, goal: DriveRoad.Goal) -> GoalResponse:
         try:
-            if goal.sync not in ("", *SYNC_MODES):
-                raise RoadError(f"sync {goal.sync!r}: expected one of {', '.join(SYNC_MODES)}")
-            if not 0.0 <= goal.command_timeout < math.inf:
-                raise RoadError(f"command_timeout {goal.command_timeout}: expected seconds, or 0 for the node's own")
+            check_goal(goal.sync, goal.command_timeout)
             if goal.road.control_points:
                 self._load(messages.road_from_message(goal.road), goal.seed)
             if self._road is None:
                 raise RoadError(messages.NO_ROAD)
             if self._goal is not None:
                 raise RoadError(messages.BUSY)
-        except RoadError as error:
+        except ValueError as error:
             self.get_logger().warning(f"goal refused: {error}")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
@@ -125,8 +121,7 @@ class SimulatorNode(Node):
         """Begin the run; the goal is executed, in the action's sense, when the run has ended."""
         assert self._road is not None
         self._goal = goal
-        self._handed_over = False
-        self._refused = ""
+        self._handed_over, self._refused = False, ""
         self._sync_now = goal.request.sync or self._sync
         limit = goal.request.command_timeout or self._timeout
         self._patience = Patience(limit, frames_wait=self._sync_now != "realtime")
@@ -187,9 +182,8 @@ class SimulatorNode(Node):
 
     def _result(self, goal: ServerGoalHandle) -> DriveRoad.Result:
         """The ended run as the action's result."""
-        run = self._session.run
+        self._goal, run = None, self._session.run
         assert run is not None
-        self._goal = None
         run.message = "; ".join(filter(None, (run.message, self._real_time.end())))
         self._run_start += run.simulated_seconds + FRAME_TIME
         messages.close_goal(goal, run.outcome)
@@ -198,7 +192,7 @@ class SimulatorNode(Node):
 
 
 def main(simulator: str = "bullet") -> None:
-    """Host the simulator that the parameter names."""
+    """Host the simulator that the parameter names, or this one."""
     sys.exit(run_node(lambda: SimulatorNode(simulator)))
 
 

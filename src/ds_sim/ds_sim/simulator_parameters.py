@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from rclpy.node import Node
@@ -46,3 +47,11 @@ def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
             node, "publish_clock", False, "Publish simulated time on /clock; one simulator of a graph may."
         ),
     )
+
+
+def check_goal(sync: str, command_timeout: float) -> None:
+    """Raises ValueError for a goal's wishes that cannot be met; "" and 0 stand for the node's own."""
+    if sync not in ("", *SYNC_MODES):
+        raise ValueError(f"sync {sync!r}: expected one of {', '.join(SYNC_MODES)}")
+    if not 0.0 <= command_timeout < math.inf:
+        raise ValueError(f"command_timeout {command_timeout}: expected seconds, or 0 for the node's own")
