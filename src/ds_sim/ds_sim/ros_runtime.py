@@ -60,9 +60,9 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
         # rclpy's own handlers would take the context from under a node that is still being made.
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
+        stop.interrupts = False
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        stop.interrupts = False
         while rclpy.ok() and not stop.asked:
             executor.spin_once(timeout_sec=0.1)
     except ValueError as error:
