@@ -1,7 +1,8 @@
 """A driver in a process of its own that drives straight on, and goes wrong as the parameter or a file tells it.
 
 Parameters: `fault`, or `orders`, a file that is read at the start of each run; `at`, the frame at which it goes wrong;
-`delay`, s by which `late` answers late; `once`, a file that is made when it goes wrong and keeps it from doing so again.
+`delay`, s by which `late` answers late; `once`, a file that is made when it goes wrong, and keeps it from doing so
+again.
 """
 
 from __future__ import annotations

@@ -53,7 +53,10 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
         module="ds_driver.camera_driver",
         namespace="/car",
         parameters={
-            "output": "twist_stamped", "wheelbase": 0.3, "max_steering_angle": 0.4, "max_speed": 2.0,
+            "output": "twist_stamped",
+            "wheelbase": 0.3,
+            "max_steering_angle": 0.4,
+            "max_speed": 2.0,
             "speed_from": "none",
         },  # fmt: skip
         remappings={"camera/image_raw": "/front/image", "cmd_vel": "/mux/cmd_vel"},

@@ -12,7 +12,7 @@ import pytest
 pytestmark = pytest.mark.graph
 
 DOCUMENT = Path("docs/interfaces.md")
-NODES = {
+NODES: dict[str, tuple[str, dict[str, object]]] = {
     "simulator": ("ds_sim.node", {"simulator": "donkey", "publish_clock": True}),
     "autopilot": ("ds_driver.autopilot_node", {}),
     "cmd_vel_adapter": ("ds_driver.cmd_vel_adapter", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
@@ -83,7 +83,7 @@ def qos_of(infos: list[Any], node: str) -> str:
 def interfaces_of(asker: Any, node: str) -> set[tuple[str, ...]]:
     """(kind, relative name, type, reliability and durability); Fast DDS tells no depth."""
     space = f"/{node}_space"
-    found = set()
+    found: set[tuple[str, ...]] = set()
 
     def relative(name: str) -> str:
         return name.removeprefix(f"{space}/")
@@ -144,7 +144,7 @@ def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any
     assert all(d.read_only and d.description for d in descriptors)
     for d in descriptors:
         if d.additional_constraints.startswith("a number from") and d.type in (2, 3):
-            (bounds,) = [*d.integer_range, *d.floating_point_range]
+            bounds = (list(d.integer_range) + list(d.floating_point_range))[0]
             assert f"a number from {bounds.from_value:g} to {bounds.to_value:g}" == d.additional_constraints
     values = ask(GetParameters, "get_parameters", GetParameters.Request(names=names)).values
     given = NODES[node][1]

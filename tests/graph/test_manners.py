@@ -91,9 +91,7 @@ def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal
         ("ds_driver/cmd_vel_adapter", "drives"),
     ],
 )
-def test_a_node_that_waits_ends(
-    start: Start, domain: int, number: signal.Signals, executable: str, ready: str
-) -> None:
+def test_a_node_that_waits_ends(start: Start, domain: int, number: signal.Signals, executable: str, ready: str) -> None:
     """Also with simulated time that nobody publishes."""
     process = start(executable, domain, "-p", "use_sim_time:=true")
     read_until(process, ready)

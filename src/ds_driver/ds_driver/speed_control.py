@@ -5,8 +5,8 @@ from __future__ import annotations
 PROPORTIONAL = 0.3
 """Throttle per m/s of error; chosen by trial on the three vehicles."""
 INTEGRAL = 0.005
-"""Throttle per m/s of error and frame; chosen by trial: at 3 and 6 m/s each of the three vehicles is within 0.3 m/s after
-six seconds, and passes the speed by 0.5 m/s at most on the way."""
+"""Throttle per m/s of error and frame; chosen by trial: at 3 and 6 m/s each of the three vehicles is within 0.3 m/s
+after six seconds, and passes the speed by 0.5 m/s at most on the way."""
 
 
 class SpeedControl:

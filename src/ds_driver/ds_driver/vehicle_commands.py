@@ -136,7 +136,7 @@ def to_servo(servo: Any, motion: Motion, _geometry: Geometry) -> None:
 
 
 def from_autoware(control: Any, geometry: Geometry) -> Motion:
-    """autoware_control_msgs/Control: lateral.steering_tire_angle in rad, left positive; longitudinal.velocity in m/s."""
+    """autoware_control_msgs/Control: steering_tire_angle in rad, left positive; velocity in m/s."""
     angle, speed = float(control.lateral.steering_tire_angle), float(control.longitudinal.velocity)
     _finite(steering_tire_angle=angle, velocity=speed)
     return Motion(geometry.steering_of(angle), speed=speed)

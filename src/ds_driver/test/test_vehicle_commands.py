@@ -17,8 +17,8 @@ CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
 def blank(kind: str) -> Any:
     """A message of a kind, as a bare object with the fields of its .msg file."""
     header = SimpleNamespace(stamp=None)
-    vector = lambda: SimpleNamespace(x=0.0, y=0.0, z=0.0)  # noqa: E731
-    twist = SimpleNamespace(linear=vector(), angular=vector())
+    linear, angular = (SimpleNamespace(x=0.0, y=0.0, z=0.0) for _ in range(2))
+    twist = SimpleNamespace(linear=linear, angular=angular)
     return {
         "twist": twist,
         "twist_stamped": SimpleNamespace(header=header, twist=twist),
