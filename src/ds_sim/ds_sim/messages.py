@@ -30,6 +30,8 @@ BUSY = "a run is under way: wait for its result, cancel it, or call reset"
 """Why a simulator's node loads no road now."""
 NO_ROAD = "no road is loaded: call load_road first, or give one with the goal"
 """Why a simulator's node drives nothing now."""
+REFUSED = "the last command was refused"
+"""In the message of a run whose driver talked, but not what a vehicle can execute."""
 FEEDBACK_EVERY = 10
 """Frames between two feedback messages of a run: twice a simulated second."""
 

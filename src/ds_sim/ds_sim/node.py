@@ -143,7 +143,7 @@ class SimulatorNode(Node):
         try:
             command = messages.command_from_message(message)
         except CommandError as error:
-            self._refused = f"; the last command was refused: {error}"
+            self._refused = f"; {messages.REFUSED}: {error}"
             self.get_logger().warning(f"command refused: {error}", throttle_duration_sec=1.0)
             return
         self._patience.heard()
