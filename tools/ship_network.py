@@ -1,8 +1,8 @@
 """Put a trained network into ds_driver, with a card that says what it was made of and how well it drives.
 
-`python tools/ship_network.py --data DATA --offline DATA2 --training DIR [--network dave2] [--roads 25] [--seed 424242]`
-drives roads that no training has seen on every simulator in both directions, compares the network with the autopilot
-on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
+`python tools/ship_network.py --data DATA --offline DATA2 --training DIR [--network dave2] [--name NAME] [--roads 25]
+[--seed 424242]` drives roads that no training has seen on every simulator in both directions, compares the network with
+the autopilot on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
 """
 
 from __future__ import annotations
@@ -38,9 +38,11 @@ def main() -> None:
     parser.add_argument("--offline", type=Path, required=True)
     parser.add_argument("--training", type=Path, required=True)
     parser.add_argument("--network", default="dave2")
+    parser.add_argument("--name", help="to ship it under, the architecture's if left out")
     parser.add_argument("--roads", type=int, default=25)
     parser.add_argument("--seed", type=int, default=424242)
     arguments = parser.parse_args()
+    name = arguments.name or arguments.network
     weights = arguments.training / f"{arguments.network}.safetensors"
     manifest = json.loads((arguments.data / "manifest.json").read_text())
     offline = json.loads((arguments.offline / "manifest.json").read_text())
@@ -60,7 +62,8 @@ def main() -> None:
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]
     card = {
-        "network": arguments.network,
+        "network": name,
+        "architecture": arguments.network,
         "parameters": count_parameters(load_network(str(weights))),
         "sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
         "data": {
@@ -83,8 +86,9 @@ def main() -> None:
             f"./ds train --data data --out training --network {arguments.network} --epochs {plan['epochs']}"
             f" --seed {plan['seed']} --learning-rate {plan['learning_rate']:g} --threads {plan['threads']}"
             + (f" --images {plan['images_per_simulator']}" if plan["images_per_simulator"] else ""),
-            f"python tools/ship_network.py --data data --offline offline --training training"
-            f" --network {arguments.network} --roads {arguments.roads} --seed {arguments.seed}",
+            f"python tools/ship_network.py --data data --offline offline --training training --network"
+            f" {arguments.network}{f' --name {name}' if arguments.name else ''} --roads {arguments.roads}"
+            f" --seed {arguments.seed}",
         ],
         "training": plan,
         "seconds": round(sum(epoch["seconds"] for epoch in history)),
@@ -101,12 +105,12 @@ def main() -> None:
         },
         "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
         "success": success,
-        "paper": PAPER[arguments.network],
+        "paper": PAPER.get(name),
         "versions": manifest["versions"],
     }
     SHIPPED.mkdir(exist_ok=True)
-    shutil.copyfile(weights, SHIPPED / weights.name)
-    (SHIPPED / f"{arguments.network}.json").write_text(json.dumps(card, indent=1) + "\n")
+    shutil.copyfile(weights, SHIPPED / f"{name}.safetensors")
+    (SHIPPED / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
     print(json.dumps({"success": success, **card["offline"]}))
 
 

@@ -59,15 +59,17 @@ def test_a_node_tells_what_its_simulator_is(graph: Any, simulator_name: str) -> 
 
 def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     """Odometry turns left where the road does, frames carry the namespace, image and info belong together."""
-    import rclpy
     from nav_msgs.msg import Odometry
+    from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
     from sensor_msgs.msg import CameraInfo, Image
 
     executor, spaces = graph
     space = spaces[simulator_name]
     heard: dict[str, list[Any]] = {"odom": [], "info": [], "image": []}
-    node = Node("listener")
+    node = Node("listener", context=executor.context)
+    spinner = SingleThreadedExecutor(context=executor.context)
+    spinner.add_node(node)
     node.create_subscription(Odometry, f"{space}/odom", heard["odom"].append, 1000)
     node.create_subscription(CameraInfo, f"{space}/camera/camera_info", heard["info"].append, 1000)
     node.create_subscription(Image, f"{space}/camera/image_raw", heard["image"].append, 5)
@@ -75,8 +77,8 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     done = threading.Event()
 
     def listen() -> None:
-        while not done.is_set() and rclpy.ok():
-            rclpy.spin_once(node, timeout_sec=0.05)
+        while not done.is_set():
+            spinner.spin_once(timeout_sec=0.05)
 
     listener = threading.Thread(target=listen)
     listener.start()

@@ -46,7 +46,7 @@ def join() -> Iterator[Callable[..., None]]:
     import rclpy
 
     def start(executor: Any) -> None:
-        rclpy.init(domain_id=executor._context.get_domain_id())
+        rclpy.init(domain_id=executor.context.get_domain_id())
 
     yield start
     rclpy.try_shutdown()

@@ -74,7 +74,7 @@ class Schedule:
 
 SCHEDULES: dict[str, dict[str, Schedule]] = {
     "laptop": {
-        "dave2": Schedule(epochs=4, patience=10, images_per_simulator=None),
+        "dave2": Schedule(epochs=2, patience=10, images_per_simulator=None),
         "chauffeur": Schedule(epochs=4, patience=10, images_per_simulator=None),
         "epoch": Schedule(epochs=3, patience=10, images_per_simulator=5000),
     },

@@ -46,13 +46,14 @@ def _path_of(name_or_path: str) -> Path:
         UnknownNetworkError: neither a known name nor a weights file's.
     """
     path = Path(name_or_path)
-    if name_or_path in NETWORKS:
+    if name_or_path in NETWORKS or name_or_path in shipped_networks():
         path = SHIPPED / f"{name_or_path}.safetensors"
         if not path.exists():
             raise WeightsError(f"weights of {name_or_path} are missing ({path.name}): train them with `ds train`")
     elif path.suffix != ".safetensors":
         raise UnknownNetworkError(
-            f"unknown network {name_or_path!r}: expected one of {', '.join(NETWORKS)}, or a .safetensors file"
+            f"unknown network {name_or_path!r}: expected one of {', '.join({**NETWORKS, **shipped_networks()})}, or a "
+            ".safetensors file"
         )
     elif not path.is_file():
         raise WeightsError(f"weights {name_or_path!r} are missing: check the path")

@@ -76,6 +76,11 @@ class GraphExecutor:
         self._spinner = threading.Thread(target=self._spin, name="spinner", daemon=True)
         self._spinner.start()
 
+    @property
+    def context(self) -> Context:
+        """Of the graph's domain, for further nodes of this process."""
+        return self._context
+
     def wait_until_ready(self, limit: float = START_TIME, *, only: str | None = None) -> None:
         """Wait until every simulator, or only one, answers and has a driver.
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from ds_interfaces.msg import DriveCommand, VehicleState
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -35,20 +36,21 @@ _KINDS: dict[str, tuple[Any, str]] = {
 
 
 class GraphRecorder:
-    """Writes what comes from one simulator into a bag as it comes; use it around a run, in a process with a context.
+    """Writes what comes from one simulator into a bag as it comes; use it around a run.
 
     Args:
         folder: of the bag; must not exist.
         namespace: of the simulator.
         facts: for the bag, such as `ds_orchestrator.bags.facts_of` has them; a killed recorder leaves them too.
+        context: in whose domain the simulator is.
     """
 
-    def __init__(self, folder: Path, namespace: str, facts: dict[str, str]) -> None:
+    def __init__(self, folder: Path, namespace: str, facts: dict[str, str], context: Context) -> None:
         self.folder = folder
         self.images = 0
         self._facts = facts
         self._writer = Rosbag2Writer(folder, facts)
-        self._node = Node("bag_recorder", start_parameter_services=False)
+        self._node = Node("bag_recorder", start_parameter_services=False, context=context)
         self._camera = f"{namespace}/camera/image_raw"
         self._last: dict[int, int] = {}
         for topic, (kind, name) in _KINDS.items():
@@ -91,7 +93,7 @@ class GraphRecorder:
         self.images += topic == "camera/image_raw"
 
     def _spin(self) -> None:
-        executor = SingleThreadedExecutor()
+        executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)
         try:
             while not self._stop.is_set():

@@ -24,6 +24,7 @@ from ds_sim.registry import SIMULATORS
 from ds_sim.session import RunRecord
 
 if TYPE_CHECKING:
+    from ds_orchestrator.graph import GraphExecutor
     from ds_orchestrator.recording import GraphRecorder
 
 app = typer.Typer()
@@ -69,7 +70,7 @@ def drive(
         try:
             with (
                 running_graph(namespaces, driver, command_timeout=10.0, logs=Path(logs), attach=attach) as executor,
-                _recorder(bag, level, sim, namespace, road, seed, attach) as recorder,
+                _recorder(executor, bag, level, sim, namespace, road, seed, attach) as recorder,
             ):
                 started = time.monotonic()
                 run = executor.execute(sim, road, seed)
@@ -111,7 +112,14 @@ def drive(
 
 @contextmanager
 def _recorder(
-    bag: Path | None, level: Level, sim: str, namespace: str, road: ds_road.Road, seed: int, attach: bool
+    executor: GraphExecutor,
+    bag: Path | None,
+    level: Level,
+    sim: str,
+    namespace: str,
+    road: ds_road.Road,
+    seed: int,
+    attach: bool,
 ) -> Iterator[GraphRecorder | None]:
     """Records the images of a simulator that is not ours to drive again; None where none is needed.
 
@@ -128,7 +136,8 @@ def _recorder(
 
     folder = seen_of(bag)
     shutil.rmtree(folder.parent, ignore_errors=True)
-    with GraphRecorder(folder, namespace, facts_of(sim, RunRecord(road=road, seed=seed), level)) as recorder:
+    facts = facts_of(sim, RunRecord(road=road, seed=seed), level)
+    with GraphRecorder(folder, namespace, facts, executor.context) as recorder:
         if not recorder.wait_for_camera():
             raise GraphError(f"{namespace} publishes no camera/image_raw to record: choose --level telemetry")
         yield recorder
