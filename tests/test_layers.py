@@ -9,11 +9,14 @@ from pathlib import Path
 
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "action_msgs", "std_msgs", "std_srvs", "sensor_msgs", "geometry_msgs", "nav_msgs",
-    "visualization_msgs", "rosgraph_msgs", "ds_interfaces",
+    "visualization_msgs", "diagnostic_msgs", "rcl_interfaces", "rosgraph_msgs", "ds_interfaces",
 }  # fmt: skip
 ROS_FILES = {
     "ds_sim/node.py", "ds_sim/frames.py", "ds_sim/messages.py", "ds_sim/ros_runtime.py",
+    "ds_sim/parameters.py", "ds_sim/simulator_parameters.py", "ds_sim/real_time.py",
     "ds_driver/node.py", "ds_driver/autopilot_node.py", "ds_driver/eyes.py",
+    "ds_driver/cmd_vel_adapter.py", "ds_driver/camera_driver.py", "ds_driver/camera_eyes.py",
+    "ds_driver/command_outputs.py", "ds_driver/latency_report.py",
     "ds_orchestrator/graph.py", "ds_orchestrator/executables.py",
     "ds_orchestrator/recording.py", "ds_orchestrator/questioning.py", "ds_orchestrator/replay_node.py",
 }  # fmt: skip

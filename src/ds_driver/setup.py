@@ -18,8 +18,10 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "driver = ds_driver.node:main",
-            "autopilot = ds_driver.autopilot_node:main",
+            "driver = ds_driver.executables:driver",
+            "autopilot = ds_driver.executables:autopilot",
+            "camera_driver = ds_driver.executables:camera_driver",
+            "cmd_vel_adapter = ds_driver.executables:cmd_vel_adapter",
         ],
     },
 )

@@ -15,5 +15,5 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
     ],
     zip_safe=False,
-    entry_points={"console_scripts": ["simulator = ds_sim.node:main"]},
+    entry_points={"console_scripts": ["simulator = ds_sim.executables:simulator"]},
 )

@@ -1,7 +1,7 @@
 """One simulator and one driver.
 
 ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|donkey] [namespace:=ds1]
-                                       [driver:=dave2|autopilot|PATH] [sync:=lockstep|first]
+                                       [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
 
 A simulator of your own: sim:=module:Class parameters:=FILE, with FILE as those in config/simulators.
 """
@@ -27,7 +27,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("sim", default_value="bullet", description="known simulator, or module:Class"),
             DeclareLaunchArgument("driver", default_value="dave2", description="shipped network, file, or autopilot"),
             DeclareLaunchArgument("namespace", default_value="ds1", description="namespace of both nodes"),
-            DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep or first"),
+            DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep, first or realtime"),
             DeclareLaunchArgument(
                 "parameters",
                 default_value=[

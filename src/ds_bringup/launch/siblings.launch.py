@@ -1,6 +1,6 @@
 """Both digital siblings and the twin, each in its own namespace with its own driver.
 
-ros2 launch ds_bringup siblings.launch.py [driver:=dave2|autopilot|PATH] [sync:=lockstep|first]
+ros2 launch ds_bringup siblings.launch.py [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
 """
 
 from launch import LaunchDescription
@@ -29,7 +29,7 @@ def generate_launch_description() -> LaunchDescription:
     description = LaunchDescription(
         [
             DeclareLaunchArgument("driver", default_value="dave2", description="shipped network, file, or autopilot"),
-            DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep or first"),
+            DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep, first or realtime"),
         ]
     )
     for namespace, (package, file) in SIMULATORS.items():

@@ -11,33 +11,30 @@ from rclpy.node import Node
 
 from ds_driver.control import Autopilot
 from ds_driver.eyes import Answer, Eyes
+from ds_sim.parameters import declare
 from ds_sim.ros_runtime import run_node
 from ds_sim.simulator import AutopilotGains, Command
 
+GAINS = (
+    ("proportional", 0.7, 0.0, 100.0, "On the lateral position, 1/m (K_P), one for each namespace."),
+    ("derivative", 0.0, 0.0, 100.0, "On its difference from frame to frame, 1/m (K_D), one for each namespace."),
+    ("integral", 0.0, 0.0, 100.0, "On its running sum, 1/m (K_I), one for each namespace."),
+    ("max_speed", 30.0, 1.0, 200.0, "Threshold and K = H of equation 2, km/h, one for each namespace."),
+    ("min_speed", 15.0, 1.0, 200.0, "K = L of equation 2, km/h, one for each namespace."),
+)
+"""Name, default, range and meaning of the gains of equations 1 and 2; the ranges keep out what cannot be meant."""
+
 
 class AutopilotNode(Node):
-    """Drives one simulator or several by the lateral position, each with its own gains.
-
-    Parameters: `namespaces` (of the simulators; [""] for its own), and one number per namespace of
-    `proportional`, `derivative`, `integral`, `max_speed` and `min_speed` (km/h).
-    """
+    """Drives one simulator or several by the lateral position, each with its own gains."""
 
     def __init__(self) -> None:
         super().__init__("autopilot")
-        namespaces = self.declare_parameter("namespaces", [""]).value
+        namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
         columns = {
-            name: self.declare_parameter(name, [default] * len(namespaces)).value
-            for name, default in (
-                ("proportional", 0.7),
-                ("derivative", 0.0),
-                ("integral", 0.0),
-                ("max_speed", 30.0),
-                ("min_speed", 15.0),
-            )
+            name: declare(self, name, [default] * len(namespaces), about, low=low, high=high, length=len(namespaces))
+            for name, default, low, high, about in GAINS
         }
-        for name, values in columns.items():
-            if len(values) != len(namespaces):
-                raise ValueError(f"parameter {name} has {len(values)} entries: give one per namespace")
         self._eyes = [
             Eyes(self, namespace, _pilot(AutopilotGains(**{name: values[i] for name, values in columns.items()})))
             for i, namespace in enumerate(namespaces)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -63,6 +64,7 @@ class GraphExecutor:
         self._timeout = command_timeout
         self._supervisor = supervisor
         self._revival = threading.Lock()
+        self._driver_renewed = -math.inf
         self._stopped = threading.Event()
         # A context of its own, because several graphs, each in its domain, may be driven by one process.
         self._context = Context()
@@ -120,8 +122,11 @@ class GraphExecutor:
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         """Drive a road on a simulator; always ends, and never raises for what goes wrong in another process."""
-        record = RunRecord(road=road, seed=seed)
-        outcome, message = self._execute(simulator, record)
+        while True:
+            record = RunRecord(road=road, seed=seed)
+            outcome, message = self._execute(simulator, record)
+            if not self._waits_for_driver(outcome, message, record):
+                break
         record.outcome, record.message = outcome, message
         if self._stopped.is_set() and outcome.is_error:
             record.outcome = Outcome.CANCELLED
@@ -147,11 +152,34 @@ class GraphExecutor:
             with self._revival:
                 self._supervisor.restart(simulator_process_name(self._namespaces[simulator]))
 
+    def _waits_for_driver(self, outcome: Outcome, message: str, record: RunRecord) -> bool:
+        """A new driver of ours has not come up yet; the graph may still count the publisher of the old one."""
+        starting = 0.0 < time.monotonic() - self._driver_renewed < START_TIME and not self._stopped.is_set()
+        silent = outcome is Outcome.DRIVER_SILENT and messages.REFUSED not in message
+        return starting and silent and not record.commands
+
+    def _renew_driver(self, began: float, message: str, record: RunRecord) -> None:
+        """A driver of ours that hangs gets a new process.
+
+        It drives the other simulators too, and their runs fall silent with the old process: that is no reason to
+        start a third one. One that talks nonsense does not hang.
+        """
+        if self._supervisor is None or self._stopped.is_set() or DRIVER_PROCESS not in self._supervisor.names:
+            return
+        if messages.REFUSED in message or self._waits_for_driver(Outcome.DRIVER_SILENT, message, record):
+            return
+        with self._revival:
+            if self._driver_renewed < began:
+                self._supervisor.restart(DRIVER_PROCESS)
+                self._driver_renewed = time.monotonic()
+
     def _execute(self, name: str, record: RunRecord) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
+        began = time.monotonic()
         if self._supervisor is not None:
             with self._revival:
-                self._supervisor.revive()
+                if DRIVER_PROCESS in self._supervisor.revive():
+                    self._driver_renewed = time.monotonic()
         try:
             self.wait_until_ready(START_TIME, only=name)
         except (GraphError, RuntimeError) as error:
@@ -176,6 +204,8 @@ class GraphExecutor:
             self._restart(name)
             return Outcome.SIM_ERROR, "the simulator fell silent during the run"
         _fill(record, result.result)
+        if Outcome(result.result.outcome.value) is Outcome.DRIVER_SILENT:
+            self._renew_driver(began, result.result.message, record)
         return Outcome(result.result.outcome.value), result.result.message
 
     def _load(self, simulator: _Simulator, record: RunRecord) -> LoadRoad.Response | None:

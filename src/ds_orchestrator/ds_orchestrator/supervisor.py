@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
@@ -32,16 +32,20 @@ class ProcessSpec:
         module: Python module that is run.
         namespace: ROS namespace.
         parameters: ROS parameters; lists are written as YAML lists.
+        remappings: topic or service -> its name in the graph.
     """
 
     name: str
     module: str
     namespace: str = "/"
     parameters: dict[str, object]
+    remappings: dict[str, str] = field(default_factory=dict)
 
     def command(self) -> list[str]:
         """The command line."""
         arguments = [sys.executable, "-m", self.module, "--ros-args", "-r", f"__ns:={self.namespace}"]
+        for name, other in self.remappings.items():
+            arguments += ["-r", f"{name}:={other}"]
         for key, value in self.parameters.items():
             arguments += ["-p", f"{key}:={_yaml(value)}"]
         return arguments
@@ -71,6 +75,11 @@ class Supervisor:
         self._spawner = ThreadPoolExecutor(1, thread_name_prefix="spawner")
         for name in self._specs:
             self._start(name)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the processes."""
+        return list(self._specs)
 
     def dead(self) -> list[str]:
         """Names of processes that ended."""

@@ -12,6 +12,7 @@ from ds_interfaces.msg import Road as RoadMsg
 from ds_interfaces.srv import GetSimulatorInfo
 from geometry_msgs.msg import Point, Quaternion
 from nav_msgs.msg import Odometry
+from rclpy.action.server import ServerGoalHandle
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -27,6 +28,10 @@ ROAD_FRAME = "road"
 
 BUSY = "a run is under way: wait for its result, cancel it, or call reset"
 """Why a simulator's node loads no road now."""
+NO_ROAD = "no road is loaded: call load_road first, or give one with the goal"
+"""Why a simulator's node drives nothing now."""
+REFUSED = "the last command was refused"
+"""In the message of a run whose driver talked, but not what a vehicle can execute."""
 FEEDBACK_EVERY = 10
 """Frames between two feedback messages of a run: twice a simulated second."""
 
@@ -192,6 +197,16 @@ def drive_result(run: RunRecord) -> DriveRoad.Result:
         command_to_message(command, header) for command, header in zip(run.commands, headers, strict=False)
     ]
     return result
+
+
+def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:
+    """End a goal in the action's sense: a verdict on the driver, also a bad one, is a success."""
+    if outcome is Outcome.CANCELLED and goal.is_cancel_requested:
+        goal.canceled()
+    elif outcome.is_error:
+        goal.abort()
+    else:
+        goal.succeed()
 
 
 def road_markers(road: Road, look: Look, stamp: Time) -> MarkerArray:

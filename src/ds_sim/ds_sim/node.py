@@ -9,6 +9,7 @@ from ds_interfaces.msg import DriveCommand
 from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -17,13 +18,12 @@ from ds_road import Road, RoadError
 from ds_sim import messages
 from ds_sim.frames import FramePublisher
 from ds_sim.patience import Patience
+from ds_sim.real_time import RealTime
 from ds_sim.registry import make_simulator
 from ds_sim.ros_runtime import run_node
 from ds_sim.session import Session
-from ds_sim.simulator import FRAME_TIME, CommandError, Observation, Outcome
-
-SYNC_MODES = ("lockstep", "first")
-"""lockstep: only the command with the stamp of the last image counts; first: the first command after it does."""
+from ds_sim.simulator import FRAME_TIME, Command, CommandError, Observation, Outcome
+from ds_sim.simulator_parameters import check_goal, declare_parameters
 
 
 class SimulatorNode(Node):
@@ -35,30 +35,23 @@ class SimulatorNode(Node):
 
     def __init__(self, simulator: str) -> None:
         super().__init__("simulator")
-        name = self.declare_parameter("simulator", simulator).value
-        self._sync = self.declare_parameter("sync", "lockstep").value
-        self._timeout = self.declare_parameter("command_timeout", 5.0).value
-        if self._sync not in SYNC_MODES:
-            raise ValueError(f"parameter sync is {self._sync!r}: expected one of {', '.join(SYNC_MODES)}")
-        if not self._timeout > 0.0:
-            raise ValueError(f"parameter command_timeout is {self._timeout}: expected seconds above 0")
-        self._session = Session(make_simulator(name))
-        spec = self._session.simulator.spec
-        self._frames = FramePublisher(self, spec)
+        parameters = declare_parameters(self, simulator)
+        self._sync, self._timeout = parameters.sync, parameters.command_timeout
+        self._session = Session(make_simulator(parameters.simulator))
+        self._frames = FramePublisher(self, self._session.simulator.spec, clock=parameters.publish_clock)
         self._road: Road | None = None
-        self._seed = 0
+        self._seed, self._sync_now = 0, self._sync
         self._goal: ServerGoalHandle | None = None
-        self._handed_over = False
+        self._handed_over, self._refused = False, ""
         self._last: Observation | None = None
         self._awaited = Header()
         self._patience = Patience(self._timeout)
-        self._refused = ""
         # Stamps never go back over the life of the node, as tf, bags and filters expect of a clock; they begin above
         # 0, so that a driver that leaves its stamp unset never answers by chance.
         self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", self._on_command, 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
-        self.create_service(GetSimulatorInfo, "get_info", lambda _, answer: messages.info_response(spec, answer))
+        self.create_service(GetSimulatorInfo, "get_info", self._on_get_info)
         self.create_service(Trigger, "reset", self._on_reset)
         self._server = ActionServer(
             self,
@@ -69,13 +62,19 @@ class SimulatorNode(Node):
             handle_accepted_callback=self._on_accepted,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT,
         )
-        self.create_timer(0.05, self._watch)
-        self.get_logger().info(f"{name} is ready in {self.get_namespace()}")
+        # By a clock of their own: the node's may be simulated time (use_sim_time), which stands while nobody drives.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._real_time = RealTime(self, steady, self._advance)
+        self.create_timer(0.05, self._watch, clock=steady)
+        self.get_logger().info(f"{parameters.simulator} is ready in {self.get_namespace()}")
 
     def destroy_node(self) -> None:
         """Close the simulator with the node."""
         self._session.simulator.close()
         super().destroy_node()
+
+    def _on_get_info(self, _: object, response: GetSimulatorInfo.Response) -> GetSimulatorInfo.Response:
+        return messages.info_response(self._session.simulator.spec, response)
 
     def _on_load_road(self, request: LoadRoad.Request, response: LoadRoad.Response) -> LoadRoad.Response:
         try:
@@ -90,7 +89,7 @@ class SimulatorNode(Node):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """End the run under way; the loaded road stays, and every run begins at its start anyway."""
         response.success = self._road is not None
-        response.message = "" if response.success else "no road is loaded: call load_road first"
+        response.message = "" if response.success else messages.NO_ROAD
         self._finish(Outcome.CANCELLED, "reset was called")
         return response
 
@@ -106,15 +105,14 @@ class SimulatorNode(Node):
 
     def _on_goal(self, goal: DriveRoad.Goal) -> GoalResponse:
         try:
-            if goal.sync not in ("", *SYNC_MODES):
-                raise RoadError(f"sync {goal.sync!r}: expected one of {', '.join(SYNC_MODES)}")
+            check_goal(goal.sync, goal.command_timeout)
             if goal.road.control_points:
                 self._load(messages.road_from_message(goal.road), goal.seed)
             if self._road is None:
-                raise RoadError("no road is loaded: call load_road first, or give one with the goal")
+                raise RoadError(messages.NO_ROAD)
             if self._goal is not None:
                 raise RoadError(messages.BUSY)
-        except RoadError as error:
+        except ValueError as error:
             self.get_logger().warning(f"goal refused: {error}")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
@@ -123,9 +121,10 @@ class SimulatorNode(Node):
         """Begin the run; the goal is executed, in the action's sense, when the run has ended."""
         assert self._road is not None
         self._goal = goal
-        self._handed_over = False
-        self._refused = ""
-        self._patience = Patience(goal.request.command_timeout or self._timeout)
+        self._handed_over, self._refused = False, ""
+        self._sync_now = goal.request.sync or self._sync
+        limit = goal.request.command_timeout or self._timeout
+        self._patience = Patience(limit, frames_wait=self._sync_now != "realtime")
         self._show(self._session.start(self._road, self._seed))
 
     def _show(self, observation: Observation | None) -> None:
@@ -139,15 +138,23 @@ class SimulatorNode(Node):
     def _on_command(self, message: DriveCommand) -> None:
         if self._goal is None or not self._session.driving:
             return
-        sync = self._goal.request.sync or self._sync
-        if sync == "lockstep" and message.header.stamp != self._awaited.stamp:
+        if self._sync_now == "lockstep" and message.header.stamp != self._awaited.stamp:
             return
         try:
             command = messages.command_from_message(message)
         except CommandError as error:
-            self._refused = f"; the last command was refused: {error}"
+            self._refused = f"; {messages.REFUSED}: {error}"
             self.get_logger().warning(f"command refused: {error}", throttle_duration_sec=1.0)
             return
+        self._patience.heard()
+        if self._sync_now == "realtime":
+            self._real_time.hold(command)
+        else:
+            self._advance(command)
+
+    def _advance(self, command: Command) -> None:
+        if self._goal is None or not self._session.driving:
+            return  # a frame of real time that was due when the run had just been ended
         observation = self._session.advance(command)
         if observation is not None and self._road is not None and observation.step % messages.FEEDBACK_EVERY == 0:
             self._goal.publish_feedback(messages.drive_feedback(observation, self._road))
@@ -175,22 +182,17 @@ class SimulatorNode(Node):
 
     def _result(self, goal: ServerGoalHandle) -> DriveRoad.Result:
         """The ended run as the action's result."""
-        run = self._session.run
+        self._goal, run = None, self._session.run
         assert run is not None
-        self._goal = None
+        run.message = "; ".join(filter(None, (run.message, self._real_time.end())))
         self._run_start += run.simulated_seconds + FRAME_TIME
-        if run.outcome is Outcome.CANCELLED and goal.is_cancel_requested:
-            goal.canceled()
-        elif run.outcome.is_error:
-            goal.abort()
-        else:
-            goal.succeed()
+        messages.close_goal(goal, run.outcome)
         self.get_logger().info(f"{run.road.road_id}: {run.outcome.name} after {run.steps} steps {run.message}".rstrip())
         return messages.drive_result(run)
 
 
 def main(simulator: str = "bullet") -> None:
-    """Host the simulator that the parameter names."""
+    """Host the simulator that the parameter names, or this one."""
     sys.exit(run_node(lambda: SimulatorNode(simulator)))
 
 

@@ -9,14 +9,16 @@ REPEAT_AFTER = 0.5
 
 
 class Patience:
-    """Watches the wait for the answer to one frame after the other.
+    """Watches the wait for a driver.
 
     Args:
         limit: seconds that a driver gets for an answer.
+        frames_wait: a frame waits for its answer, so each frame begins a new wait; in real time none does.
     """
 
-    def __init__(self, limit: float) -> None:
+    def __init__(self, limit: float, *, frames_wait: bool = True) -> None:
         self.limit = limit
+        self._frames_wait = frames_wait
         self._repeatable = True
         self._asked = self._sent = time.monotonic()
 
@@ -24,8 +26,13 @@ class Patience:
         """A frame was sent; a first frame that is sent again does not give its driver more time."""
         self._sent = time.monotonic()
         self._repeatable = step == 0
-        if not self._repeatable:
+        if self._frames_wait and not self._repeatable:
             self._asked = self._sent
+
+    def heard(self) -> None:
+        """A command came."""
+        self._asked = time.monotonic()
+        self._repeatable = False
 
     @property
     def is_over(self) -> bool:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ds_sim.node import main as host
+from ds_sim.executables import start
 
 
 def main() -> None:
     """Host `donkey` unless the parameter `simulator` says otherwise."""
-    host("donkey")
+    start("ds_sim.node", "donkey")

@@ -1,0 +1,25 @@
+"""Starts this package's nodes so that Ctrl-C ends them at once, also while their libraries are being imported."""
+
+from __future__ import annotations
+
+from ds_sim.executables import start
+
+
+def driver() -> None:
+    """The network that drives simulators."""
+    start("ds_driver.node")
+
+
+def autopilot() -> None:
+    """The reference driver."""
+    start("ds_driver.autopilot_node")
+
+
+def camera_driver() -> None:
+    """The network on someone's stack."""
+    start("ds_driver.camera_driver")
+
+
+def cmd_vel_adapter() -> None:
+    """Someone's driver on our simulators."""
+    start("ds_driver.cmd_vel_adapter")

@@ -1,0 +1,208 @@
+"""Between this project's commands and those of other stacks: signs, units and the vehicle's geometry. No ROS.
+
+The table of signs and units is in docs/drivers.md. Messages are read and filled by their attributes, so that nothing
+here depends on a package that may not be installed.
+
+Sources: REP-103 (left positive); the bicycle model (Rajamani, Vehicle Dynamics and Control, 2012, section 2.2); the
+comments in ackermann_msgs/AckermannDrive.msg, autoware_control_msgs/Lateral.msg and deepracer_interfaces_pkg/
+ServoCtrlMsg.msg; the sign of the last from AWS's node cmdvel_to_servo, which sends a positive angle for a left turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+STANDSTILL = 1e-3
+"""m/s of a commanded speed below which a yaw rate says nothing about the wheels: a car cannot turn on the spot."""
+
+
+class MotionError(ValueError):
+    """A request that no vehicle here can follow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """What turns a yaw rate into a steering command.
+
+    Attributes:
+        wheelbase: m.
+        max_steering_angle: of the front wheels at |steering| = 1, rad.
+    """
+
+    wheelbase: float
+    max_steering_angle: float
+
+    def __post_init__(self) -> None:
+        if not (self.wheelbase > 0.0 and 0.0 < self.max_steering_angle < math.pi / 2):
+            raise MotionError(
+                f"wheelbase {self.wheelbase} m and steering angle {self.max_steering_angle} rad: expected a wheelbase "
+                "above 0 and an angle between 0 and pi/2"
+            )
+
+    def steering_of(self, angle: float) -> float:
+        """Steering in [-1, 1], right positive, for a wheel angle in rad, left positive; clipped at full lock."""
+        return min(max(-angle / self.max_steering_angle, -1.0), 1.0)
+
+    def angle_of(self, steering: float) -> float:
+        """Wheel angle in rad, left positive, for a steering in [-1, 1], right positive."""
+        return -steering * self.max_steering_angle
+
+    def angle_for(self, speed: float, yaw_rate: float) -> float:
+        """Wheel angle in rad, left positive, with which the bicycle model turns at a yaw rate (rad/s) and speed."""
+        return 0.0 if abs(speed) < STANDSTILL else math.atan(self.wheelbase * yaw_rate / speed)
+
+    def yaw_rate_of(self, speed: float, angle: float) -> float:
+        """Yaw rate in rad/s of the bicycle model, left positive."""
+        return speed * math.tan(angle) / self.wheelbase
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What a driver of any stack asks for.
+
+    Attributes:
+        steering: -1 full left to +1 full right.
+        speed: wanted, m/s; None if a throttle is given instead.
+        throttle: 0 to 1; None if a speed is given instead.
+
+    Raises:
+        MotionError: not a finite number, backwards, or neither speed nor throttle.
+    """
+
+    steering: float
+    speed: float | None = None
+    throttle: float | None = None
+
+    def __post_init__(self) -> None:
+        named = {"steering": self.steering, "speed": self.speed, "throttle": self.throttle}
+        for name, value in named.items():
+            if value is not None and not math.isfinite(value):
+                raise MotionError(f"{name} is {value}: expected a finite number")
+            if name != "steering" and value is not None and value < 0.0:
+                raise MotionError(f"{name} is {value:g}: the vehicles here have no reverse gear, expected 0 or more")
+        if (self.speed is None) == (self.throttle is None):
+            raise MotionError("a request needs either a speed or a throttle")
+
+
+def _finite(**values: float) -> None:
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise MotionError(f"{name} is {value}: expected a finite number")
+
+
+def from_twist(twist: Any, geometry: Geometry) -> Motion:
+    """geometry_msgs/Twist: linear.x in m/s, angular.z in rad/s, left positive."""
+    speed, yaw_rate = float(twist.linear.x), float(twist.angular.z)
+    _finite(**{"linear.x": speed, "angular.z": yaw_rate})
+    return Motion(geometry.steering_of(geometry.angle_for(speed, yaw_rate)), speed=speed)
+
+
+def to_twist(twist: Any, motion: Motion, geometry: Geometry) -> None:
+    """Fill a geometry_msgs/Twist."""
+    twist.linear.x = _speed(motion)
+    twist.angular.z = geometry.yaw_rate_of(twist.linear.x, geometry.angle_of(motion.steering))
+
+
+def from_ackermann(drive: Any, geometry: Geometry) -> Motion:
+    """ackermann_msgs/AckermannDrive: steering_angle in rad, left positive; speed in m/s."""
+    angle, speed = float(drive.steering_angle), float(drive.speed)
+    _finite(steering_angle=angle, speed=speed)
+    return Motion(geometry.steering_of(angle), speed=speed)
+
+
+def to_ackermann(drive: Any, motion: Motion, geometry: Geometry) -> None:
+    """Fill an ackermann_msgs/AckermannDrive."""
+    drive.steering_angle, drive.speed = geometry.angle_of(motion.steering), _speed(motion)
+
+
+def from_servo(servo: Any, _geometry: Geometry) -> Motion:
+    """deepracer_interfaces_pkg/ServoCtrlMsg: angle in [-1, 1], left positive; throttle in [-1, 1]."""
+    angle, throttle = float(servo.angle), float(servo.throttle)
+    _finite(angle=angle, throttle=throttle)
+    for name, value in (("angle", angle), ("throttle", throttle)):
+        if abs(value) > 1.0:
+            raise MotionError(f"{name} is {value:g}: expected a share from -1 to 1, not a pulse width")
+    return Motion(-angle, throttle=throttle)
+
+
+def to_servo(servo: Any, motion: Motion, _geometry: Geometry) -> None:
+    """Fill a deepracer_interfaces_pkg/ServoCtrlMsg."""
+    if motion.throttle is None:
+        raise MotionError("a ServoCtrlMsg needs a throttle, not a speed")
+    servo.angle, servo.throttle = -motion.steering, motion.throttle
+
+
+def from_autoware(control: Any, geometry: Geometry) -> Motion:
+    """autoware_control_msgs/Control: steering_tire_angle in rad, left positive; velocity in m/s."""
+    angle, speed = float(control.lateral.steering_tire_angle), float(control.longitudinal.velocity)
+    _finite(steering_tire_angle=angle, velocity=speed)
+    return Motion(geometry.steering_of(angle), speed=speed)
+
+
+def to_autoware(control: Any, motion: Motion, geometry: Geometry) -> None:
+    """Fill an autoware_control_msgs/Control."""
+    control.lateral.steering_tire_angle = geometry.angle_of(motion.steering)
+    control.longitudinal.velocity = _speed(motion)
+
+
+def _speed(motion: Motion) -> float:
+    if motion.speed is None:
+        raise MotionError("this message needs a speed, not a throttle")
+    return motion.speed
+
+
+@dataclass(frozen=True)
+class MessageKind:
+    """A message by which other stacks drive.
+
+    Attributes:
+        package: that holds it.
+        type_name: in that package.
+        topic: where stacks usually send it, relative.
+        body: path of attributes from the message to the part with the values; "" for the message itself.
+        stamp: path of attributes to its stamp; "" if it has none.
+        read: from that part to a motion.
+        fill: that part from a motion.
+        needs_throttle: it carries a throttle instead of a speed.
+    """
+
+    package: str
+    type_name: str
+    topic: str
+    body: str
+    stamp: str
+    read: Callable[[Any, Geometry], Motion]
+    fill: Callable[[Any, Motion, Geometry], None]
+    needs_throttle: bool = False
+
+
+KINDS = {
+    "twist_stamped": MessageKind(
+        "geometry_msgs", "TwistStamped", "cmd_vel", "twist", "header.stamp", from_twist, to_twist
+    ),
+    "twist": MessageKind("geometry_msgs", "Twist", "cmd_vel", "", "", from_twist, to_twist),
+    "ackermann": MessageKind(
+        "ackermann_msgs",
+        "AckermannDriveStamped",
+        "ackermann_cmd",
+        "drive",
+        "header.stamp",
+        from_ackermann,
+        to_ackermann,
+    ),
+    "servo": MessageKind(
+        "deepracer_interfaces_pkg", "ServoCtrlMsg", "servo_msg", "", "", from_servo, to_servo, needs_throttle=True
+    ),
+    "autoware": MessageKind("autoware_control_msgs", "Control", "control_cmd", "", "stamp", from_autoware, to_autoware),
+}
+"""By the name that parameters use."""
+
+
+def part(message: Any, path: str) -> Any:
+    """An attribute of a message by its path, such as `header.stamp`; the message itself for ""."""
+    for name in filter(None, path.split(".")):
+        message = getattr(message, name)
+    return message

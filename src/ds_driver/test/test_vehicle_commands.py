@@ -1,0 +1,147 @@
+"""Signs, units and geometry of other stacks' messages, each value both ways, also for packages that are not here."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ds_driver.vehicle_commands import KINDS, Geometry, Motion, MotionError, part
+
+CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
+
+
+def blank(kind: str) -> Any:
+    """A message of a kind, as a bare object with the fields of its .msg file."""
+    header = SimpleNamespace(stamp=None)
+    linear, angular = (SimpleNamespace(x=0.0, y=0.0, z=0.0) for _ in range(2))
+    twist = SimpleNamespace(linear=linear, angular=angular)
+    return {
+        "twist": twist,
+        "twist_stamped": SimpleNamespace(header=header, twist=twist),
+        "ackermann": SimpleNamespace(
+            header=header,
+            drive=SimpleNamespace(
+                steering_angle=0.0, steering_angle_velocity=0.0, speed=0.0, acceleration=0.0, jerk=0.0
+            ),
+        ),
+        "servo": SimpleNamespace(angle=0.0, throttle=0.0),
+        "autoware": SimpleNamespace(
+            stamp=None,
+            lateral=SimpleNamespace(steering_tire_angle=0.0, steering_tire_rotation_rate=0.0),
+            longitudinal=SimpleNamespace(velocity=0.0, acceleration=0.0),
+        ),
+    }[kind]
+
+
+def values(kind: str, message: Any) -> tuple[float, float]:
+    """The sideways and the forward value of a message."""
+    body = part(message, KINDS[kind].body)
+    paths = {
+        "twist": ("angular.z", "linear.x"),
+        "twist_stamped": ("angular.z", "linear.x"),
+        "ackermann": ("steering_angle", "speed"),
+        "servo": ("angle", "throttle"),
+        "autoware": ("lateral.steering_tire_angle", "longitudinal.velocity"),
+    }[kind]
+    return part(body, paths[0]), part(body, paths[1])
+
+
+def motion_of(kind: str, steering: float, forward: float) -> Motion:
+    return Motion(steering, throttle=forward) if KINDS[kind].needs_throttle else Motion(steering, speed=forward)
+
+
+LEFT = {
+    # half of full steering to the left; forward 0.4 (m/s or throttle), by hand: 0.25 rad, 0.4 * tan(0.25) / 2.7 rad/s
+    "twist": (0.4 * math.tan(0.25) / 2.7, 0.4),
+    "twist_stamped": (0.4 * math.tan(0.25) / 2.7, 0.4),
+    "ackermann": (0.25, 0.4),
+    "servo": (0.5, 0.4),
+    "autoware": (0.25, 0.4),
+}
+"""The same request in every message: all of them count to the left, as REP-103; ours to the right."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_left_is_positive_everywhere_but_in_our_steering(kind: str) -> None:
+    message = blank(kind)
+    KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, -0.5, 0.4), CAR)
+    assert values(kind, message) == pytest.approx(LEFT[kind])
+    motion = KINDS[kind].read(part(message, KINDS[kind].body), CAR)
+    assert motion.steering == pytest.approx(-0.5)
+    assert (motion.throttle if KINDS[kind].needs_throttle else motion.speed) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_request_survives_the_way_there_and_back(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    for steering, forward in zip(rng.uniform(-1, 1, 50), rng.uniform(0.05, 1, 50), strict=True):
+        message = blank(kind)
+        asked = motion_of(kind, float(steering), float(forward))
+        KINDS[kind].fill(part(message, KINDS[kind].body), asked, CAR)
+        heard = KINDS[kind].read(part(message, KINDS[kind].body), CAR)
+        assert heard.steering == pytest.approx(asked.steering)
+        assert heard.speed == pytest.approx(asked.speed) and heard.throttle == pytest.approx(asked.throttle)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("which", [0, 1])
+def test_what_is_not_a_number_is_refused_by_name(kind: str, bad: float, which: int) -> None:
+    message = blank(kind)
+    KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, 0.1, 0.4), CAR)
+    body = part(message, KINDS[kind].body)
+    path = {
+        "twist": ("angular.z", "linear.x"),
+        "ackermann": ("steering_angle", "speed"),
+        "servo": ("angle", "throttle"),
+        "autoware": ("lateral.steering_tire_angle", "longitudinal.velocity"),
+    }[kind.removesuffix("_stamped")][which]
+    *owner, last = path.split(".")
+    setattr(part(body, ".".join(owner)), last, bad)
+    with pytest.raises(MotionError, match=f"{last} is (nan|inf|-inf)"):
+        KINDS[kind].read(body, CAR)
+
+
+def test_a_circle_driven_by_a_twist_has_the_radius_that_was_asked_for() -> None:
+    """Integrated in small steps, independently of the formula that is under test."""
+    motion = KINDS["twist"].read(SimpleNamespace(linear=SimpleNamespace(x=4.0), angular=SimpleNamespace(z=0.5)), CAR)
+    angle, x, y, yaw, dt = CAR.angle_of(motion.steering), 0.0, 0.0, 0.0, 1e-3
+    points = []
+    for _ in range(round(2 * math.pi / 0.5 / dt)):
+        x, y = x + 4.0 * math.cos(yaw) * dt, y + 4.0 * math.sin(yaw) * dt
+        yaw += 4.0 / CAR.wheelbase * math.tan(angle) * dt
+        points.append((x, y))
+    assert max(p[1] for p in points) == pytest.approx(2 * 8.0, rel=1e-3)  # to the left, diameter of a 8 m circle
+    assert math.hypot(x, y) < 0.05
+
+
+def test_steering_stops_at_full_lock_and_a_car_cannot_turn_on_the_spot() -> None:
+    assert CAR.steering_of(2.0) == -1.0 and CAR.steering_of(-2.0) == 1.0
+    assert CAR.angle_for(0.0, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nobody_drives_backwards(kind: str) -> None:
+    message = blank(kind)
+    KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, 0.0, 0.4), CAR)
+    body = part(message, KINDS[kind].body)
+    path = {"twist": "linear.x", "ackermann": "speed", "servo": "throttle", "autoware": "longitudinal.velocity"}
+    *owner, last = path[kind.removesuffix("_stamped")].split(".")
+    setattr(part(body, ".".join(owner)), last, -0.5)
+    with pytest.raises(MotionError, match="reverse"):
+        KINDS[kind].read(body, CAR)
+
+
+def test_a_pulse_width_is_not_taken_for_a_share() -> None:
+    with pytest.raises(MotionError, match="pulse width"):
+        KINDS["servo"].read(SimpleNamespace(angle=0.0, throttle=1_500_000.0), CAR)
+
+
+@pytest.mark.parametrize(("wheelbase", "angle"), [(0.0, 0.5), (2.0, 0.0), (2.0, 1.6), (math.nan, 0.5)])
+def test_a_geometry_that_no_car_has_is_refused(wheelbase: float, angle: float) -> None:
+    with pytest.raises(MotionError, match="wheelbase"):
+        Geometry(wheelbase, angle)

@@ -1,0 +1,96 @@
+"""Drivers that know only standard messages drive a simulator through the adapter, in lock-step and in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ds_road import Road
+from ds_sim.simulator import Outcome
+
+pytestmark = pytest.mark.graph
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+SPACE = {"donkey": "/ds1"}
+
+
+@pytest.fixture
+def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None]) -> Iterator[Any]:
+    """A donkey, and the adapter with the parameters of the test."""
+    from ds_orchestrator.domain import Domain
+    from ds_orchestrator.graph import GraphExecutor
+    from ds_orchestrator.supervisor import ProcessSpec, Supervisor
+
+    sync, parameters = request.param
+    domain = Domain()
+    simulator = ProcessSpec(
+        name="simulator_ds1",
+        module="ds_sim.node",
+        namespace="/ds1",
+        parameters={"simulator": "donkey", "command_timeout": 10.0, "sync": sync},
+    )
+    adapter = ProcessSpec(name="driver", module="ds_driver.cmd_vel_adapter", namespace="/ds1", parameters=parameters)
+    supervisor = Supervisor([simulator, adapter], domain=domain.number, logs=logs)
+    executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
+    join(executor)
+    yield executor
+    executor.close()
+    supervisor.close()
+    domain.close()
+
+
+@pytest.mark.parametrize("adapted", [("lockstep", {})], indirect=True)
+def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any, spin: Callable[..., None]) -> None:
+    """It copies the image's header, and sees the speed that it asked for; turned left, it leaves the lane there."""
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.node import Node
+    from sensor_msgs.msg import Image
+
+    node = Node("standard_driver")
+    publisher = node.create_publisher(TwistStamped, "/ds1/cmd_vel", 1)
+    turn = [0.0]
+
+    def answer(image: Image) -> None:
+        message = TwistStamped(header=image.header)
+        message.twist.linear.x, message.twist.angular.z = 4.0, turn[0]
+        publisher.publish(message)
+
+    node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
+    spin(node)
+    straight = adapted.execute("donkey", STRAIGHT, 1)
+    assert straight.outcome is Outcome.COMPLETED, straight.message
+    assert straight.observations[-1].vehicle.speed == pytest.approx(4.0, abs=0.5)
+    turn[0] = 0.5
+    left = adapted.execute("donkey", STRAIGHT, 1)
+    assert left.outcome is Outcome.OUT_OF_BOUNDS
+    assert left.observations[-1].lane.lateral_position < -2.0
+    assert left.observations[-1].vehicle.yaw_rate > 0.0
+    turn[0] = float("nan")
+    broken = adapted.execute("donkey", STRAIGHT, 1)
+    assert broken.outcome is Outcome.DRIVER_SILENT and "steering is nan" in broken.message
+    node.destroy_node()
+
+
+@pytest.mark.parametrize("adapted", [("realtime", {"message": "twist"})], indirect=True)
+def test_a_twist_without_stamp_drives_in_real_time_and_silence_ends_it(adapted: Any, spin: Callable[..., None]) -> None:
+    """The message of the result tells the jitter; the watchdog ends a run whose driver stops sending."""
+    from geometry_msgs.msg import Twist
+    from rclpy.node import Node
+
+    node = Node("standard_driver")
+    publisher = node.create_publisher(Twist, "/ds1/cmd_vel", 1)
+    message = Twist()
+    message.linear.x = 6.0
+    timer = node.create_timer(0.05, lambda: publisher.publish(message))
+    spin(node)
+    run = adapted.execute("donkey", STRAIGHT, 1)
+    assert run.outcome is Outcome.COMPLETED, run.message
+    assert f"real time: {run.steps} frames at 20 Hz" in run.message and "ms in the median" in run.message
+    timer.cancel()
+    adapted._timeout = 1.0
+    silent = adapted.execute("donkey", STRAIGHT, 1)
+    assert silent.outcome is Outcome.DRIVER_SILENT and "no command within 1 s" in silent.message
+    node.destroy_node()

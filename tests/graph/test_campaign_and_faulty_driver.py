@@ -1,0 +1,53 @@
+"""A campaign whose driver crashes or hangs: it goes on with a new one, and status and report say what happened."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from ds_orchestrator.config import parse_config
+
+pytestmark = pytest.mark.graph
+
+LIMIT = 2.0
+CONFIG = {
+    "siblings": ["donkey"],
+    "twin": None,
+    "driver": "autopilot",  # in its place the faulty one
+    "command_timeout": LIMIT,
+    "retries": 1,
+    "search": {"population": 2, "iterations": 1, "runs": 1, "min_angle": 40, "max_angle": 90},
+}
+
+
+@pytest.mark.parametrize(
+    ("fault", "outcome", "message"),
+    [("crash", "SIM_ERROR", "driver ended during the run"), ("hang", "DRIVER_SILENT", "no command within 2 s")],
+)
+def test_a_campaign_outlives_its_driver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, outcome: str, message: str
+) -> None:
+    """The driver goes once, in the midst of a run; the test is driven again, and nothing of it enters a map."""
+    from ds_orchestrator import running
+    from ds_orchestrator.commands.campaigns import run_campaign, status
+    from ds_orchestrator.supervisor import ProcessSpec
+
+    faulty = ProcessSpec(
+        name="driver",
+        module="tests.graph.faulty_driver",
+        namespace="/ds1",
+        parameters={"fault": fault, "once": str(tmp_path / "once")},
+    )
+    monkeypatch.setattr(running, "driver_process", lambda *_: faulty)
+    began = time.monotonic()
+    result = run_campaign(parse_config(CONFIG, "test"), tmp_path / "out")
+    assert time.monotonic() - began < 100.0
+    assert (tmp_path / "once").exists()
+    assert result.document["executions"] == 3 and result.document["executions_in_error"] == 0
+    errors = status(tmp_path / "out").document["errors"]
+    assert [(error["outcome"], error["attempt"]) for error in errors] == [(outcome, 0)]
+    assert message in errors[0]["message"]
+    report = Path(result.document["report"]).read_text()
+    assert errors[0]["test_id"] in report and message in report

@@ -1,0 +1,136 @@
+"""Drivers that crash, hang, answer twice, late, with old stamps or with NaN: the run ends rightly and in time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ds_road import Road
+from ds_sim.simulator import Outcome
+
+pytestmark = pytest.mark.graph
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+SPACE = {"donkey": "/ds1"}
+LIMIT = 2.0
+"""Seconds that the simulator waits for an answer."""
+BUSY = 10.0
+"""Seconds that a run of the straight road and its services take at most, beside the waits, on a busy machine."""
+
+
+class Bench:
+    """A simulator, and a faulty driver that takes orders; both processes are started again when they end."""
+
+    def __init__(self, folder: Path) -> None:
+        from ds_orchestrator.domain import Domain
+        from ds_orchestrator.graph import GraphExecutor
+        from ds_orchestrator.graph_plan import simulator_processes
+        from ds_orchestrator.supervisor import ProcessSpec, Supervisor
+
+        self._orders = folder / "orders"
+        self.order("none")
+        self._domain = Domain()
+        driver = ProcessSpec(
+            name="faulty",  # not "driver": the executor knows nothing of it, as of a user's own node
+            module="tests.graph.faulty_driver",
+            namespace="/ds1",
+            parameters={"orders": str(self._orders)},
+        )
+        self.supervisor = Supervisor(
+            [*simulator_processes(SPACE, LIMIT), driver], domain=self._domain.number, logs=folder / "logs"
+        )
+        self.executor = GraphExecutor(SPACE, domain=self._domain.number, command_timeout=LIMIT)
+        self.executor.wait_until_ready(120.0)
+        self.drive_until_completed()
+
+    def order(self, fault: str, at: int = 20, delay: float = 0.0) -> None:
+        self._orders.write_text(f"{fault} {at} {delay}")
+
+    def drive(self) -> tuple[Any, float]:
+        """A run of the straight road, and how long it took, s."""
+        began = time.monotonic()
+        run = self.executor.execute("donkey", STRAIGHT, 1)
+        return run, time.monotonic() - began
+
+    def drive_until_completed(self) -> None:
+        """A driver that has just started may miss the first runs."""
+        self.order("none")
+        deadline = time.monotonic() + 60.0
+        while (outcome := self.drive()[0].outcome) is not Outcome.COMPLETED:
+            assert outcome is Outcome.DRIVER_SILENT and time.monotonic() < deadline
+
+    def close(self) -> None:
+        self.executor.close()
+        self.supervisor.close()
+        self._domain.close()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    bench = Bench(tmp_path_factory.mktemp("faulty"))
+    yield bench
+    bench.close()
+
+
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        ("silent", "no command within 2 s"),
+        ("old", "no command within 2 s"),
+        ("nan", "steering is nan"),
+        ("range", "throttle is 7"),
+    ],
+)
+def test_a_driver_that_gives_no_usable_answer_ends_the_run_in_time(bench: Bench, fault: str, named: str) -> None:
+    """In the middle of a run."""
+    bench.order(fault)
+    run, seconds = bench.drive()
+    assert run.outcome is Outcome.DRIVER_SILENT and named in run.message
+    assert run.steps == 20
+    assert LIMIT <= seconds < LIMIT + BUSY
+
+
+def test_only_the_first_answer_to_a_frame_counts(bench: Bench) -> None:
+    bench.order("twice", at=0)
+    run, _ = bench.drive()
+    assert run.outcome is Outcome.COMPLETED
+    assert {c.steering for c in run.commands} == {0.0}
+
+
+def test_a_late_answer_within_the_limit_changes_nothing(bench: Bench) -> None:
+    from ds_orchestrator.campaign import trajectory_sha256
+
+    bench.order("none")
+    prompt, _ = bench.drive()
+    bench.order("late", delay=0.4 * LIMIT)
+    late, _ = bench.drive()
+    assert late.outcome is prompt.outcome is Outcome.COMPLETED
+    assert trajectory_sha256(late) == trajectory_sha256(prompt)
+
+
+def test_an_answer_after_the_limit_counts_neither_then_nor_in_the_next_run(bench: Bench) -> None:
+    """The next run begins while the late answer is still to come."""
+    bench.order("late", delay=2.0 * LIMIT)
+    run, seconds = bench.drive()
+    assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 20
+    assert seconds < LIMIT + BUSY
+    bench.order("none")
+    runs = [bench.drive()[0] for _ in range(3)]
+    assert runs[-1].outcome is Outcome.COMPLETED
+    for run in runs:
+        assert run.outcome in (Outcome.COMPLETED, Outcome.DRIVER_SILENT)
+        assert {c.steering for c in run.commands} <= {0.0}
+
+
+@pytest.mark.parametrize("fault", ["crash", "hang"])
+def test_a_driver_that_is_gone_ends_the_run_and_a_new_one_takes_over(bench: Bench, fault: str) -> None:
+    bench.order(fault)
+    run, seconds = bench.drive()
+    assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 20
+    assert seconds < LIMIT + BUSY
+    bench.supervisor.restart("faulty")
+    bench.drive_until_completed()

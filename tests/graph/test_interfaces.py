@@ -1,0 +1,169 @@
+"""docs/interfaces.md against the running graph: every topic, service, action and parameter, and nothing else."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.graph
+
+DOCUMENT = Path("docs/interfaces.md")
+NODES: dict[str, tuple[str, dict[str, object]]] = {
+    "simulator": ("ds_sim.node", {"simulator": "donkey", "publish_clock": True}),
+    "autopilot": ("ds_driver.autopilot_node", {}),
+    "cmd_vel_adapter": ("ds_driver.cmd_vel_adapter", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
+    "camera_driver": ("ds_driver.camera_driver", {}),
+}
+"""Node -> module and parameters under which all of its documented interfaces are there."""
+OPTIONAL = {
+    "cmd_vel_adapter": {("calls", "get_info")},
+    "camera_driver": {("subscribes", "camera/image_raw/compressed"), ("publishes", "cmd_vel")},
+}
+"""What a node has under other parameters only, as its table says."""
+EVERY_NODE = ("/parameter_events", "/rosout")
+TYPES = {
+    1: "bool", 2: "int", 3: "double", 4: "string", 6: "bool[]", 7: "int[]", 8: "double[]", 9: "string[]",
+}  # fmt: skip
+"""rcl_interfaces/ParameterType in words."""
+
+
+def tables(node: str) -> tuple[set[tuple[str, ...]], set[tuple[str, ...]]]:
+    """The rows of a node's two tables: its interfaces, and its parameters."""
+    section = DOCUMENT.read_text().partition(f"\n## `{node}`\n")[2].partition("\n## ")[0]
+    rows = [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in section.splitlines() if "|" in line]
+    rows = [tuple(cell.replace("`", "") for cell in row) for row in rows if set(row[0]) - {"-"} or len(row) < 3]
+    kinds = ("publishes", "subscribes", "serves", "calls", "action")
+    interfaces = {row for row in rows if row[0] in kinds}
+    return interfaces, {row for row in rows if row[0] not in kinds and row[0] not in ("", "parameter")}
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """All nodes in one domain, each in a namespace of its own; and a node that asks."""
+    import rclpy
+    from rclpy.node import Node
+
+    from ds_orchestrator.domain import Domain
+    from ds_orchestrator.supervisor import ProcessSpec, Supervisor
+
+    domain = Domain()
+    specs = [
+        ProcessSpec(name=name, module=module, namespace=f"/{name}_space", parameters=parameters)
+        for name, (module, parameters) in NODES.items()
+    ]
+    supervisor = Supervisor(specs, domain=domain.number, logs=tmp_path_factory.mktemp("logs"))
+    rclpy.init(domain_id=domain.number)
+    node = Node("asker")
+    deadline = time.monotonic() + 90.0
+    while set(NODES) - set(node.get_node_names()) and time.monotonic() < deadline:
+        supervisor.check(set(NODES))
+        time.sleep(0.1)
+    time.sleep(1.0)  # endpoints are announced after their node
+    yield node
+    node.destroy_node()
+    rclpy.try_shutdown()
+    supervisor.close()
+    domain.close()
+
+
+def qos_of(infos: list[Any], node: str) -> str:
+    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+    profile = next(info.qos_profile for info in infos if info.node_name == node)
+    words = ["reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort"]
+    if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+        words.append("transient local")
+    return ", ".join(words)
+
+
+def interfaces_of(asker: Any, node: str) -> set[tuple[str, ...]]:
+    """(kind, relative name, type, reliability and durability); Fast DDS tells no depth."""
+    space = f"/{node}_space"
+    found: set[tuple[str, ...]] = set()
+
+    def relative(name: str) -> str:
+        return name.removeprefix(f"{space}/")
+
+    for kind, topics, infos in (
+        ("publishes", asker.get_publisher_names_and_types_by_node, asker.get_publishers_info_by_topic),
+        ("subscribes", asker.get_subscriber_names_and_types_by_node, asker.get_subscriptions_info_by_topic),
+    ):
+        for name, (type_name,) in topics(node, space):
+            if name not in EVERY_NODE and "/_action/" not in name:
+                found.add((kind, relative(name), type_name.replace("/msg/", "/"), qos_of(infos(name), node)))
+    for kind, services in (
+        ("serves", asker.get_service_names_and_types_by_node),
+        ("calls", asker.get_client_names_and_types_by_node),
+    ):
+        for name, (type_name,) in services(node, space):
+            if name.endswith("/_action/send_goal"):
+                action = name.removesuffix("/_action/send_goal")
+                found.add(
+                    ("action", relative(action), type_name.replace("/action/", "/").removesuffix("_SendGoal"), "")
+                )
+            elif f"/{node}/" not in name and "/_action/" not in name and "get_type_description" not in name:
+                found.add((kind, relative(name), type_name.replace("/srv/", "/"), ""))
+    return found
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_the_document_lists_every_interface_and_no_other(graph: Any, node: str) -> None:
+    written = {(row[0], row[1], row[2], row[3].partition(", depth")[0]) for row in tables(node)[0]}
+    assert written
+    optional = OPTIONAL.get(node, set())
+    required = {row for row in written if row[:2] not in optional}
+    found = interfaces_of(graph, node)
+    assert required <= found, required - found
+    assert found <= written, found - written
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any, node: str) -> None:
+    """What `ros2 param describe` shows: type, range, and a sentence; and none can be changed in a running node."""
+    import rclpy
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+
+    def ask(service: Any, name: str, request: Any) -> Any:
+        client = graph.create_client(service, f"/{node}_space/{node}/{name}")
+        assert client.wait_for_service(20.0)
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(graph, future, timeout_sec=20.0)
+        assert future.result() is not None
+        return future.result()
+
+    names = ask(ListParameters, "list_parameters", ListParameters.Request()).result.names
+    names = sorted(n for n in names if n not in ("use_sim_time", "start_type_description_service"))
+    descriptors = ask(DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)).descriptors
+    described = {(d.name, TYPES[d.type], d.additional_constraints, d.description) for d in descriptors}
+    assert described == {(row[0], row[1], row[3], row[4]) for row in tables(node)[1]}
+    assert all(d.read_only and d.description for d in descriptors)
+    for d in descriptors:
+        if d.additional_constraints.startswith("a number from") and d.type in (2, 3):
+            bounds = (list(d.integer_range) + list(d.floating_point_range))[0]
+            assert f"a number from {bounds.from_value:g} to {bounds.to_value:g}" == d.additional_constraints
+    values = ask(GetParameters, "get_parameters", GetParameters.Request(names=names)).values
+    given = NODES[node][1]
+    for row in tables(node)[1]:
+        if row[0] not in given:
+            assert shown(values[names.index(row[0])]) == row[2], row[0]
+    other = Parameter(name=names[0], value=ParameterValue(type=4, string_value="x"))
+    (answer,) = ask(SetParameters, "set_parameters", SetParameters.Request(parameters=[other])).results
+    assert not answer.successful and "read-only" in answer.reason
+
+
+def shown(value: Any) -> str:
+    """A parameter's value as the document writes it."""
+    found = {
+        1: value.bool_value, 2: value.integer_value, 3: value.double_value, 4: value.string_value,
+        7: list(value.integer_array_value), 8: list(value.double_array_value), 9: list(value.string_array_value),
+    }[value.type]  # fmt: skip
+    if isinstance(found, bool):
+        return str(found).lower()
+    if isinstance(found, list):
+        return "[" + ", ".join('""' if v == "" else f"{v:g}" for v in found) + "]"
+    return f"{found:g}" if isinstance(found, float) else str(found)

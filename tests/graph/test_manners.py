@@ -1,0 +1,150 @@
+"""Nodes end within a second whatever they do, and two graphs in two domains leave each other alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ds_road import Road
+from ds_sim.simulator import Outcome
+
+pytestmark = pytest.mark.graph
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+SECOND = 1.0
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Starts a package's executable in a domain, as `ros2 run` does."""
+    processes = []
+
+    def begin(executable: str, domain: int, *arguments: str) -> subprocess.Popen[str]:
+        package, name = executable.split("/")
+        code = f"from {package}.executables import {name}; {name}()"
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, "--ros-args", *arguments],
+            env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        processes.append(process)
+        return process
+
+    yield begin
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    from ds_orchestrator.domain import Domain
+
+    held = Domain()
+    yield held.number
+    held.close()
+
+
+def read_until(process: subprocess.Popen[str], text: str) -> None:
+    assert process.stdout is not None
+    while text not in (line := process.stdout.readline()):
+        assert line, f"{text!r} was never written"
+
+
+def seconds_to_end(process: subprocess.Popen[str], number: signal.Signals) -> float:
+    """Send a signal, and wait; no traceback may be written."""
+    began = time.monotonic()
+    process.send_signal(number)
+    written, _ = process.communicate(timeout=20.0)
+    assert "Traceback" not in written, written
+    return time.monotonic() - began
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("after", [0.1, 0.5, 1.2])
+def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal.Signals, after: float) -> None:
+    """While Python starts, while PyTorch is imported, while the network is loaded."""
+    process = start("ds_driver/driver", domain)
+    time.sleep(after)
+    assert seconds_to_end(process, number) < SECOND
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize(
+    ("executable", "ready"),
+    [
+        ("ds_sim/simulator", "is ready"),
+        ("ds_driver/autopilot", "drives"),
+        ("ds_driver/cmd_vel_adapter", "drives"),
+    ],
+)
+def test_a_node_that_waits_ends(start: Start, domain: int, number: signal.Signals, executable: str, ready: str) -> None:
+    """Also with simulated time that nobody publishes."""
+    process = start(executable, domain, "-p", "use_sim_time:=true")
+    read_until(process, ready)
+    assert seconds_to_end(process, number) < SECOND
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("simulator", ["donkey", "tests.graph.stuck_simulator:Stuck"])
+def test_a_node_ends_in_the_midst_of_a_run(
+    start: Start, domain: int, number: signal.Signals, simulator: str, logs: Path
+) -> None:
+    """A sound one that runs at full speed, and one that hangs in its physics."""
+    from ds_orchestrator.graph import GraphExecutor
+
+    process = start("ds_sim/simulator", domain, "-p", f"simulator:={simulator}", "-r", "__ns:=/a/b")
+    driver = start("ds_driver/autopilot", domain, "-r", "__ns:=/a/b")
+    read_until(process, "is ready")
+    read_until(driver, "drives")
+    executor = GraphExecutor({"donkey": "/a/b"}, domain=domain, command_timeout=20.0)
+    try:
+        executor.wait_until_ready(30.0)
+        import threading
+
+        threading.Thread(target=executor.execute, args=("donkey", STRAIGHT, 1), daemon=True).start()
+        if "Stuck" in simulator:
+            read_until(process, "stuck")
+        else:
+            time.sleep(0.5)
+        assert seconds_to_end(process, number) < SECOND
+        assert seconds_to_end(driver, number) < SECOND
+    finally:
+        executor.close()
+
+
+def test_two_graphs_in_two_domains_leave_each_other_alone(logs: Path) -> None:
+    """The same names twice, at the same time: both give what one alone gives."""
+    from concurrent.futures import ThreadPoolExecutor
+    from contextlib import ExitStack
+
+    from ds_orchestrator.campaign import trajectory_sha256
+    from ds_orchestrator.running import running_graph
+
+    with ExitStack() as stack:
+        graphs: list[Any] = [
+            stack.enter_context(
+                running_graph({"donkey": "/ds1"}, "autopilot", command_timeout=10.0, logs=logs / str(i))
+            )
+            for i in range(2)
+        ]
+        roads = [STRAIGHT, STRAIGHT.reversed()]
+        with ThreadPoolExecutor(2) as pool:
+            runs = list(pool.map(lambda i: graphs[i].execute("donkey", roads[i], i), range(2)))
+        alone = graphs[0].execute("donkey", roads[1], 1)
+    assert [run.outcome for run in runs] == [Outcome.COMPLETED] * 2
+    assert trajectory_sha256(runs[1]) == trajectory_sha256(alone) != trajectory_sha256(runs[0])
