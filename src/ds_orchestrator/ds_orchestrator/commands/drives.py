@@ -177,7 +177,5 @@ def drive_command(
     """Drive one road and say how it went."""
     chosen = one_road(road, seed, max_angle)
     named = driver_named(driver, backend, device)
-    result = drive(
-        sim, named, chosen, seed=seed, bag=bag, level=level, video=video, attach=attach, namespace=namespace
-    )
+    result = drive(sim, named, chosen, seed=seed, bag=bag, level=level, video=video, attach=attach, namespace=namespace)
     end(result, as_json)
