@@ -64,7 +64,7 @@ class GraphExecutor:
         self._timeout = command_timeout
         self._supervisor = supervisor
         self._revival = threading.Lock()
-        self._driver_renewed = -math.inf
+        self._driver_renewed, self._driver_starts = -math.inf, False
         self._stopped = threading.Event()
         # A context of its own, because several graphs, each in its domain, may be driven by one process.
         self._context = Context()
@@ -124,8 +124,12 @@ class GraphExecutor:
         """Drive a road on a simulator; always ends, and never raises for what goes wrong in another process."""
         while True:
             record = RunRecord(road=road, seed=seed)
+            self._revive()
+            began = time.monotonic()
             outcome, message = self._execute(simulator, record)
-            if not self._waits_for_driver(outcome, message, record):
+            if record.commands and self._driver_renewed < began:
+                self._driver_starts = False
+            if not (outcome is Outcome.DRIVER_SILENT and self._waits_for_driver(began, message, record)):
                 break
         record.outcome, record.message = outcome, message
         if self._stopped.is_set() and outcome.is_error:
@@ -152,11 +156,18 @@ class GraphExecutor:
             with self._revival:
                 self._supervisor.restart(simulator_process_name(self._namespaces[simulator]))
 
-    def _waits_for_driver(self, outcome: Outcome, message: str, record: RunRecord) -> bool:
+    def _revive(self) -> None:
+        """Start every process of ours that has ended."""
+        if self._supervisor is not None:
+            with self._revival:
+                if DRIVER_PROCESS in self._supervisor.revive():
+                    self._driver_renewed, self._driver_starts = time.monotonic(), True
+
+    def _waits_for_driver(self, began: float, message: str, record: RunRecord) -> bool:
         """A new driver of ours has not come up yet; the graph may still count the publisher of the old one."""
-        starting = 0.0 < time.monotonic() - self._driver_renewed < START_TIME and not self._stopped.is_set()
-        silent = outcome is Outcome.DRIVER_SILENT and messages.REFUSED not in message
-        return starting and silent and not record.commands
+        patient = self._driver_starts and began - self._driver_renewed < START_TIME and not self._stopped.is_set()
+        # A run of before the new driver, or one that the new driver answered in whatever way, is as it is.
+        return patient and self._driver_renewed < began and not record.commands and messages.REFUSED not in message
 
     def _renew_driver(self, began: float, message: str, record: RunRecord) -> None:
         """A driver of ours that hangs gets a new process.
@@ -166,20 +177,16 @@ class GraphExecutor:
         """
         if self._supervisor is None or self._stopped.is_set() or DRIVER_PROCESS not in self._supervisor.names:
             return
-        if messages.REFUSED in message or self._waits_for_driver(Outcome.DRIVER_SILENT, message, record):
+        if messages.REFUSED in message or self._waits_for_driver(began, message, record):
             return
         with self._revival:
             if self._driver_renewed < began:
                 self._supervisor.restart(DRIVER_PROCESS)
-                self._driver_renewed = time.monotonic()
+                self._driver_renewed, self._driver_starts = time.monotonic(), True
 
     def _execute(self, name: str, record: RunRecord) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
         began = time.monotonic()
-        if self._supervisor is not None:
-            with self._revival:
-                if DRIVER_PROCESS in self._supervisor.revive():
-                    self._driver_renewed = time.monotonic()
         try:
             self.wait_until_ready(START_TIME, only=name)
         except (GraphError, RuntimeError) as error:
