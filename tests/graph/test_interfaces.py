@@ -14,6 +14,7 @@ pytestmark = pytest.mark.graph
 DOCUMENT = Path("docs/interfaces.md")
 NODES: dict[str, tuple[str, dict[str, object]]] = {
     "simulator": ("ds_sim.node", {"simulator": "donkey", "publish_clock": True}),
+    "driver": ("ds_driver.node", {}),
     "autopilot": ("ds_driver.autopilot_node", {}),
     "cmd_vel_adapter": ("ds_driver.cmd_vel_adapter", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
     "camera_driver": ("ds_driver.camera_driver", {}),

@@ -14,31 +14,26 @@ from ds_driver.backends import with_backend
 from ds_driver.eyes import Answer, Eyes
 from ds_driver.network_driver import NetworkDriver
 from ds_driver.preprocessing import Crop
+from ds_sim.parameters import declare
 from ds_sim.ros_runtime import run_node
 from ds_sim.simulator import Command
 
 
 class DriverNode(Node):
-    """Runs a network; it sees images and speed, never the road, and knows of a simulator only its crop.
-
-    Parameters: `network` (any name that `NetworkDriver` takes), `backend` (auto, torch, onnx or openvino), `device`
-    (cpu or cuda), `namespaces` (of the simulators; [""] for its own), `crop_top` and `crop_bottom` (rows, one number
-    per namespace).
-    """
+    """Runs a network; it sees images and speed, never the road, and knows of a simulator only its crop."""
 
     def __init__(self) -> None:
         super().__init__("driver")
-        network = self.declare_parameter("network", "dave2").value
-        backend = self.declare_parameter("backend", "auto").value
-        device = self.declare_parameter("device", "cpu").value
-        namespaces = self.declare_parameter("namespaces", [""]).value
-        tops = self.declare_parameter("crop_top", [0] * len(namespaces)).value
-        bottoms = self.declare_parameter("crop_bottom", [0] * len(namespaces)).value
-        if not len(namespaces) == len(tops) == len(bottoms):
-            raise ValueError(
-                f"parameters namespaces, crop_top and crop_bottom have {len(namespaces)}, {len(tops)} and "
-                f"{len(bottoms)} entries: give one crop per namespace"
-            )
+        network = declare(self, "network", "dave2", "Shipped network, or what docs/bring_your_own_network.md names.")
+        about = "What computes the network."
+        backend = declare(self, "backend", "auto", about, choices=("auto", "torch", "onnx", "openvino"))
+        device = declare(self, "device", "cpu", "Where it is computed.", choices=("cpu", "cuda"))
+        namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
+        about = "Rows of the image at the {} that the network does not see, one number for each namespace."
+        tops, bottoms = (
+            declare(self, name, [0] * len(namespaces), about.format(end), low=0, high=152, length=len(namespaces))
+            for name, end in (("crop_top", "top"), ("crop_bottom", "bottom"))
+        )
         self._driver = NetworkDriver(with_backend(network, backend, device))
         self._milliseconds: list[float] = []
         self._eyes = [
