@@ -100,7 +100,7 @@ def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
     run = graph.execute("donkey", ROAD, 5)
     client._client_handle = handle
     assert run.outcome is Outcome.COMPLETED, run.message
-    assert time.monotonic() - started < 20.0
+    assert time.monotonic() - started < 60.0  # a busy machine drives slowly
 
 
 def test_a_run_whose_client_died_is_ended_and_the_next_one_begins(graph: Any) -> None:
@@ -121,7 +121,7 @@ def test_a_run_whose_client_died_is_ended_and_the_next_one_begins(graph: Any) ->
     run = graph.execute("donkey", ROAD, 5)
     node.destroy_node()
     assert run.outcome is Outcome.COMPLETED, run.message
-    assert time.monotonic() - started < 20.0
+    assert time.monotonic() - started < 60.0  # a busy machine drives slowly
 
 
 def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
