@@ -33,7 +33,7 @@ def layouts(rows: int) -> dict[str, Any]:
         "map": _plain(_map_layout(rows)),
         "road": _plain(_road_layout()),
         "lateral": _plain(_line_layout("lateral position, m", autorange="reversed")),
-        "steering": _plain(_line_layout("steering, share of full lock", range=[1.08, -1.08], tickvals=[-1, 0, 1])),
+        "steering": _plain(_line_layout("steering, 1 = full lock", range=[1.08, -1.08], tickvals=[-1, 0, 1])),
         "scales": {name: [list(stop) for stop in scale] for name, scale in SCALES.items()},
     }
 
@@ -97,7 +97,7 @@ def _line_layout(title: str, **more: Any) -> go.Layout:
         margin={"l": 54, "r": 8, "t": 8, "b": 36},
         height=205,
         hovermode="x unified",
-        xaxis=_axis("distance driven, m", rangemode="tozero", hoverformat=".0f", **grid),
+        xaxis=_axis("distance driven, m", rangemode="tozero", unifiedhovertitle={"text": "%{x:.0f} m driven"}, **grid),
         yaxis=_axis(title, **grid, **more),
     )
 

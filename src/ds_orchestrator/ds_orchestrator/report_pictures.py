@@ -134,9 +134,11 @@ def telling_tests(
         nearest[execution.test_id] = min(nearest.get(execution.test_id, np.inf), execution.fitness)
     driven = [test for test in tests if test.test_id in nearest and test.test_id in cells]
     driven.sort(key=lambda test: (-failures[test.test_id], nearest[test.test_id], test.test_id))
-    worst = list({cells[test.test_id]: test for test in reversed(driven)}.values())[::-1]
-    chosen = {test.test_id for test in worst[:most]}
-    chosen |= {test.test_id for test in [t for t in driven if failures[t.test_id]][: max(most - len(chosen), 0)]}
+    worst: dict[Cell, str] = {}
+    for test in driven:
+        worst.setdefault(cells[test.test_id], test.test_id)
+    failed = [test.test_id for test in driven if failures[test.test_id]]
+    chosen = set(list(dict.fromkeys([*worst.values(), *failed]))[:most])
     return [test for test in tests if test.test_id in chosen]
 
 

@@ -1,7 +1,7 @@
 // ---- the chosen cell and its tests --------------------------------------------------------------------------------
 const FIRST_TESTS = 24;
 const panel = document.getElementById("cell");
-const SVG = "http://www.w3.org/2000/svg";
+const SVG = document.querySelector("svg").namespaceURI;
 const svg = (tag, attributes = {}, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
 /** Choose a cell: outline it in every map, and open its tests below. */
@@ -29,7 +29,7 @@ function showCell(key, tests, testId) {
   const shown = tests.findIndex((test) => test.id === testId);
   showTests(list, detail, tests, 0, Math.max(FIRST_TESTS, shown + 1));
   panel.append(
-    html("h4", {}, `${plural(tests.length, "test")}, the worst one first`), html("div", { class: "opened" }, list, detail));
+    html("h4", {}, tests.length > 1 ? `${tests.length} tests, the worst one first` : "1 test"), html("div", { class: "opened" }, list, detail));
   list.querySelectorAll("button")[Math.max(shown, 0)].click();
 }
 
@@ -129,7 +129,7 @@ function drawRoad(plot, test) {
     { ...still, x: lx, y: ly, line: { color: "#70757d", width: 1.5 } },
     { ...still, x: rx, y: ry, line: { color: "#70757d", width: 1.5 } },
     { ...still, x: cx, y: cy, line: { color: "#b58900", width: 1.5 } },
-    { ...still, mode: "markers+text", x: [(cx[0] + rx[0]) / 2], y: [(cy[0] + ry[0]) / 2], text: ["start"], textposition: "bottom right", marker: { size: 9, color: "#1e2329" } },
+    { ...still, mode: "markers+text", x: [(cx[0] + rx[0]) / 2], y: [(cy[0] + ry[0]) / 2], text: ["start"], textposition: "bottom center", cliponaxis: false, marker: { size: 9, color: "#1e2329" } },
   ];
   test.runs.forEach((run, index) => {
     if (!run) return;

@@ -109,12 +109,16 @@ const drawAll = () => Promise.all(drawn.map(draw));
 function link(plot) {
   const others = () => drawn.filter((other) => other.plot !== plot && other.plot.data && other.plot.clientWidth);
   plot.on("plotly_hover", ({ points: [point] }) => {
-    for (const other of others()) Plotly.Fx.hover(other.plot, [{ curveNumber: 0, pointNumber: point.pointIndex }]);
+    for (const other of others()) Plotly.Fx.hover(other.plot, [{ curveNumber: 0, xval: point.x, yval: point.y }]);
   });
   plot.on("plotly_unhover", () => {
     for (const other of others()) Plotly.Fx.unhover(other.plot);
   });
-  plot.on("plotly_click", ({ points: [point] }) => choose(keyAt(...point.pointIndex)));
+  plot.on("plotly_click", async ({ points: [point] }) => {
+    await choose(keyAt(...point.pointIndex));
+    // Where the tests would open out of sight, go there; else the maps stay where the mouse is.
+    if (panel.getBoundingClientRect().top > 0.75 * innerHeight) panel.scrollIntoView();
+  });
 }
 
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
