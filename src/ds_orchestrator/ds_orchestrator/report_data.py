@@ -84,7 +84,7 @@ def page_data(
 def _axes(config: CampaignConfig, maps: Mapping[str, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:
     """Title of every feature, the bins from the smallest to the largest one that is filled, and where each begins.
 
-    `begins` has one more entry than there are bins: where the last one ends.
+    `begins` has one more entry than there are bins: where the last one ends. `whole`: a bin is one whole number.
     """
     filled = {cell for feature_map in maps.values() for cell in feature_map.cells} | set(places)
     axes = []
@@ -97,7 +97,7 @@ def _axes(config: CampaignConfig, maps: Mapping[str, FeatureMap], places: Sequen
                 "title": feature.title,
                 "low": low,
                 "begins": [feature.label(bin_) for bin_ in range(low, high + 2)],
-                "whole": feature.unit == 1.0 and feature.width == 1,
+                "whole": feature.title.endswith("count") and feature.width == 1,
             }
         )
     return axes

@@ -31,12 +31,13 @@ def kept(steps: int) -> NDArray[np.intp]:
 def pack(columns: Columns) -> str:
     """Columns of finite numbers as base64 text.
 
-    Inside: deflate (zlib) over the lowest bytes of all numbers, then the next ones, four times. The numbers are
-    little-endian int32, the second differences of one column after the other, in 1 / `UNITS`.
+    Inside: deflate (zlib) over the lowest bytes of all numbers, then the next ones, four times. The numbers are uint32,
+    the second differences of one column after the other, in 1 / `UNITS`: n from 0 on as 2 n, others as -2 n - 1, so
+    that all but the lowest bytes are nearly always 0.
     """
     numbers = [_second_differences(column) for column in columns]
-    whole = np.concatenate(numbers) if numbers else np.empty(0)
-    planes = whole.astype("<i4").view(np.uint8).reshape(-1, 4).T
+    whole = np.concatenate(numbers) if numbers else np.empty(0, np.int64)
+    planes = np.where(whole >= 0, 2 * whole, -2 * whole - 1).astype("<u4").view(np.uint8).reshape(-1, 4).T
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
 
 

@@ -29,8 +29,8 @@ from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, Simula
 
 CAMERA_PLACE = 45.0
 """m along the lane where the cameras' pictures are taken; chosen: past the start, a third of a usual road."""
-DRIVEN_TESTS = 30
-"""Tests whose drives are shown at most; chosen: 2 MB, and half a minute to draw them on two cores."""
+DRIVEN_TESTS = 24
+"""Tests whose drives are shown at most; chosen: 1.5 MB, and a quarter of a minute to draw them on two cores."""
 MOMENTS = 5
 """Pictures of one drive; chosen: a row of them fits on a screen."""
 BEFORE_FAILURE = 1.0

@@ -33,10 +33,13 @@ def test_pictures_are_what_the_simulator_has_shown() -> None:
     session = Session(make_simulator("bullet"))
     autopilot = Autopilot(session.simulator.spec.autopilot)
     seen = session.start(TEST.road, TEST.seed)
+    assert seen is not None
     images = [seen.image]
     while session.driving and seen.step < 120:
         seen = session.advance(autopilot.command(seen.lane.preview_lateral_position, seen.vehicle.speed))
+        assert seen is not None
         images.append(seen.image)
+    assert session.run is not None
     execution = execution_of(TEST.test_id, "bullet", session.run)
     drives = drive_pictures(["bullet", "nowhere:A"], [TEST], [execution, make_execution(TEST, "nowhere:A", 1.0)])
     drive, none = drives["t"]

@@ -216,7 +216,7 @@ def maps(folder: Path) -> Result:
 def report(folder: Path) -> Path:
     """Write maps, pictures and report again."""
     store = results.open_store(folder)
-    path = results.write_all(folder, store)
+    path = results.write_all(folder, store, say=say)
     store.close()
     return path
 

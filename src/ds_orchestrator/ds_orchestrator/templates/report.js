@@ -58,5 +58,8 @@ async function start() {
   if (!openFromAddress() && data.selected) await choose(data.selected.join("-"), { remember: false });
   document.body.dataset.ready = "true"; // everything is drawn: for tests, and for printing
 }
-start();
+start().catch((error) => {
+  panel.prepend(html("p", { class: "warning" }, `This browser cannot draw the report (${error.message}): try a newer one. The same maps lie as pictures in the folder maps beside this file.`));
+  throw error;
+});
 })();

@@ -33,7 +33,12 @@ function binWords(axis, bin) {
   return `${title} ${axis.whole ? from : `${from} to ${to}`}${unit ? ` ${unit}` : ""}`;
 }
 const placeWords = (key) => key.split("-").map((bin, i) => binWords(data.axes[i], Number(bin))).join(", ");
-const range = (interval, digits = 2) => (interval ? `${interval[0].toFixed(digits)} to ${interval[1].toFixed(digits)}` : "not known");
+/** `0.13 to 0.69`; a short interval beside 0 has a digit more. */
+function range(interval) {
+  if (!interval) return "not known";
+  const digits = interval[1] < 0.01 ? 3 : 2;
+  return `${interval[0].toFixed(digits)} to ${interval[1].toFixed(digits)}`;
+}
 
 function hoverText(name, key) {
   const cell = cells[name][key];

@@ -1,6 +1,6 @@
 // ---- lines of tests, unpacked when a cell is opened ---------------------------------------------------------------
-// What `ds_orchestrator.report_packing.pack` made: deflate over the bytes of int32 numbers, lowest bytes first, which
-// are the second differences of one column after the other.
+// What `ds_orchestrator.report_packing.pack` made: deflate over the bytes of uint32 numbers, lowest bytes first, which
+// stand for the second differences of one column after the other: 0, -1, 1, -2, 2 as 0, 1, 2, 3, 4.
 
 async function unpack(text) {
   const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
@@ -9,7 +9,8 @@ async function unpack(text) {
   const count = planes.length / 4;
   const numbers = new Int32Array(count);
   for (let i = 0; i < count; i += 1) {
-    numbers[i] = planes[i] | (planes[count + i] << 8) | (planes[2 * count + i] << 16) | (planes[3 * count + i] << 24);
+    const code = planes[i] | (planes[count + i] << 8) | (planes[2 * count + i] << 16) | (planes[3 * count + i] << 24);
+    numbers[i] = (code >>> 1) ^ -(code & 1);
   }
   return numbers;
 }
