@@ -80,7 +80,8 @@ def _map_layout(rows: int) -> go.Layout:
 
 
 def _road_layout() -> go.Layout:
-    grid = {"showgrid": True, "gridcolor": "#e3e7dc"}
+    # A margin that follows the labels and an axis that follows the other one would follow each other for ever.
+    grid = {"showgrid": True, "gridcolor": "#e3e7dc", "automargin": False}
     return _layout(
         margin={"l": 44, "r": 8, "t": 8, "b": 40},
         height=430,
