@@ -12,13 +12,10 @@ from ds_orchestrator.config import CampaignConfig
 from ds_orchestrator.features import Cell, feature_of
 from ds_orchestrator.maps import FeatureMap, cells_of
 from ds_orchestrator.pictures import title_of
+from ds_orchestrator.report_figures import DASHES, colour_of_simulator
 from ds_orchestrator.report_packing import EVERY, UNITS, kept, pack
 from ds_orchestrator.store import Execution, Test
-from ds_road.picture import PALETTE
 from ds_sim.simulator import FRAME_RATE, Outcome
-
-_DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-"""Of the simulators' lines, in Plotly's words: colour alone is not for everybody."""
 
 
 def in_words(outcome: Outcome) -> str:
@@ -56,8 +53,8 @@ def page_data(
             {
                 "name": name,
                 "role": "twin" if name == config.twin else f"sibling {index + 1}",
-                "colour": "#{:02x}{:02x}{:02x}".format(*PALETTE[index % len(PALETTE)]),
-                "dash": _DASHES[index % len(_DASHES)],
+                "colour": colour_of_simulator(index),
+                "dash": DASHES[index % len(DASHES)],
             }
             for index, name in enumerate(config.simulators)
         ],
@@ -133,9 +130,9 @@ def about(config: CampaignConfig, name: str) -> str:
     """What a map of the campaign shows, one line for someone who sees it for the first time."""
     kind, _, rest = name.partition("_")
     if kind == "union":
-        return f"Every test, driven on {rest}. How often the driver failed there."
+        return f"Every test, whichever sibling's search found it, driven on {rest}."
     if kind == "twin":
-        return f"The same tests on {rest}, the best stand-in for the real car. What the siblings should foretell."
+        return f"The same tests on {rest}, which stands for the real car: what the siblings should foretell."
     if name == "merged":
         return (
             f"The siblings together ({config.operators.probability} of their probabilities, {config.operators.quality} "

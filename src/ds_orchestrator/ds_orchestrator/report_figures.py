@@ -11,6 +11,7 @@ from ds_orchestrator import paper_numbers
 from ds_orchestrator.evaluation import Correlation
 from ds_orchestrator.paper_tables import Network, role_of
 from ds_orchestrator.tables import Table
+from ds_road.picture import PALETTE
 
 INK, SOFT, LINE = "#1e2329", "#58606b", "#d9dde3"
 OURS, PAPER = "#1f5fa8", "#b4540a"
@@ -22,9 +23,16 @@ SCALES: Mapping[str, Sequence[tuple[float, str]]] = {
     "tests": ((0, "#f2f2f2"), (0.25, "#cfd3d6"), (0.5, "#9aa1a7"), (0.75, "#63696f"), (1, "#25282b")),
 }
 """Value -> colours from its smallest to its largest."""
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+"""Of the simulators' lines, in Plotly's words: colour alone is not for everybody."""
 _FONT = {"family": 'system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif', "size": 12, "color": INK}
 _ROW, _LEAST, _MOST = 17, 230, 560
 """Pixels of a map's row, and of its height."""
+
+
+def colour_of_simulator(index: int) -> str:
+    """Of the lines of one simulator, siblings first: `#1f77b4`."""
+    return "#{:02x}{:02x}{:02x}".format(*PALETTE[index % len(PALETTE)])
 
 
 def layouts(rows: int) -> dict[str, Any]:
@@ -205,7 +213,7 @@ def density_chart(table: Table) -> dict[str, Any]:
             x=middles,
             y=[row[2 + k] for row in table.rows],
             mode="lines+markers",
-            line={"shape": "hvh", "width": 2, "dash": ("solid", "dash", "dot", "dashdot", "longdash")[k % 5]},
+            line={"shape": "hvh", "width": 2, "dash": DASHES[k % len(DASHES)], "color": colour_of_simulator(k)},
             name=column.name,
             hovertemplate="%{y:.2f}",
         )
