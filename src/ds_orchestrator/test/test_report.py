@@ -177,6 +177,8 @@ def test_errors_and_what_is_left_over_are_listed(tmp_path: Path) -> None:
     cells = page.texts["td"]
     assert "the wheels came off" in cells and "nowhere:A, nowhere2:B, nowhere3:C" in cells
     assert "every attempt ended in an error on nowhere:A; the search went on without it" in cells
+    assert any(text.startswith("1 attempt ended in an error.") for text in page.texts["p"])
+    assert any(text.startswith("1 test. Where a test has no outcome") for text in page.texts["p"])
 
 
 def test_cameras_are_pictures_and_a_missing_simulator_is_a_note(

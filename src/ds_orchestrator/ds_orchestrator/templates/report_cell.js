@@ -187,7 +187,7 @@ function outcomeTable(test) {
     const name = html("td", {}, simulator.name);
     if (!run) return html("tr", {}, name, html("td", { colspan: "4" }, "no outcome: not driven, or every attempt ended in an error"));
     const outcome = html("td", run.failed ? { class: "failed" } : {}, verdict(run) + (run.message ? ` (${run.message})` : ""));
-    const numbers = [run.fitness.toFixed(2), run.maxLateral.toFixed(2), run.seconds.toFixed(1)];
+    const numbers = [run.fitness.toFixed(3), run.maxLateral.toFixed(3), run.seconds.toFixed(1)];
     return html("tr", {}, name, outcome, ...numbers.map((text) => html("td", { class: "number" }, text)));
   });
   const heads = head.map((text, index) => html("th", index > 1 ? { class: "number" } : {}, text));
@@ -205,8 +205,8 @@ function drivePictures(test) {
     if (!drive) return;
     const name = data.simulators[index].name;
     const run = test.runs[index];
-    box.append(html("p", {}, html("b", {}, name), run.failed ? `, the last seconds before it failed (${run.outcome})` : ", from start to end"));
-    if (drive.note) box.append(html("p", { class: "hint" }, drive.note));
+    const part = run.failed ? `the last seconds before it failed (${run.outcome})` : "from start to end";
+    box.append(html("p", {}, html("b", {}, name), `, ${drive.note || part}`));
     box.append(html("div", { class: "strip" }, ...drive.frames.map(([picture, words]) =>
       html("figure", {}, html("img", { src: `data:image/jpeg;base64,${picture}`, alt: `${name}, ${words}`, width: "240", height: "120" }), html("figcaption", {}, words)))));
   });
