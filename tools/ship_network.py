@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_driver.assessment import steering_errors, success_rates
+from ds_driver.assessment import success_rates
 from ds_driver.collection import roads_both_ways
 from ds_driver.networks import count_parameters
-from ds_driver.preprocessing import Crop
 from ds_driver.weights import SHIPPED, load_network
-from ds_sim.registry import SIMULATORS, make_simulator
+from ds_orchestrator.predictions import predict
+from ds_sim.registry import SIMULATORS
 
 PAPER = {
     "dave2": {"mean_squared_error": 0.08, "success": 0.84},
@@ -52,12 +52,9 @@ def main() -> None:
     seen = sorted(trained_on & ({road.road_id for road in roads} | _road_ids(arguments.offline)))
     if seen:
         sys.exit(f"roads {', '.join(seen)} were trained on: choose another --seed, or another offline set")
-    specs = {name: make_simulator(name).spec for name in SIMULATORS}
-    crops = {name: Crop(spec.crop_top, spec.crop_bottom) for name, spec in specs.items()}
-    errors = steering_errors(str(weights), arguments.offline, crops)
-    success = success_rates(
-        str(weights), list(SIMULATORS), roads, arguments.seed, lambda done, total, line: print(f"{done}/{total} {line}")
-    )
+    found = predict(arguments.offline, str(weights), _say)
+    errors = {name: predictions.errors for name, predictions in found.items()}
+    success = success_rates(str(weights), list(SIMULATORS), roads, arguments.seed, _say)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]
@@ -112,6 +109,10 @@ def main() -> None:
     shutil.copyfile(weights, SHIPPED / f"{name}.safetensors")
     (SHIPPED / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
     print(json.dumps({"success": success, **card["offline"]}))
+
+
+def _say(done: int, total: int, line: str) -> None:
+    print(f"{done}/{total} {line}", flush=True)
 
 
 def _road_ids(data: Path) -> set[str]:

@@ -1,65 +1,69 @@
-"""Both siblings, the twin and one driver for all of them, and a campaign on them; ends with the campaign.
+"""The simulators and the driver that a campaign file names, and the campaign on them; ends with the campaign.
 
 ros2 launch ds_bringup campaign.launch.py out:=DIR [config:=FILE]
-
-The configuration must name siblings bullet and softbody, twin donkey and driver dave2, as demo.yaml and paper.yaml do.
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-SIMULATORS = {
-    "ds1": ("ds_sim_bullet", "bullet"),
-    "ds2": ("ds_sim_softbody", "softbody"),
-    "twin": ("ds_twin_donkey", "donkey"),
+from ds_orchestrator.config import read_config
+from ds_orchestrator.graph_plan import driver_process, namespaces_of, simulator_processes
+
+EXECUTABLES = {
+    "ds_sim.node": ("ds_sim", "simulator"),
+    "ds_driver.node": ("ds_driver", "driver"),
+    "ds_driver.autopilot_node": ("ds_driver", "autopilot"),
 }
-"""Namespace -> package whose executable `simulator` runs there, and name of its parameter file."""
+"""Module of a process -> package and executable that run it."""
 
 
-def generate_launch_description() -> LaunchDescription:
-    """Describe five processes; a driver that ends is started again."""
-    folder = PathJoinSubstitution([FindPackageShare("ds_bringup"), "config"])
+def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """The processes of the campaign file; one that ends is started again, but for the campaign's own."""
+    path = LaunchConfiguration("config").perform(context)
+    config = read_config(Path(path))
+    namespaces = namespaces_of(config.siblings, config.twin)
+    processes = [
+        *simulator_processes(namespaces, config.command_timeout),
+        driver_process(config.driver, namespaces),
+    ]
+    graph = []
+    for process in processes:
+        package, executable = EXECUTABLES[process.module]
+        graph.append(
+            Node(
+                package=package,
+                executable=executable,
+                namespace=process.namespace,
+                parameters=[process.parameters],
+                respawn=True,
+                output="log",
+            )
+        )
     campaign = Node(
         package="ds_orchestrator",
         executable="campaign",
-        arguments=[LaunchConfiguration("config"), "--out", LaunchConfiguration("out")],
+        arguments=[path, "--out", LaunchConfiguration("out")],
         output="screen",
         sigterm_timeout="30",
     )
-    simulators = [
-        Node(
-            package=package,
-            executable="simulator",
-            name="simulator",
-            namespace=namespace,
-            parameters=[PathJoinSubstitution([folder, "simulators", f"{name}.yaml"])],
-            respawn=True,
-            output="log",
-        )
-        for namespace, (package, name) in SIMULATORS.items()
-    ]
-    driver = Node(
-        package="ds_driver",
-        executable="driver",
-        name="driver",
-        parameters=[PathJoinSubstitution([folder, "driver.yaml"])],
-        respawn=True,
-        output="log",
-    )
+    end = RegisterEventHandler(OnProcessExit(target_action=campaign, on_exit=[EmitEvent(event=Shutdown())]))
+    return [*graph, campaign, end]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe what is known before the campaign file is read."""
+    demo = PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "demo.yaml"])
     return LaunchDescription(
         [
             DeclareLaunchArgument("out", description="folder of the campaign; an unfinished one goes on"),
-            DeclareLaunchArgument(
-                "config", default_value=PathJoinSubstitution([folder, "demo.yaml"]), description="campaign file"
-            ),
-            *simulators,
-            driver,
-            campaign,
-            RegisterEventHandler(OnProcessExit(target_action=campaign, on_exit=[EmitEvent(event=Shutdown())])),
+            DeclareLaunchArgument("config", default_value=demo, description="campaign file"),
+            OpaqueFunction(function=nodes_of),
         ]
     )

@@ -1,18 +1,14 @@
-"""How well a driver drives: its success on roads it has not seen, and its error on labelled images (paper 4.2.2)."""
+"""How well a driver drives: its success on roads that it has not seen (paper 4.2.2)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from ds_driver.collection import DIRECTIONS
-from ds_driver.dataset import DatasetError, Sample, check_equal, decode, read_samples
 from ds_driver.driving import Drive, drive_all
-from ds_driver.network_driver import NetworkDriver
-from ds_driver.preprocessing import Crop
-from ds_driver.workers import in_workers
+from ds_driver.pilots import DriverError
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome
 
@@ -40,6 +36,9 @@ def success_rates(
 
     Returns:
         Simulator -> `forward` and `reverse` -> share in [0, 1].
+
+    Raises:
+        DriverError: a drive ended without a verdict, so that there is no share.
     """
     drives = [
         Drive(name, driver, road if way == "forward" else road.reversed(), seed + i)
@@ -50,6 +49,12 @@ def success_rates(
     completed: dict[str, dict[str, int]] = {name: dict.fromkeys(DIRECTIONS, 0) for name in simulators}
     for done, (drive, run) in enumerate(zip(drives, drive_all(drives), strict=True), start=1):
         way = DIRECTIONS[(done - 1) // len(roads) % 2]
+        if not run.outcome.is_verdict:
+            raise DriverError(
+                f"{drive.simulator}, road {drive.road.road_id}, seed {drive.seed}: {run.outcome.name.lower()}"
+                f"{': ' if run.message else ''}{run.message}: "
+                f"an error says nothing of how {driver} drives, mend it first"
+            )
         completed[drive.simulator][way] += run.outcome is Outcome.COMPLETED
         progress(
             done,
@@ -57,33 +62,3 @@ def success_rates(
             f"{drive.simulator} {roads[(done - 1) % len(roads)].road_id} {way}: {run.outcome.name.lower()}",
         )
     return {name: {way: n / len(roads) for way, n in counts.items()} for name, counts in completed.items()}
-
-
-def steering_errors(driver: str, data: Path, crops: dict[str, Crop]) -> dict[str, np.ndarray]:
-    """What a network answers to labelled images, less the label, by simulator (paper 4.2.3, 4.4).
-
-    Args:
-        driver: a shipped network, or a weights file.
-        data: folder of a data set.
-        crops: rows cut off per simulator.
-
-    Returns:
-        Simulator -> (n,) float64 errors of steering, in the order of the data set.
-
-    Raises:
-        DatasetError: the data set cannot be used.
-    """
-    samples = read_samples(data)
-    check_equal(samples)
-    strange = {s.simulator for s in samples} - set(crops)
-    if strange:
-        raise DatasetError(f"no crop is known for {', '.join(sorted(strange))}: name the simulators of the data set")
-    parts = {name: [s for s in samples if s.simulator == name] for name in sorted({s.simulator for s in samples})}
-    jobs = [(driver, crops[name], part) for name, part in parts.items()]
-    return dict(zip(parts, in_workers(_errors, jobs), strict=True))
-
-
-def _errors(job: tuple[str, Crop, list[Sample]]) -> np.ndarray:
-    name, crop, samples = job
-    network = NetworkDriver(name)
-    return np.array([network.steering(decode(s.jpeg), crop) - s.steering for s in samples])

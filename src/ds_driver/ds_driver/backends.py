@@ -5,10 +5,12 @@ A driver's name may end in `@torch`, `@onnx`, `@openvino`, or `@cuda` (PyTorch o
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -190,9 +192,15 @@ def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 model = openvino.convert_model(torch.jit.load(BytesIO(content)).eval())
+            compiled = core.compile_model(model, "CPU", settings)
+        elif kind == "tflite":
+            # OpenVINO reads these from a file only, which it may still need until the model is compiled.
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / "network.tflite"
+                file.write_bytes(content)
+                compiled = core.compile_model(core.read_model(file), "CPU", settings)
         else:
-            model = core.read_model(BytesIO(content))
-        compiled = core.compile_model(model, "CPU", settings)
+            compiled = core.compile_model(core.read_model(BytesIO(content)), "CPU", settings)
     except Exception as error:  # its exceptions have no common base but this
         raise BackendError(f"{where} cannot be loaded by OpenVINO ({last_line(error)}): is the file whole?") from None
     if len(compiled.inputs) != 1:

@@ -18,6 +18,8 @@ JPEG_QUALITY = 95
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 MOST_UNEQUAL = 2.0
 """Images of the simulator with the most over those of the one with the least; chosen: more means that drives failed."""
+IMPORTED = "imported.json"
+"""In the folder of a name that stands for recordings."""
 SCHEMA = pa.schema(
     [
         ("image", pa.binary()),
@@ -31,7 +33,8 @@ SCHEMA = pa.schema(
         ("direction", pa.string()),
     ]
 )
-"""image: JPEG of (160, 320, 3) RGB; steering: the autopilot's label in [-1, 1]; speed: m/s; lateral_position: m."""
+"""image: JPEG of (160, 320, 3) RGB; steering: the autopilot's label in [-1, 1], or what was recorded; speed: m/s;
+lateral_position: m, null in a recording, as is the throttle."""
 
 
 class DatasetError(ValueError):
@@ -92,6 +95,16 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
         path.write_text(text)
     elif path.read_text() != text:
         raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
+
+
+def keep_import(folder: Path, name: str, about: dict[str, object]) -> None:
+    """Write down that images under a name come from recordings, whole, and not from a simulator of that name."""
+    (folder / name / IMPORTED).write_text(json.dumps(about, indent=1) + "\n")
+
+
+def imported_names(folder: Path) -> set[str]:
+    """Names in a data set that stand for recordings."""
+    return {path.parent.name for path in folder.glob(f"*/{IMPORTED}")}
 
 
 def write_drive(path: Path, rows: list[dict[str, object]]) -> None:

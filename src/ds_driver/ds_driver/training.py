@@ -20,6 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from ds_driver.augmentation import augment
+from ds_driver.crops import crops_of
 from ds_driver.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples
 from ds_driver.networks import make_network
 from ds_driver.preprocessing import Crop, prepare
@@ -97,18 +98,21 @@ class Epoch:
     seconds: float
 
 
-def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], report: Report) -> list[Epoch]:
+def train(
+    data: Path, out: Path, plan: TrainingPlan, report: Report, crops: dict[str, Crop] | None = None
+) -> list[Epoch]:
     """Train a network; stopped at any time it goes on after the last whole epoch.
 
     Args:
         data: folder of a data set.
         out: folder for `<network>.safetensors` (the best epoch), the checkpoint, and `training.json` at the end.
         plan: how to train.
-        crops: rows cut off per simulator.
         report: takes a line now and then.
+        crops: rows cut off per simulator; those of `ds_driver.crops` if left out.
 
     Raises:
-        DatasetError: the data set cannot be used, or a simulator has no crop.
+        DatasetError: the data set cannot be used.
+        ds_sim.registry.UnknownSimulatorError: a part of it comes from a simulator that is not known here.
     """
     device = device_of(plan.device)
     _keep_freed_memory()
@@ -120,9 +124,7 @@ def train(data: Path, out: Path, plan: TrainingPlan, crops: dict[str, Crop], rep
     check_equal(samples)
     training, validation = split(samples, plan)
     del samples  # those left out need not stay in memory
-    missing = {s.simulator for s in training} - set(crops)
-    if missing:
-        raise DatasetError(f"no crop is known for {', '.join(sorted(missing))}: name the simulators of the data set")
+    crops = crops or crops_of(data, {s.simulator for s in training})
     if len(training) < plan.batch_size:
         raise DatasetError(
             f"{len(training)} images to train on, expected at least one batch of {plan.batch_size}: collect more"

@@ -116,6 +116,22 @@ def test_a_donkey_car_pilot_drives_as_the_guide_describes_it(tmp_path: Path, lin
             assert (command.steering, command.throttle) == pytest.approx((angle, power), abs=1e-5), (file, backend)
 
 
+def test_a_donkey_car_pilot_in_tensorflow_lite_answers_as_tensorflow_says(tmp_path: Path) -> None:
+    """`data/donkey_pilot.tflite`: Keras's `linear` with two narrow convolutions, converted by TensorFlow 2.21.
+
+    TensorFlow's own interpreter said the expected numbers on the same squeezed image. The converter has put the
+    outputs into another order than Keras has them.
+    """
+    described = yaml.safe_load(next(text for text in examples("yaml") if "mypilot.tflite" in text))
+    (tmp_path / "mypilot.tflite").write_bytes((Path(__file__).parent / "data" / "donkey_pilot.tflite").read_bytes())
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump(described))
+    command = NetworkDriver(str(tmp_path / "p.yaml")).command(IMAGE, 3.0, Crop(40, 0))
+    assert (command.steering, command.throttle) == pytest.approx((-0.243504, 0.731181), abs=1e-5)
+    (tmp_path / "mypilot.tflite").write_bytes(b"not a network")
+    with pytest.raises(DriverError, match="mypilot.tflite cannot be loaded by OpenVINO"):
+        FilePilot(tmp_path / "p.yaml")
+
+
 class Pixel(nn.Module):
     """Answers with one number of its input, so that a test sees what the preprocessing made."""
 
@@ -268,7 +284,7 @@ def test_number_types_and_inputs_that_do_not_fit_are_told(tmp_path: Path) -> Non
 
 def test_the_guides_descriptions_are_valid() -> None:
     found = [NetworkFile.model_validate(yaml.safe_load(text)) for text in examples("yaml")]
-    assert [f.file for f in found] == ["my_net.onnx", "mypilot.onnx"]
+    assert [f.file for f in found] == ["my_net.onnx", "mypilot.onnx", "mypilot.tflite"]
 
 
 @pytest.fixture

@@ -78,30 +78,28 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
     def plan(epochs: int) -> TrainingPlan:
         return TrainingPlan(epochs=epochs, batch_size=16, learning_rate=1e-3, validation=0.5, threads=1)
 
-    whole = train(data, tmp_path / "whole", plan(2), crops, lambda _: None)
-    train(data, tmp_path / "parts", plan(1), crops, lambda _: None)
-    parts = train(data, tmp_path / "parts", plan(2), crops, lambda _: None)
+    whole = train(data, tmp_path / "whole", plan(2), lambda _: None, crops)
+    train(data, tmp_path / "parts", plan(1), lambda _: None, crops)
+    parts = train(data, tmp_path / "parts", plan(2), lambda _: None, crops)
     assert [e.training_loss for e in whole] == [e.training_loss for e in parts]
     assert whole[1].training_loss < whole[0].training_loss
     best = (tmp_path / "whole" / "dave2.safetensors").read_bytes()
     assert best == (tmp_path / "parts" / "dave2.safetensors").read_bytes()
     with pytest.raises(DatasetError, match="another plan or other data"):
-        train(data, tmp_path / "parts", replace(plan(2), seed=9), crops, lambda _: None)
+        train(data, tmp_path / "parts", replace(plan(2), seed=9), lambda _: None, crops)
     with pytest.raises(DatasetError, match="another plan or other data"):
-        train(data, tmp_path / "parts", plan(3), {"donkey": Crop(50, 0)}, lambda _: None)
+        train(data, tmp_path / "parts", plan(3), lambda _: None, {"donkey": Crop(50, 0)})
     with pytest.raises(DatasetError, match="75 images to train on, expected at least one batch of 128"):
-        train(data, tmp_path / "few", replace(plan(1), batch_size=128), crops, lambda _: None)
+        train(data, tmp_path / "few", replace(plan(1), batch_size=128), lambda _: None, crops)
     for content in (b"", b"no checkpoint"):
         (tmp_path / "parts" / "checkpoint.pt").write_bytes(content)
         with pytest.raises(DatasetError, match="cannot be read"):
-            train(data, tmp_path / "parts", plan(2), crops, lambda _: None)
+            train(data, tmp_path / "parts", plan(2), lambda _: None, crops)
 
 
 def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no drives"):
         read_samples(tmp_path)
-    with pytest.raises(DatasetError, match="no crop is known for donkey"):
-        train(data, tmp_path / "x", TrainingPlan(), {}, lambda _: None)
     with pytest.raises(DatasetError, match="damaged"):
         decode(b"not a jpeg")
     (tmp_path / "sim").mkdir()

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ds_driver.driving import AUTOPILOT
 from ds_orchestrator.offline import ErrorsError
-from ds_sim.registry import make_simulator
 
 REPORT_EVERY = 500
 """Images between two lines of progress; chosen: some seconds."""
@@ -42,7 +41,7 @@ def predict(
 
     Args:
         data: folder of the data set; see `ds_driver.dataset`.
-        network: a shipped network's name or a weights file.
+        network: any name that `ds_driver.network_driver.NetworkDriver` takes.
         progress: told images done, images in all, and the simulator.
         images: at most so many of each simulator, evenly spread over its drives; all if left out.
 
@@ -52,33 +51,29 @@ def predict(
     Raises:
         ErrorsError: the autopilot is no network.
         ds_driver.dataset.DatasetError: the data set cannot be used.
-        ds_driver.weights.WeightsError: the weights cannot be used.
+        ValueError: the network cannot be used.
     """
-    import torch
-
+    from ds_driver.crops import crops_of
     from ds_driver.dataset import Sample, decode, read_samples
-    from ds_driver.preprocessing import Crop, prepare
-    from ds_driver.weights import load_network
+    from ds_driver.network_driver import load_pilot
+    from ds_driver.pilots import Seen
 
     if network == AUTOPILOT:
         raise ErrorsError("the autopilot made the labels: name a network, such as dave2")
-    torch.set_num_threads(1)
-    model = load_network(network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    pilot = load_pilot(network)
     groups: dict[str, list[Sample]] = {}
     for sample in read_samples(data):
         groups.setdefault(sample.simulator, []).append(sample)
     if images is not None:
         groups = {name: _spread(group, images) for name, group in groups.items()}
     total, done = sum(map(len, groups.values())), 0
-    found = {}
+    found, crops = {}, crops_of(data, groups)
     for name, group in groups.items():
-        spec = make_simulator(name).spec
-        crop = Crop(spec.crop_top, spec.crop_bottom)
         steering = np.empty(len(group))
         for index, sample in enumerate(group):
-            with torch.inference_mode():
-                pixels = torch.from_numpy(prepare(decode(sample.jpeg), crop)).permute(2, 0, 1)[None]
-                steering[index] = float(model(pixels.float()))
+            if index == 0 or sample.road_id != group[index - 1].road_id:
+                pilot.start()
+            steering[index] = pilot.predict(Seen(image=decode(sample.jpeg), speed=0.0, crop=crops[name])).steering
             done += 1
             if done % REPORT_EVERY == 0 or done == total:
                 progress(done, total, f"images, {name}")
@@ -97,8 +92,10 @@ def architecture_of(network: str) -> str:
     """The architecture of a shipped network or a weights file, "" if it has none."""
     from safetensors import SafetensorError, safe_open
 
+    from ds_driver.backends import split_backend
     from ds_driver.networks import NETWORKS
 
+    network = split_backend(network)[0]
     if network in NETWORKS:
         return network
     try:

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_orchestrator.commands.answers import Interrupted, Result, answer, countdown, end, say
-from ds_orchestrator.commands.options import JsonFlag
+from ds_orchestrator.commands.options import Camera, ImageRows, JsonFlag, RecordedSteering, SteeringFactor, rows_of
 
 if TYPE_CHECKING:
     from ds_driver.preprocessing import Crop
@@ -251,16 +251,6 @@ def _network(driver: str) -> Answer:
     return answer
 
 
-def _rows(text: str | None) -> tuple[int, int] | None:
-    """`FIRST:LAST` as two numbers."""
-    if text is None:
-        return None
-    first, colon, last = text.partition(":")
-    if colon and first.isdigit() and last.isdigit():
-        return int(first), int(last)
-    raise typer.BadParameter(f"{text!r}: expected FIRST:LAST, such as 40:120")
-
-
 @bag_app.command("info")
 def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
     """Say what is in a bag: ours or anybody's."""
@@ -306,12 +296,10 @@ def drive_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Bags with images, Donkey Car tubs.")],
     driver: Annotated[str, typer.Option(help="dave2, or a weights file.")] = "dave2",
     out: Annotated[Path | None, typer.Option(help="Folder for errors.png, answers.csv and summary.json.")] = None,
-    camera: Annotated[str | None, typer.Option(help="Topic of the images, if there are several.")] = None,
-    steering: Annotated[
-        str | None, typer.Option(help="TOPIC:FIELD of the recorded steering, such as /cmd:drive.steering_angle.")
-    ] = None,
-    factor: Annotated[float, typer.Option(help="Makes of that -1 full left to +1 full right.")] = 1.0,
-    rows: Annotated[str | None, typer.Option(help="FIRST:LAST image rows to keep; the lower part if left out.")] = None,
+    camera: Camera = None,
+    steering: RecordedSteering = None,
+    factor: SteeringFactor = 1.0,
+    rows: ImageRows = None,
     truth: Annotated[Truth, typer.Option(help="Compare with the recorded steering, or the autopilot's.")] = "recorded",
     limit: Annotated[int | None, typer.Option(min=1, help="Only so many images of each.")] = None,
     attach: Annotated[bool, typer.Option(help="Ask the driver node that runs in this ROS domain.")] = False,
@@ -321,7 +309,7 @@ def drive_command(
     """Let a driver answer recorded images one by one: its steering errors, their density and distances."""
     from ds_orchestrator.recorded_frames import Reading
 
-    reading = Reading(camera=camera, steering=steering, factor=factor, rows=_rows(rows), truth=truth)
+    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth)
     if not attach:
         answer(bag_drive(folders, driver, reading, out, limit), as_json)
         return

@@ -5,15 +5,31 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from ds_orchestrator.commands.answers import Result, answer, countdown, say
-from ds_orchestrator.commands.options import Backend, Device, JsonFlag, Seed, Simulators, driver_named, simulators_of
+from ds_orchestrator.commands.options import (
+    Backend,
+    Camera,
+    Device,
+    ImageRows,
+    JsonFlag,
+    RecordedSteering,
+    Seed,
+    Simulators,
+    SteeringFactor,
+    driver_named,
+    rows_of,
+    simulators_of,
+)
 from ds_orchestrator.versions import versions
+
+if TYPE_CHECKING:
+    from ds_orchestrator.recorded_frames import Reading
 
 app = typer.Typer()
 
@@ -29,13 +45,27 @@ def collect(out: Path, simulators: list[str], **settings: Any) -> None:
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
 
 
+def import_drives(folders: list[Path], out: Path, name: str, reading: Reading) -> Result:
+    """Recordings as a part of a data set."""
+    from ds_orchestrator.importing import import_recordings
+    from ds_orchestrator.recorded_frames import open_recording
+
+    found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, countdown())
+
+    def show() -> None:
+        left = f"; {found.unlabelled} images have no steering beside them" if found.unlabelled else ""
+        print(f"{found.images} images are in {out / name}, in {found.files} files{left}")
+
+    return Result(document=asdict(found), show=show)
+
+
 def train(data: Path, out: Path, **settings: Any) -> None:
     """Train a network; the settings are those of `ds_driver.training.TrainingPlan`."""
     from ds_driver.training import TrainingPlan
     from ds_driver.training import train as train_network
 
     plan = TrainingPlan(**settings)
-    train_network(data, out, plan, _crops(), say)
+    train_network(data, out, plan, say)
     print(out / f"{plan.network}.safetensors")
 
 
@@ -92,14 +122,6 @@ def _mean(rates: dict[str, float]) -> float:
     return sum(rates.values()) / len(rates)
 
 
-def _crops() -> dict[str, Any]:
-    from ds_driver.preprocessing import Crop
-    from ds_sim.registry import SIMULATORS, make_simulator
-
-    specs = {name: make_simulator(name).spec for name in SIMULATORS}
-    return {name: Crop(spec.crop_top, spec.crop_bottom) for name, spec in specs.items()}
-
-
 @app.command("collect")
 def collect_command(
     out: Annotated[Path, typer.Option(help="Folder of the data set; a collection that was stopped goes on.")],
@@ -111,6 +133,24 @@ def collect_command(
 ) -> None:
     """Labelled driving data from the autopilot."""
     collect(out, simulators_of(sims), roads=roads, seed=seed, every=every, disturbance=disturbance)
+
+
+@app.command("import")
+def import_command(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Donkey Car tubs, bags with images.")],
+    out: Annotated[Path, typer.Option(help="Folder of a data set, new or not.")],
+    name: Annotated[str, typer.Option(help="Of the car; stands where a simulator's name does.")] = "car",
+    camera: Camera = None,
+    steering: RecordedSteering = None,
+    factor: SteeringFactor = 1.0,
+    rows: ImageRows = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Recorded drives of a real car into a data set, to train or compare networks on."""
+    from ds_orchestrator.recorded_frames import Reading
+
+    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows))
+    answer(import_drives(folders, out, name, reading), as_json)
 
 
 @app.command("train")

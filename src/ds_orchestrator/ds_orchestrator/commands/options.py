@@ -22,6 +22,23 @@ DriverName = Annotated[str, typer.Option(help="autopilot, dave2, a .safetensors 
 Backend = Annotated[str, typer.Option(help="What computes the network: auto, torch, onnx or openvino.")]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
+Camera = Annotated[str | None, typer.Option(help="Topic of the images, if there are several.")]
+RecordedSteering = Annotated[
+    str | None, typer.Option(help="TOPIC:FIELD of the recorded steering, such as /cmd:drive.steering_angle.")
+]
+SteeringFactor = Annotated[float, typer.Option(help="Makes of that -1 full left to +1 full right.")]
+ImageRows = Annotated[str | None, typer.Option(help="FIRST:LAST image rows to keep; the lower part if left out.")]
+
+
+def rows_of(text: str | None) -> tuple[int, int] | None:
+    """`FIRST:LAST` as two numbers."""
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    if colon and first.isdigit() and last.isdigit():
+        return int(first), int(last)
+    raise typer.BadParameter(f"{text!r}: expected FIRST:LAST, such as 40:120")
+
 
 def simulators_of(text: str) -> list[str]:
     """Simulators by name, separated by commas; each can be made, and none is named twice."""

@@ -1,0 +1,8 @@
+#!/usr/bin/env bash
+# Sources the workspace, then becomes the command: `ds ...`, `ros2 run ...`, or anything else.
+set -e
+root=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")
+[[ ! -f /opt/ros/jazzy/setup.bash ]] || . /opt/ros/jazzy/setup.bash
+. "$root/.venv/env.sh"
+[[ ${1:-} != ds ]] || set -- python -m ds_orchestrator.cli "${@:2}"
+exec "$@"
