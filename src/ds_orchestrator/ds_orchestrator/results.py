@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,9 +15,11 @@ from ds_orchestrator.maps import FeatureMap, campaign_maps, to_json
 from ds_orchestrator.paper_tables import NETWORKS, Network, correlation_tables, variant_table
 from ds_orchestrator.predictions import architecture_of
 from ds_orchestrator.store import Store, StoreError
-from ds_orchestrator.tables import Table, write_tables
+from ds_orchestrator.tables import Table, read_tables, write_tables
 from ds_sim.registry import label_of
 
+RQ1 = Path("evaluation/rq1.json")
+"""Where `ds evaluate --data` leaves the tables of RQ1 for the report, relative to the campaign's folder."""
 STAGES = ("maps", "evaluation", "report")
 """What is made of the executions, in order."""
 
@@ -109,20 +112,26 @@ def write_all(
     made = {stage for stage, executions in store.results().items() if executions == count}
     if not again and made >= set(STAGES) and report.exists():
         return report
+    began = time.monotonic()
     maps = maps_of(store)
     say("stage: maps")
     write_json(folder, maps)
     write_maps(maps, folder / "maps")
     store.set_result("maps", count)
+    mapped = time.monotonic()
     say("stage: evaluation")
     correlations = correlations_of(config, maps)
+    tables = tables_of(config, maps, correlations)
     (folder / "maps" / "correlations.json").write_text(_text([asdict(c) for c in correlations]))
-    write_tables(tables_of(config, maps, correlations), folder / "evaluation")
+    write_tables(tables, folder / "evaluation")
     store.set_result("evaluation", count)
+    # What was noted first stays, so that the report is the same when it is written again.
+    store.note("seconds maps", f"{mapped - began:.1f}")
+    store.note("seconds evaluation", f"{time.monotonic() - mapped:.1f}")
     say("stage: report")
-    # The report's maps have two axes.
-    flat = maps if len(config.features) == 2 else maps_of(store, features=config.features[:2])
-    write_report(folder, store, config, flat, correlations)
+    # RQ1 needs a data set: it is there if `ds evaluate --data` was given one.
+    tables = [*read_tables(folder / RQ1), *tables]
+    write_report(folder, store, config, maps, correlations, tables=tables, network=network_of(config))
     store.set_result("report", count)
     return report
 

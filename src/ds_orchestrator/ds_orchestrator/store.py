@@ -145,6 +145,14 @@ class Store:
             self._db.execute("INSERT OR IGNORE INTO about VALUES (?, ?)", (key, value))
             return str(self._db.execute("SELECT value FROM about WHERE key=?", (key,)).fetchone()[0])
 
+    def add_seconds(self, stage: str, seconds: float) -> None:
+        """Add to the time by the wall clock that a stage has taken so far."""
+        key = f"seconds {stage}"
+        with self._lock:
+            known = self._db.execute("SELECT value FROM about WHERE key=?", (key,)).fetchone()
+            total = seconds + (float(known[0]) if known else 0.0)
+            self._db.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (key, f"{total:.1f}"))
+
     def notes(self) -> dict[str, str]:
         """Every fact about the campaign."""
         with self._lock:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,9 +21,15 @@ Style = Literal["text", "count", "number", "small", "p"]
 """small: five digits after the point."""
 WIDTH = 130
 """Characters of a table in a file; chosen: the widest one of ours fits."""
+_SMALLEST_P = 1e-300
+"""Below this a p-value is not told from 0, which no p-value is: SciPy underflows soon after."""
 _DIGITS = {"number": 3, "small": 5}
 _TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}"}
 _TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
+
+
+class TablesError(ValueError):
+    """Kept tables that cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,8 @@ def shown(value: Value, style: Style) -> str:
         return value
     if isinstance(value, tuple):
         return f"[{value[0]:.2f}, {value[1]:.2f}]"
+    if style == "p" and float(value) < _SMALLEST_P:
+        return f"< {_SMALLEST_P:.0e}"
     if style == "p":
         return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
     return f"{value:.{_DIGITS[style]}f}" if style in _DIGITS else str(value)
@@ -138,8 +147,10 @@ def tex(text: str) -> str:
 def _tex_value(value: Value, style: Style) -> str:
     if value is None:
         return "--"
-    if style == "p" and isinstance(value, float) and 0 < value < 0.001:
-        mantissa, _, exponent = f"{value:.0e}".partition("e")
+    if style == "p" and isinstance(value, float) and value < 0.001:
+        mantissa, _, exponent = f"{max(value, _SMALLEST_P):.0e}".partition("e")
+        if value < _SMALLEST_P:
+            return rf"$< 10^{{{int(exponent)}}}$"
         return rf"${mantissa} \cdot 10^{{{int(exponent)}}}$"
     if isinstance(value, str):
         return tex(value)
@@ -158,6 +169,36 @@ def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
             paths.append(folder / f"{table.name}.{suffix}")
             paths[-1].write_text(text, encoding="utf-8")
     return paths
+
+
+def keep_tables(tables: Sequence[Table], path: Path) -> None:
+    """Write tables so that `read_tables` gives them back; the folder is made if needed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = [{**asdict(table), "rows": [list(row) for row in table.rows]} for table in tables]
+    path.write_text(json.dumps(rows, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_tables(path: Path) -> list[Table]:
+    """What `keep_tables` wrote, empty where there is no such file.
+
+    Raises:
+        TablesError: the file is not one of ours.
+    """
+    try:
+        return [
+            Table(
+                name=found["name"],
+                title=found["title"],
+                columns=[Column(**column) for column in found["columns"]],
+                rows=[[tuple(v) if isinstance(v, list) else v for v in row] for row in found["rows"]],
+                notes=found["notes"],
+            )
+            for found in json.loads(path.read_text(encoding="utf-8"))
+        ]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise TablesError(f"{path} cannot be read ({error}): remove it, or give `ds evaluate` --data again") from None
 
 
 def document_of(tables: Sequence[Table]) -> Mapping[str, Any]:

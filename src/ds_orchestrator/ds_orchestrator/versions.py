@@ -6,7 +6,8 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 
 _DISTRIBUTIONS = (
-    "numpy", "scipy", "opencv-python-headless", "torch", "onnxruntime", "openvino", "pybullet", "pymunk", "shapely",
+    "numpy", "scipy", "scikit-learn", "statsmodels", "opencv-python-headless", "torch", "onnxruntime", "openvino",
+    "pybullet", "pymunk", "shapely", "plotly",
 )  # fmt: skip
 
 

@@ -7,11 +7,12 @@ import io
 import re
 from pathlib import Path
 
+import pytest
 from rich.console import Console
 
 from ds_orchestrator.evaluation import Correlation, Variant
 from ds_orchestrator.paper_tables import correlation_tables, role_of, variant_table
-from ds_orchestrator.tables import Column, Table, shown, write_tables
+from ds_orchestrator.tables import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
 
 TABLE = Table(
     name="t",
@@ -54,6 +55,26 @@ def test_a_person_sees_short_numbers() -> None:
     out = io.StringIO()
     TABLE.show(Console(file=out, width=40))
     assert "[-0.50, 0.25]" in out.getvalue() and "100 % sure" in out.getvalue()
+
+
+def test_a_p_value_is_never_0() -> None:
+    for value in (0.0, 5e-324, 9e-301):
+        assert shown(value, "p") == "< 1e-300"
+        table = Table(name="t", title="t", columns=[Column("p", "p")], rows=[[value]])
+        assert r"$< 10^{-300}$ \\" in table.latex() and float(table.csv().splitlines()[1]) == value
+    assert [shown(p, "p") for p in (1e-300, 9e-4, 0.001)] == ["1e-300", "9e-04", "0.001"]
+
+
+def test_kept_tables_come_back(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "kept.json"
+    assert read_tables(path) == []
+    keep_tables([TABLE, TABLE], path)
+    for table in read_tables(path):
+        assert (table.texts(), table.csv(), table.latex()) == (TABLE.texts(), TABLE.csv(), TABLE.latex())
+    for broken in ("[", '[{"name": "t"}]', "3"):
+        path.write_text(broken)
+        with pytest.raises(TablesError, match="kept.json cannot be read .*: remove it"):
+            read_tables(path)
 
 
 def test_files(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from ds_orchestrator.features import feature_of
 from ds_orchestrator.lock import only_one
 from ds_orchestrator.paper_tables import correlation_tables
 from ds_orchestrator.progress import ScreenWatcher
+from ds_orchestrator.stage_times import StageClock
 from ds_orchestrator.store import Store
 from ds_orchestrator.versions import versions
 
@@ -86,12 +87,15 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
             )
         )
         with graphs as executor, ScreenWatcher() as watcher:
-            campaign = Campaign(config, out, store, executor, watcher, namespaces)
+            clock = StageClock(watcher, store)
+            campaign = Campaign(config, out, store, executor, clock, namespaces)
             try:
                 campaign.run()
             except BaseException:
                 executor.stop()
                 raise
+            finally:
+                clock.end()
     except (KeyboardInterrupt, Stopped):
         store.close()
         raise Interrupted from None
@@ -212,7 +216,7 @@ def maps(folder: Path) -> Result:
 def report(folder: Path) -> Path:
     """Write maps, pictures and report again."""
     store = results.open_store(folder)
-    path = results.write_all(folder, store)
+    path = results.write_all(folder, store, say=say)
     store.close()
     return path
 

@@ -14,7 +14,7 @@ from ds_orchestrator.commands.options import Folder, JsonFlag
 from ds_orchestrator.offline import ErrorsError, compare_errors, variants
 from ds_orchestrator.paper_tables import NETWORKS, Network, error_tables
 from ds_orchestrator.predictions import architecture_of, predict
-from ds_orchestrator.tables import Table, document_of, write_tables
+from ds_orchestrator.tables import Table, document_of, keep_tables, write_tables
 
 app = typer.Typer()
 
@@ -30,6 +30,7 @@ def evaluation(folder: Path, *, data: Path | None, images: int | None, out: Path
     tables: list[Table] = []
     if data is not None:
         tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, results.network_of(config))
+        keep_tables(tables, folder / results.RQ1)
     tables += results.tables_of(config, maps, results.correlations_of(config, maps))
     return _answer(tables, out or folder / "evaluation")
 

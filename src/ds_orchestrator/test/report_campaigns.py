@@ -1,0 +1,75 @@
+"""Campaigns without simulators, made for the tests of the report."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ds_orchestrator.config import CampaignConfig
+from ds_orchestrator.evaluation import Correlation, evaluate
+from ds_orchestrator.maps import FeatureMap, campaign_maps
+from ds_orchestrator.store import Execution, Store, Test
+from ds_road import Road, generate
+from ds_sim.registry import label_of
+from ds_sim.simulator import Outcome
+
+EVIL = "nowhere:</script><script>alert('&')</script>"
+"""The name of a simulator that cannot be made, and that no page may take at its word."""
+
+
+@cache
+def road(seed: int) -> Road:
+    return generate(np.random.default_rng(seed), max_angle=200)
+
+
+def make_execution(test: Test, simulator: str, offset: float) -> Execution:
+    """Along the right lane, drifting to the right until `offset` m; the run ends when the lane is left.
+
+    It steers as restlessly as a network, at random from the names of test and simulator.
+    """
+    centre, across = test.road.right_lane_centre, (test.road.right_edge - test.road.left_edge) / (2 * 4.0)
+    lateral = np.linspace(0.0, offset, len(centre))
+    steps = int(np.argmax(lateral > 2.0)) + 1 if offset > 2.0 else len(centre)
+    path = centre + lateral[:, None] * across
+    trajectory = np.column_stack((path, np.zeros(len(path)), np.full(len(path), 8.0), lateral))[:steps]
+    rng = np.random.default_rng(list(f"{test.test_id} {simulator}".encode()))
+    worst = float(np.abs(trajectory[:, 4]).max())
+    return Execution(
+        test_id=test.test_id, simulator=simulator,
+        outcome=Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED,
+        message="", fitness=2.0 - worst, max_lateral_position=worst, steps=steps - 1,
+        simulated_seconds=(steps - 1) / 20, trajectory_sha256="", trajectory=trajectory,
+        steering=rng.normal(0.0, 0.05, steps - 1),
+    )  # fmt: skip
+
+
+def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> list[tuple[Test, list[Execution]]]:
+    """Tests that the searches found, each driven on every simulator."""
+    rng = np.random.default_rng(5)
+    made = []
+    for k, sibling in enumerate(config.siblings):
+        for number in range(per_sibling):
+            test_id = f"{label_of(sibling)}-0-{number:04d}"
+            chosen = road((len(config.siblings) * number + k) % roads)
+            test = Test(test_id=test_id, sibling=sibling, run=0, number=number, road=chosen, seed=3)
+            driven = [make_execution(test, name, float(rng.uniform(0.2, 2.6))) for name in config.simulators]
+            made.append((test, driven))
+    return made
+
+
+def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int) -> Store:
+    """A store of such tests."""
+    store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
+    store.note("version numpy", "1.2.3<b>")
+    for test, driven in make_tests(config, per_sibling):
+        store.add_test(test)
+        for execution in driven:
+            store.add_execution(execution)
+    return store
+
+
+def results(store: Store, config: CampaignConfig) -> tuple[dict[str, FeatureMap], list[Correlation]]:
+    maps = campaign_maps(config.siblings, config.twin, store.tests(), store.executions())
+    return maps, evaluate(maps, config.siblings, config.twin) if config.twin else []

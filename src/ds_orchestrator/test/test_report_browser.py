@@ -1,0 +1,246 @@
+"""The report in headless Chromium: opened, pointed at, clicked, on a wide screen and on a narrow one."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+from report_campaigns import make_campaign, results
+
+from ds_orchestrator.config import CampaignConfig
+from ds_orchestrator.maps import FeatureMap, campaign_maps
+from ds_orchestrator.report import write_report
+from ds_orchestrator.store import Store
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium")
+TIMEOUT = 60_000
+"""ms for whatever a page does; chosen: a hundred times what it takes."""
+PLACE = """([name, x, y]) => {
+  const plot = document.querySelector(`[data-map="${name}"]`);
+  const box = plot.querySelector(".nsewdrag").getBoundingClientRect();
+  const { x: columns, y: rows } = plot.data[0];
+  return [box.x + box.width * (columns.indexOf(x) + 0.5) / columns.length,
+          box.y + box.height * (rows.length - rows.indexOf(y) - 0.5) / rows.length];
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield started
+        started.close()
+
+
+class Opened:
+    """A report in a page of the browser, and everything that it complained about or asked for."""
+
+    def __init__(self, browser: Browser, path: Path, width: int = 1280) -> None:
+        self.page: Page = browser.new_page(viewport={"width": width, "height": 900})
+        self.page.set_default_timeout(TIMEOUT)
+        self.complaints: list[str] = []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self._asked(request.url))
+        self.page.goto(path.as_uri())
+        self.page.wait_for_selector("body[data-ready]")
+
+    def _asked(self, address: str) -> None:
+        if not address.startswith(("file:", "data:", "blob:")):
+            self.complaints.append(address)
+
+    def place(self, name: str, cell: tuple[int, ...]) -> tuple[float, float]:
+        """Where the middle of a map's cell is on the screen, after scrolling there."""
+        self.page.locator(f'[data-map="{name}"]').scroll_into_view_if_needed()
+        x, y = self.page.evaluate(PLACE, [name, cell[0], cell[1]])
+        return x, y
+
+    def shown(self, name: str) -> dict[tuple[int, int], float | None]:
+        """What a map draws: cell -> value, None where it draws nothing."""
+        columns, rows, values = self.page.evaluate(
+            'name => { const t = document.querySelector(`[data-map="${name}"]`).data[0]; return [t.x, t.y, t.z]; }',
+            name,
+        )
+        return {(x, y): values[j][i] for j, y in enumerate(rows) for i, x in enumerate(columns)}
+
+    def tests(self) -> list[str]:
+        """Tests of the chosen cell, as listed."""
+        found: list[str] = self.page.eval_on_selector_all("[data-test]", "all => all.map(b => b.dataset.test)")
+        return found
+
+    def width_missing(self) -> int:
+        """Pixels by which the page is wider than its window."""
+        missing: int = self.page.evaluate("document.documentElement.scrollWidth - innerWidth")
+        return missing
+
+
+class Campaign:
+    """A campaign with its report."""
+
+    def __init__(self, folder: Path, config: CampaignConfig, per_sibling: int) -> None:
+        self.config = config
+        self.store: Store = make_campaign(folder, config, per_sibling)
+        _, correlations = results(self.store, config)
+        self.maps: dict[str, FeatureMap] = campaign_maps(
+            config.siblings, config.twin, self.store.tests(), self.store.executions(), config.map_plan()
+        )
+        self.path = write_report(folder, self.store, config, self.maps, correlations)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    config = CampaignConfig(siblings=["bullet", "nowhere:B"], twin="nowhere:C", seed=7)
+    return Campaign(tmp_path_factory.mktemp("seen"), config, 4)
+
+
+@pytest.fixture(scope="module")
+def opened(browser: Browser, campaign: Campaign) -> Opened:
+    return Opened(browser, campaign.path)
+
+
+def test_it_opens_without_a_complaint_and_fits_the_screen(browser: Browser, campaign: Campaign) -> None:
+    for width in (1280, 380):
+        report = Opened(browser, campaign.path, width)
+        assert report.page.locator("[data-maps=compared] .plot svg.main-svg").count() >= 4
+        assert report.width_missing() <= 0
+        assert report.complaints == []
+        report.page.close()
+
+
+def test_maps_draw_their_values_and_nothing_where_nothing_is_known(opened: Opened, campaign: Campaign) -> None:
+    for value in ("quality", "tests", "probability"):
+        opened.page.click(f"[data-value={value}]")
+        for name in ("union_bullet", "merged", "twin_nowhere:C"):
+            expected = {cell: getattr(content, value) for cell, content in campaign.maps[name].cells.items()}
+            opened.page.wait_for_function(
+                '([name, total]) => Math.abs(document.querySelector(`[data-map="${name}"]`).data[0].z.flat()'
+                ".reduce((sum, v) => sum + (v ?? 0), 0) - total) < 1e-2",
+                arg=[name, sum(expected.values())],
+            )
+            shown = opened.shown(name)
+            assert {cell for cell, drawn in shown.items() if drawn is not None} == set(expected)
+            assert {cell: shown[cell[0], cell[1]] for cell in expected} == pytest.approx(expected, abs=1e-4)
+            assert any(drawn is None for drawn in shown.values())
+    assert 0.0 in opened.shown("merged").values()
+
+
+def test_hovering_over_a_cell_shows_it_in_every_map(opened: Opened, campaign: Campaign) -> None:
+    name = "union_bullet"
+    cell, content = max(campaign.maps[name].cells.items(), key=lambda item: (item[1].tests, item[0]))
+    empty = next(place for place, value in opened.shown(name).items() if value is None)
+    for where, told in ((cell, f"{content.failures} of {content.tests} test"), (empty, "no test")):
+        opened.page.mouse.move(5, 5)
+        opened.page.mouse.move(*opened.place(name, where))
+        opened.page.wait_for_function(
+            "() => [...document.querySelectorAll('[data-maps=compared] .plot')]"
+            ".every(plot => plot.querySelector('.hoverlayer .hovertext'))"
+        )
+        labels: list[str] = opened.page.eval_on_selector_all(
+            "[data-maps=compared] .plot", "all => all.map(plot => plot.querySelector('.hoverlayer').textContent)"
+        )
+        assert len(labels) == 4 and told in labels[0]
+        assert all(f"turns count {where[0]}curvature {where[1] / 100:.2f} to" in label for label in labels)
+    opened.page.mouse.move(5, 5)
+
+
+def test_a_click_opens_the_tests_with_their_roads_and_drives(opened: Opened, campaign: Campaign) -> None:
+    merged = campaign.maps["merged"].cells
+    for cell in sorted(merged):
+        opened.page.mouse.click(*opened.place("merged", cell))
+        wanted = {t.test_id for t in campaign.store.tests() if (t.road.turns_count, t.road.curvature_bin) == cell}
+        opened.page.wait_for_function(
+            "wanted => wanted.join() === [...document.querySelectorAll('[data-test]')]"
+            ".map(button => button.dataset.test).sort().join()",
+            arg=sorted(wanted),
+        )
+    first = opened.tests()[0]
+    assert opened.page.locator("article.test h4").first.inner_text() == f"Test {first}"
+    for number, test_id in enumerate(opened.tests()):
+        opened.page.click(f'[data-test="{test_id}"]')
+        driven = [e for e in campaign.store.executions() if e.test_id == test_id]
+        opened.page.wait_for_function(
+            "() => ['road', 'lateral', 'steering'].every(kind => document.querySelector(`[data-chart=${kind}]`).data)"
+        )
+        lines: dict[str, Any] = opened.page.evaluate(
+            "() => Object.fromEntries(document.querySelector('[data-chart=road]').data"
+            ".filter(t => t.mode === 'lines' && t.name).map(t => [t.name, [t.x.at(-1), t.y.at(-1)]]))"
+        )
+        # Every simulator's drive ends where it ended.
+        assert set(lines) == {e.simulator for e in driven}
+        for execution in driven:
+            assert lines[execution.simulator] == pytest.approx(list(execution.trajectory[-1, :2]), abs=0.011)
+        failed = sum(e.outcome.is_failure for e in driven)
+        assert opened.page.locator(".test table.outcomes td.failed").count() == failed, number
+        images = opened.page.locator(".strip img")
+        assert images.count() == 5
+        assert images.first.evaluate("image => image.decode().then(() => image.naturalWidth)") == 240
+    assert opened.complaints == []
+
+
+def test_arrow_keys_choose_cells(opened: Opened) -> None:
+    plot = opened.page.locator('[data-map="merged"]')
+    columns, rows = zip(*opened.shown("merged"), strict=True)
+    opened.page.evaluate("() => document.activeElement.blur()")
+    plot.focus()
+    for _ in range(len(set(columns))):
+        plot.press("ArrowLeft")
+    for _ in range(len(set(rows))):
+        plot.press("ArrowDown")
+    opened.page.wait_for_function("place => location.hash === place", arg=f"#cell={min(columns)}-{min(rows)}")
+    opened.page.wait_for_function(
+        "start => document.getElementById('said').textContent.startsWith(start)", arg=f"turns count {min(columns)}, "
+    )
+    plot.press("ArrowRight")
+    opened.page.wait_for_function("place => location.hash === place", arg=f"#cell={min(columns) + 1}-{min(rows)}")
+
+
+def test_folds_open_with_their_maps_and_tables(opened: Opened, campaign: Campaign) -> None:
+    opened.page.click("text=Where the tests come from")
+    opened.page.wait_for_function(
+        "() => [...document.querySelectorAll('[data-maps=origins] .plot')].every(plot => plot.data)"
+    )
+    assert opened.page.locator("[data-maps=origins] .plot").count() == 6
+    opened.page.click("text=The maps as a table")
+    filled = {cell for name in ("union_bullet", "union_nowhere:B", "merged") for cell in campaign.maps[name].cells}
+    opened.page.wait_for_function(
+        "rows => document.querySelectorAll('#numbers tbody tr').length === rows", arg=len(filled)
+    )
+    assert opened.complaints == []
+
+
+def test_an_address_opens_its_cell(opened: Opened, campaign: Campaign) -> None:
+    test = campaign.store.tests()[-1]
+    opened.page.evaluate(
+        "place => { location.hash = place; }", f"#cell={test.road.turns_count}-{test.road.curvature_bin}"
+    )
+    opened.page.wait_for_selector(f'[data-test="{test.test_id}"]')
+
+
+def test_three_features_are_shown_slice_by_slice(browser: Browser, tmp_path: Path) -> None:
+    features = ["turns_count", "curvature", "direction_coverage:10"]
+    config = CampaignConfig(siblings=["nowhere:A"], twin=None, features=features)
+    campaign = Campaign(tmp_path, config, 8)
+    report = Opened(browser, campaign.path)
+    cells = campaign.maps["merged"].cells
+    slices = sorted({cell[2] for cell in cells})
+    assert len(slices) > 1
+    for third in slices:
+        report.page.select_option("#slice", str(third))
+        wanted = sorted([cell[0], cell[1]] for cell in cells if cell[2] == third)
+        report.page.wait_for_function(
+            "wanted => { const t = document.querySelector('[data-map=\"merged\"]').data[0];"
+            " const filled = t.x.flatMap((x, i) => t.y.flatMap((y, j) => t.z[j][i] === null ? [] : [[x, y]]));"
+            " return JSON.stringify(filled) === JSON.stringify(wanted); }",
+            arg=wanted,
+        )
+    cell = max(cell for cell in cells if cell[2] == slices[-1])
+    report.page.mouse.click(*report.place("merged", cell))
+    report.page.wait_for_function("place => location.hash === place", arg="#cell=" + "-".join(map(str, cell)))
+    report.page.wait_for_selector("[data-test]")
+    assert report.complaints == []
+    report.page.close()

@@ -1,0 +1,43 @@
+"""Time per stage by a clock that a test sets, over several sessions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ds_orchestrator.stage_times import StageClock, seconds_of
+from ds_orchestrator.store import Execution, Store, Test
+
+
+class Silent:
+    """A watcher that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[object] = []
+
+    def stage(self, name: str) -> None:
+        self.told.append(name)
+
+    def expect(self, executions: int) -> None:
+        self.told.append(executions)
+
+    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+        self.told.append(simulator)
+
+
+def test_stages_add_up_over_sessions(tmp_path: Path) -> None:
+    store, watcher = Store(tmp_path / "campaign.sqlite", config="{}"), Silent()
+    times = iter([10.0, 12.5, 12.5, 20.0])
+    first = StageClock(watcher, store, lambda: next(times))
+    first.end()  # nothing began yet
+    first.expect(7)
+    first.stage("search")
+    first.stage("twin")
+    first.end()
+    first.end()
+    again = iter([100.0, 101.0])
+    second = StageClock(watcher, store, lambda: next(again))
+    second.stage("search")
+    second.end()
+    assert watcher.told == [7, "search", "twin", "search"]
+    store.note("another fact", "3")
+    assert seconds_of(store.notes()) == {"twin": 7.5, "search": 3.5}
