@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -53,17 +54,16 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
     check_driver(config.driver)
     for name in config.simulators:
         make_simulator(name).close()
-    out.mkdir(parents=True, exist_ok=True)
-    with only_one(out):
-        return _run_campaign(config, out, attach=attach)
+    results.prepare_folder(out)
+    with only_one(out), closing(Store(out / "campaign.sqlite", config=config.identity())) as store:
+        return _run_campaign(config, out, store, attach=attach)
 
 
-def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
+def _run_campaign(config: CampaignConfig, out: Path, store: Store, *, attach: bool) -> Result:
     from ds_driver.network_driver import driver_sha256
     from ds_orchestrator.graph_plan import namespaces_of
     from ds_orchestrator.running import running_graph, running_workers
 
-    store = Store(out / "campaign.sqlite", config=config.identity())
     if config.driver != AUTOPILOT:
         weights = driver_sha256(config.driver)
         if store.note("sha256 of the driver's weights", weights) != weights:
@@ -93,7 +93,6 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
                 executor.stop()
                 raise
     except (KeyboardInterrupt, Stopped):
-        store.close()
         raise Interrupted from None
     say(f"executed in {time.monotonic() - started:.0f} s")
     report = results.write_all(out, store, again=False, say=say)
@@ -106,7 +105,6 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
         "correlations": [asdict(c) for c in found],
     }
     tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
-    store.close()
 
     def show() -> None:
         for table in tables:
@@ -131,17 +129,19 @@ def _note_parameter_files(store: Store, config: CampaignConfig) -> None:
 
 def stored_config(folder: Path) -> CampaignConfig:
     """The configuration of a campaign that was begun."""
-    store = results.open_store(folder)
-    config = results.config_of(store)
-    store.close()
-    return config
+    with closing(results.open_store(folder)) as store:
+        return results.config_of(store)
 
 
 def status(folder: Path) -> Result:
     """How far a campaign is, stage by stage."""
+    with closing(results.open_store(folder)) as store:
+        return _status(store)
+
+
+def _status(store: Store) -> Result:
     from ds_orchestrator.stages import stages_of
 
-    store = results.open_store(folder)
     config = results.config_of(store)
     executions = store.executions()
     counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
@@ -163,7 +163,6 @@ def status(folder: Path) -> Result:
             for row in store.errors()
         ],
     }
-    store.close()
 
     def show() -> None:
         table = Table(title=f"{document['executions']} of {document['executions_in_all']} executions")
@@ -183,9 +182,8 @@ def maps(folder: Path) -> Result:
     """Every map of a campaign."""
     from ds_orchestrator.maps import to_json
 
-    store = results.open_store(folder)
-    document: dict[str, Any] = to_json(results.maps_of(store))
-    store.close()
+    with closing(results.open_store(folder)) as store:
+        document: dict[str, Any] = to_json(results.maps_of(store))
 
     def show() -> None:
         for name, content in document.items():
@@ -211,10 +209,8 @@ def maps(folder: Path) -> Result:
 
 def report(folder: Path) -> Path:
     """Write maps, pictures and report again."""
-    store = results.open_store(folder)
-    path = results.write_all(folder, store)
-    store.close()
-    return path
+    with closing(results.open_store(folder)) as store:
+        return results.write_all(folder, store)
 
 
 def _with(config: CampaignConfig, workers: int | None) -> CampaignConfig:
