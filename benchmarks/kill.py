@@ -2,13 +2,15 @@
 
 `python -m benchmarks.kill [--moments 25] [--seed 1] [--kinds simulator,driver]`: one row per moment, as Markdown, and
 status 1 if anything differs. Moments are uniform over the time that the undisturbed campaign takes, counted from its
-last line before them, so that they fall at the same place however busy the machine is. After each one the same command
-is given again until the campaign is done, and then
+last line before them, so that they fall at the same place however busy the machine is. After each one the campaign
+is gone on with until it is done, and then
 
 - maps, evaluation and bags are byte for byte those of the undisturbed campaign, and no file is left over;
 - what stood in the store at the moment stands there unchanged, and the simulators' logs show no second run of it;
 - at most as many runs as were under way were driven twice;
 - no process is left.
+
+`tests/graph/test_kill.py` does it for a few moments.
 """
 
 from __future__ import annotations
@@ -47,6 +49,8 @@ ORPHAN_TIME = 10.0
 """Seconds in which the processes of a killed orchestrator have to be gone."""
 SESSIONS = 3
 """Times that the command is given at most; chosen: one more than should be needed."""
+STATUS = {"sigterm": (143,), "sigint": (130,)}
+"""Of an orchestrator that was asked to stop, as shells have it."""
 _MARK = "DS_KILL_MARK"
 
 
@@ -57,6 +61,7 @@ class Session:
     folder: Path
     driver: str
     workers: int
+    resume: bool = False
     process: subprocess.Popen[str] = field(init=False)
     began: float = field(init=False)
     written: int = field(init=False)
@@ -64,8 +69,8 @@ class Session:
     def __post_init__(self) -> None:
         config = self.folder.with_suffix(".yaml")
         config.write_text(CONFIG.format(driver=self.driver))
-        command = [sys.executable, "-m", "ds_orchestrator.cli", "campaign", "run", str(config)]
-        command += ["--out", str(self.folder), "--workers", str(self.workers)]
+        what = ["resume", str(self.folder)] if self.resume else ["run", str(config), "--out", str(self.folder)]
+        command = [sys.executable, "-m", "ds_orchestrator.cli", "campaign", *what, "--workers", str(self.workers)]
         path = os.pathsep.join(filter(None, (str(Path.cwd()), os.environ.get("PYTHONPATH"))))
         environment = os.environ | {_MARK: str(self.folder), "PYTHONPATH": path}
         self.written = self.lines()
@@ -231,9 +236,11 @@ def disturbed(folder: Path, times: list[float], kind: str, rng: np.random.Genera
     status = session.wait() if session.process.pid not in victims else session.process.wait(ORPHAN_TIME)
     if left := processes_left(folder):
         report.problems.append(f"{left} processes left")
+    if status not in STATUS.get(kind, (status,)) and "had ended" not in report.killed:
+        report.problems.append(f"status {status}")
     while status and report.sessions < SESSIONS:
         report.sessions += 1
-        status = Session(folder, driver, workers).wait()
+        status = Session(folder, driver, workers, resume=bool(before)).wait()
     report.seconds = time.monotonic() - session.began
     if status:
         report.problems.append(f"status {status} at last")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from ds_driver.control import Autopilot
@@ -82,6 +84,6 @@ class MadeUpExecutor(LocalExecutor):
 class Silent:
     def stage(self, name: str) -> None: ...
 
-    def expect(self, executions: int) -> None: ...
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None: ...
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...

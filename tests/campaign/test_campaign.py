@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import yaml
 from tests.campaign.executors import LocalExecutor, MadeUpExecutor, Silent
 
 from ds_orchestrator.campaign import Campaign, CampaignError, Executor, Stopped
@@ -223,17 +224,20 @@ def test_a_file_that_is_no_configuration_is_refused(tmp_path: Path, text: str | 
     assert "\n" not in str(refused.value)
 
 
-def test_the_shipped_configurations_are_valid() -> None:
-    configs = sorted(Path("src/ds_bringup/config").glob("*.yaml"))
-    named = {path.stem: read_config(path) for path in configs if path.stem in ("demo", "paper")}
-    assert named["paper"].operators.compare == ["minimum", "maximum", "mean", "weighted_mean"]
+def test_the_shipped_configurations_are_what_they_say() -> None:
+    folder = Path("src/ds_bringup/config")
+    demo, paper, first_run = (read_config(folder / f"{name}.yaml") for name in ("demo", "paper", "first_run"))
+    # Paper 4.2.4; every key is written out, and with the value that it has by default.
+    search = paper.search
+    assert (search.method, search.population, search.iterations, search.runs) == ("deephyperion", 20, 150, 5)
+    assert set(yaml.safe_load((folder / "paper.yaml").read_text())) == set(CampaignConfig.model_fields)
+    plain = paper.operators.model_copy(update={"compare": []})
+    assert paper.model_copy(update={"operators": plain}) == CampaignConfig()
+    assert paper.operators.compare == ["minimum", "maximum", "mean", "weighted_mean"]
+    assert first_run == paper.model_copy(update={"search": search.model_copy(update={"runs": 2})})
+    drives = [config.executions_at_most for config in (demo, first_run, paper)]
+    assert drives == [2 * 1 * 20 * 3, 2 * 2 * 170 * 3, 2 * 5 * 170 * 3]
     assert parse_config({"twin": "none"}, "c.yaml").twin is None
-    assert (named["demo"].search.population, named["demo"].search.iterations, named["demo"].search.runs) == (6, 14, 1)
-    assert (named["paper"].search.population, named["paper"].search.iterations, named["paper"].search.runs) == (
-        20,
-        150,
-        5,
-    )
 
 
 def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
