@@ -182,13 +182,18 @@ def processes_left(folder: Path) -> int:
 
 def undisturbed(folder: Path, driver: str = DRIVER) -> list[float]:
     """Run the campaign that the others are held against; the seconds at which its lines came, and its end."""
-    session, times = Session(folder, driver, 1), [0.0]
+    return lines_of(Session(folder, driver, 1))
+
+
+def lines_of(session: Session) -> list[float]:
+    """See a session to its end; the seconds at which its lines came, and its end."""
+    times = [0.0]
     while session.process.poll() is None and times[-1] < LIMIT:
         time.sleep(0.005)
         now = time.monotonic() - session.began
         times += [now] * (session.lines() - len(times) + 1)
     if session.wait():
-        raise RuntimeError(f"the undisturbed campaign failed: {folder.with_suffix('.err').read_text()[-500:]}")
+        raise RuntimeError(f"the campaign failed: {session.folder.with_suffix('.err').read_text()[-500:]}")
     return [*times, time.monotonic() - session.began]
 
 
@@ -208,17 +213,20 @@ class Report:
     problems: list[str] = field(default_factory=list)
 
 
-def disturbed(folder: Path, times: list[float], kind: str, rng: np.random.Generator, driver: str = DRIVER) -> Report:
+def disturbed(
+    folder: Path, times: list[float], kind: str, workers: int, rng: np.random.Generator, driver: str = DRIVER
+) -> Report:
     """Run the campaign, end a process at a moment, go on to the end, and look for differences.
 
     Args:
         folder: of the campaign; beside it lies the undisturbed one.
         times: of the undisturbed one's lines, and of its end.
         kind: of `KINDS`.
-        rng: chooses the moment, the number of workers, and the process.
+        workers: graphs at the same time.
+        rng: chooses the moment and the process.
         driver: at the wheel.
     """
-    moment, workers = float(rng.uniform(0.0, times[-1])), 1 + int(rng.random() < 0.2)
+    moment = float(rng.uniform(0.0, times[-1]))
     line = int(np.searchsorted(times[:-1], moment, side="right")) - 1
     report = Report(line, moment - times[line], kind, workers)
     session = Session(folder, driver, workers)
@@ -301,8 +309,8 @@ def main() -> None:
         bad = 0
         for number in range(arguments.first, arguments.first + arguments.moments):
             rng = np.random.default_rng([arguments.seed, number])
-            kind = str(rng.choice(arguments.kinds.split(",")))
-            r = disturbed(out / f"moment_{number:02d}", times, kind, rng, arguments.driver)
+            kind, workers = str(rng.choice(arguments.kinds.split(","))), 1 + int(rng.random() < 0.2)
+            r = disturbed(out / f"moment_{number:02d}", times, kind, workers, rng, arguments.driver)
             bad += bool(r.problems)
             print(
                 f"| {number} | {r.delay:.2f} s after line {r.line} | {kind}: {r.killed} | {r.workers} | {r.kept} | "
