@@ -61,8 +61,7 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
 
 def _run_campaign(config: CampaignConfig, out: Path, store: Store, *, attach: bool) -> Result:
     from ds_driver.network_driver import driver_sha256
-    from ds_orchestrator.graph_plan import namespaces_of
-    from ds_orchestrator.running import running_graph, running_workers
+    from ds_orchestrator.stages import is_driven
 
     if config.driver != AUTOPILOT:
         weights = driver_sha256(config.driver)
@@ -73,6 +72,31 @@ def _run_campaign(config: CampaignConfig, out: Path, store: Store, *, attach: bo
             store.note(f"version {name}, later", version)
     _note_parameter_files(store, config)
     (out / "bags").mkdir(exist_ok=True)
+    in_error = 0 if is_driven(config, store) else _drive(config, out, store, attach=attach)
+    report = results.write_all(out, store, again=False, say=say)
+    found = results.read_correlations(out)
+    document: dict[str, Any] = {
+        "folder": str(out),
+        "report": str(report),
+        "executions": len(store.executions()),
+        "executions_in_error": in_error,
+        "correlations": [asdict(c) for c in found],
+    }
+    tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
+
+    def show() -> None:
+        for table in tables:
+            table.show(Console())
+        print(report)
+
+    return Result(document=document, show=show, error=in_error > 0)
+
+
+def _drive(config: CampaignConfig, out: Path, store: Store, *, attach: bool) -> int:
+    """Drive what is not driven yet, on graphs of our own or on the one that runs; how much of it ended in errors."""
+    from ds_orchestrator.graph_plan import namespaces_of
+    from ds_orchestrator.running import running_graph, running_workers
+
     namespaces = namespaces_of(config.siblings, config.twin)
     started = time.monotonic()
     try:
@@ -95,23 +119,7 @@ def _run_campaign(config: CampaignConfig, out: Path, store: Store, *, attach: bo
     except (KeyboardInterrupt, Stopped):
         raise Interrupted from None
     say(f"executed in {time.monotonic() - started:.0f} s")
-    report = results.write_all(out, store, again=False, say=say)
-    found = results.read_correlations(out)
-    document: dict[str, Any] = {
-        "folder": str(out),
-        "report": str(report),
-        "executions": len(store.executions()),
-        "executions_in_error": campaign.failed_executions,
-        "correlations": [asdict(c) for c in found],
-    }
-    tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
-
-    def show() -> None:
-        for table in tables:
-            table.show(Console())
-        print(report)
-
-    return Result(document=document, show=show, error=campaign.failed_executions > 0)
+    return campaign.failed_executions
 
 
 def _note_parameter_files(store: Store, config: CampaignConfig) -> None:
