@@ -51,7 +51,9 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[floa
     def watch() -> None:
         while one.process.poll() is None or two.process.poll() is None:
             for seen, session in zip(domains, (one, two), strict=True):
-                seen.update(domain for pid, domain in marked(session.folder).items() if pid != session.process.pid)
+                # A process that has only just been forked has no domain yet.
+                others = {pid: domain for pid, domain in marked(session.folder).items() if pid != session.process.pid}
+                seen.update(filter(None, others.values()))
             time.sleep(0.5)
 
     watcher = threading.Thread(target=watch)
