@@ -1,9 +1,9 @@
 """Nothing lost: kills a campaign's processes at seeded moments, goes on, and compares with the undisturbed campaign.
 
 `python -m benchmarks.kill [--moments 25] [--seed 1] [--kinds simulator,driver]`: one row per moment, as Markdown, and
-status 1 if anything differs. Moments are uniform over the time that the undisturbed campaign takes, counted from its
-last line before them, so that they fall at the same place however busy the machine is. After each one the campaign
-is gone on with until it is done, and then
+status 1 if anything differs. Moments are uniform over the time that the undisturbed campaign takes, or with `--driving`
+over that in which it drives. They are counted from its last line before them, so that they fall at the same place
+however busy the machine is. After each one the campaign is gone on with until it is done, and then
 
 - maps, evaluation and bags are byte for byte those of the undisturbed campaign, and no file is left over;
 - what stood in the store at the moment stands there unchanged, and the simulators' logs show no second run of it;
@@ -214,7 +214,14 @@ class Report:
 
 
 def disturbed(
-    folder: Path, times: list[float], kind: str, workers: int, rng: np.random.Generator, driver: str = DRIVER
+    folder: Path,
+    times: list[float],
+    kind: str,
+    workers: int,
+    rng: np.random.Generator,
+    *,
+    driver: str = DRIVER,
+    driving: bool = False,
 ) -> Report:
     """Run the campaign, end a process at a moment, go on to the end, and look for differences.
 
@@ -225,8 +232,9 @@ def disturbed(
         workers: graphs at the same time.
         rng: chooses the moment and the process.
         driver: at the wheel.
+        driving: choose a moment between the first stage's begin and the last run's end, not of the whole time.
     """
-    moment = float(rng.uniform(0.0, times[-1]))
+    moment = float(rng.uniform(*((times[1], times[EXECUTIONS + 2]) if driving else (0.0, times[-1]))))
     line = int(np.searchsorted(times[:-1], moment, side="right")) - 1
     report = Report(line, moment - times[line], kind, workers)
     session = Session(folder, driver, workers)
@@ -297,6 +305,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kinds", default=",".join(KILLS), help=f"of {', '.join(KINDS)}")
     parser.add_argument("--driver", default=DRIVER)
+    parser.add_argument("--driving", action="store_true", help="moments while roads are driven only")
     parser.add_argument("--out", type=Path, help="folder for the campaigns; a temporary one is removed")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -310,7 +319,8 @@ def main() -> None:
         for number in range(arguments.first, arguments.first + arguments.moments):
             rng = np.random.default_rng([arguments.seed, number])
             kind, workers = str(rng.choice(arguments.kinds.split(","))), 1 + int(rng.random() < 0.2)
-            r = disturbed(out / f"moment_{number:02d}", times, kind, workers, rng, arguments.driver)
+            folder, driver, driving = out / f"moment_{number:02d}", arguments.driver, arguments.driving
+            r = disturbed(folder, times, kind, workers, rng, driver=driver, driving=driving)
             bad += bool(r.problems)
             print(
                 f"| {number} | {r.delay:.2f} s after line {r.line} | {kind}: {r.killed} | {r.workers} | {r.kept} | "

@@ -83,6 +83,7 @@ def test_a_killed_process_costs_the_runs_under_way_and_nothing_else(
     folder, times, _ = campaigns
     assert set(ORDER) == set(KINDS)
     kind, workers = ORDER[number % len(ORDER)], 1 + (number % 5 == 4)
-    report = disturbed(folder / f"moment_{number}", times, kind, workers, np.random.default_rng([SEED, number]))
+    rng = np.random.default_rng([SEED, number])
+    report = disturbed(folder / f"moment_{number}", times, kind, workers, rng, driving=True)
     assert report.problems == [], report
     assert report.killed
