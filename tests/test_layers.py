@@ -60,6 +60,7 @@ import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.assessment,
 import ds_orchestrator.report, ds_orchestrator.results, ds_orchestrator.cli
 from ds_sim.registry import SIMULATORS, make_simulator
 for name in SIMULATORS: make_simulator(name)
+ds_orchestrator.cli.make_app()
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

@@ -9,22 +9,22 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
+import yaml
+from tests.campaign.executors import LocalExecutor, MadeUpExecutor, Silent
 
-from ds_driver.control import Autopilot
 from ds_orchestrator.campaign import Campaign, CampaignError, Executor, Stopped
 from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.lock import LockError, only_one
 from ds_orchestrator.maps import cells_of, elites_of, to_json
 from ds_orchestrator.results import maps_of
 from ds_orchestrator.stages import stages_of
-from ds_orchestrator.store import Execution, Store, StoreError, Test
+from ds_orchestrator.store import Store, StoreError
 from ds_orchestrator.worker_pool import WorkerPool
 from ds_road import Road
-from ds_sim.registry import label_of, make_simulator
-from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
+from ds_sim.registry import label_of
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
 
 DONKEYS = ["ds_twin_donkey.simulator:DonkeySimulator", "donkey"]
 CONFIG = CampaignConfig(
@@ -32,80 +32,6 @@ CONFIG = CampaignConfig(
     search=SearchConfig(population=2, iterations=2, runs=1, min_angle=40, max_angle=90),
 )  # fmt: skip
 SPACES = {DONKEYS[0]: "/ds1", DONKEYS[1]: "/ds2"}
-
-
-class LocalExecutor:
-    """Drives in this process; stops after so many runs, and has so many errors to hand out first."""
-
-    def __init__(self, *, runs: int = 10_000, errors: int = 0, errors_after: int = 0) -> None:
-        self.roads: list[tuple[str, str]] = []
-        self._left = runs
-        self._errors = errors
-        self._errors_after = errors_after
-        self.error = Outcome.DRIVER_SILENT
-
-    def stop(self) -> None: ...
-
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
-        if self._left == 0:
-            raise Stopped
-        if self._errors and len(self.roads) >= self._errors_after:
-            self._errors -= 1
-            return RunRecord(road=road, seed=seed, outcome=self.error, message="no command within 1 s")
-        self._left -= 1
-        self.roads.append((simulator, road.road_id))
-        made = make_simulator(simulator)
-        session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(road, seed)
-        while session.driving and observation is not None and observation.step < 60:
-            command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
-            observation = session.advance(command)
-        assert session.run is not None
-        if session.driving:
-            session.end(Outcome.TIMEOUT, "sixty steps are enough for a test")
-        made.close()
-        return session.run
-
-
-class MadeUpExecutor(LocalExecutor):
-    """Drives nothing: an outcome that is made of simulator, road and seed alone, in no time."""
-
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
-        if self._left == 0:
-            raise Stopped
-        self._left -= 1
-        self.roads.append((simulator, road.road_id))
-        rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
-        lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
-        failed = bool(np.abs(lateral).max() > HALF_LANE)
-        x, y = road.right_lane_centre[0].tolist()
-        run = RunRecord(road=road, seed=seed, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED)
-        run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
-        run.observations = [
-            Observation(
-                image=np.empty((0, 0, 3), np.uint8),
-                step=k,
-                time=k / 20,
-                vehicle=VehicleState(x=x, y=y + k, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
-                lane=LaneState(
-                    lateral_position=float(offset),
-                    lateral_distance=HALF_LANE - abs(float(offset)),
-                    preview_lateral_position=float(offset),
-                    arc_length=float(k),
-                ),
-                outcome=Outcome.RUNNING if k < 5 else run.outcome,
-            )
-            for k, offset in enumerate(lateral)
-        ]
-        return run
-
-
-class Silent:
-    def stage(self, name: str) -> None: ...
-
-    def expect(self, executions: int) -> None: ...
-
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...
 
 
 def run(folder: Path, executor: Executor, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
@@ -235,39 +161,30 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
         pass
 
 
-def test_a_store_of_another_campaign_version_or_kind_is_refused(tmp_path: Path) -> None:
-    Store(tmp_path / "campaign.sqlite", config=CONFIG.model_dump_json()).close()
-    with pytest.raises(StoreError, match="another configuration"):
-        Store(tmp_path / "campaign.sqlite", config=CONFIG.model_copy(update={"seed": 8}).model_dump_json())
-    with pytest.raises(StoreError, match="no campaign"):
-        Store(tmp_path / "nothing" / "campaign.sqlite")
-    sqlite3.connect(tmp_path / "campaign.sqlite").execute("PRAGMA user_version=99")
-    with pytest.raises(StoreError, match="version 99"):
-        Store(tmp_path / "campaign.sqlite")
-    (tmp_path / "b").mkdir()
-    (tmp_path / "b" / "campaign.sqlite").write_bytes(b"not a database, but long enough to look at" * 100)
-    with pytest.raises(StoreError, match="cannot be used"):
-        Store(tmp_path / "b" / "campaign.sqlite")
-    # What a process leaves that was killed before it wrote anything.
-    (tmp_path / "c").mkdir()
-    (tmp_path / "c" / "campaign.sqlite").touch()
-    with pytest.raises(StoreError, match="stopped before it began"):
-        Store(tmp_path / "c" / "campaign.sqlite")
-    assert Store(tmp_path / "c" / "campaign.sqlite", config="{}").config == "{}"
-
-
 @pytest.mark.parametrize(
     ("raw", "named"),
     [
-        ({"siblings": ["bulet"]}, "bulet"),
-        ({"siblings": ["bullet", "bullet"]}, "twice"),
-        ({"siblings": []}, "siblings"),
-        ({"sibling": ["bullet"]}, "keys: siblings"),
-        ({"search": {"population": 0}}, "search.population"),
-        ({"search": {"min_angle": 200, "max_angle": 100}}, "min_angle 200"),
-        ({"seed": -1}, "seed"),
-        ({"record": "everything"}, "record"),
-        ([1, 2], "top level"),
+        ({"siblings": ["bulet"]}, "siblings: unknown simulator 'bulet': expected one of bullet, softbody, donkey"),
+        ({"siblings": ["bullet", "bullet"]}, "siblings: bullet is named twice"),
+        ({"siblings": []}, "siblings: an empty list, expected at least 1"),
+        ({"siblings": "bullet"}, "siblings: bullet, expected a list, as in [a, b]"),
+        ({"siblings": None}, "siblings: nothing there, expected a list"),
+        ({"sibling": ["bullet"]}, "sibling: there is no such key (keys: siblings"),
+        ({"twin": "bullet"}, "twin: bullet is a sibling too"),
+        ({"twin": "dnkey"}, "twin: unknown simulator 'dnkey': expected one of bullet"),
+        ({"twin": False}, "twin: false, expected text"),
+        ({"search": {"population": 0}}, "search.population: 0, expected at least 1"),
+        ({"search": {"min_angle": 200, "max_angle": 100}}, "search: min_angle 200 is above max_angle 100"),
+        ({"search": "deephyperion"}, "search: deephyperion, expected keys with values"),
+        ({"seed": -1}, "seed: -1, expected at least 0"),
+        ({"seed": "1"}, "seed: '1', expected a whole number"),
+        ({"seed": True}, "seed: true, expected a whole number"),
+        ({"seed": [1, 2]}, "seed: [1, 2], expected a whole number"),
+        ({"seeds": [1, 2]}, "seeds: there is no such key"),
+        ({"record": "everything"}, "record: everything, expected one of none, telemetry, compressed, raw"),
+        ({"published": "yes"}, "published: 'yes', expected true or false"),
+        ([1, 2], "c.yaml: [1, 2], expected keys with values"),
+        ({"seed": -1, "workers": 65}, "seed: -1, expected at least 0; workers: 65, expected at most 64"),
         ({"search": {"method": "hyperion"}}, "search.method: unknown search 'hyperion': expected one of deephyperion"),
         ({"search": {"runz": 1}}, "search.runz: there is no such key (keys: method, population"),
         ({"operators": {"probability": "sum"}}, "operators.probability: unknown operator 'sum'"),
@@ -276,9 +193,10 @@ def test_a_store_of_another_campaign_version_or_kind_is_refused(tmp_path: Path) 
         ({"features": ["curvature"]}, "expected two or three different ones"),
         ({"features": ["curvature", "curvature:2"]}, "expected two or three different ones"),
         ({"features": ["turns_count", "segment_count"]}, "the same number"),
-        ({"migration": "some"}, "migration: Input should be 'all' or 'elites'"),
+        ({"migration": "some"}, "migration: some, expected one of all, elites"),
         ({"sim2real": True}, "sim2real: there is no model"),
-        ({"workers": 0}, "workers"),
+        ({"workers": 0}, "workers: 0, expected at least 1"),
+        ({"command_timeout": 0}, "command_timeout: 0, expected above 0"),
     ],
 )
 def test_a_wrong_configuration_is_refused_in_one_line(raw: object, named: str) -> None:
@@ -287,25 +205,39 @@ def test_a_wrong_configuration_is_refused_in_one_line(raw: object, named: str) -
     assert named in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_a_file_that_is_no_yaml_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be read"):
-        read_config(tmp_path / "none.yaml")
-    (tmp_path / "c.yaml").write_text("siblings: [bullet\n: :")
-    with pytest.raises(ConfigError, match="not YAML"):
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (None, "cannot be read .No such file or directory.: check the path"),
+        ("siblings: [bullet\n: :", "not YAML: line 2"),
+        ("search:\n\truns: 1", "not YAML: line 2, column 1: .*indent with spaces"),
+        ("seed: 1\nsearch: {runs: 1, runs: 2}", "line 2, column 9: the key runs comes twice"),
+        ("# nothing but a comment", "empty, expected a campaign's keys"),
+        ("\xff", "not YAML"),
+    ],
+)
+def test_a_file_that_is_no_configuration_is_refused(tmp_path: Path, text: str | None, named: str) -> None:
+    if text is not None:
+        (tmp_path / "c.yaml").write_bytes(text.encode("latin-1"))
+    with pytest.raises(ConfigError, match=named) as refused:
         read_config(tmp_path / "c.yaml")
+    assert "\n" not in str(refused.value)
 
 
-def test_the_shipped_configurations_are_valid() -> None:
-    configs = sorted(Path("src/ds_bringup/config").glob("*.yaml"))
-    named = {path.stem: read_config(path) for path in configs if path.stem in ("demo", "paper")}
-    assert named["paper"].operators.compare == ["minimum", "maximum", "mean", "weighted_mean"]
+def test_the_shipped_configurations_are_what_they_say() -> None:
+    folder = Path("src/ds_bringup/config")
+    demo, paper, first_run = (read_config(folder / f"{name}.yaml") for name in ("demo", "paper", "first_run"))
+    # Paper 4.2.4; every key is written out, and with the value that it has by default.
+    search = paper.search
+    assert (search.method, search.population, search.iterations, search.runs) == ("deephyperion", 20, 150, 5)
+    assert set(yaml.safe_load((folder / "paper.yaml").read_text())) == set(CampaignConfig.model_fields)
+    plain = paper.operators.model_copy(update={"compare": []})
+    assert paper.model_copy(update={"operators": plain}) == CampaignConfig()
+    assert paper.operators.compare == ["minimum", "maximum", "mean", "weighted_mean"]
+    assert first_run == paper.model_copy(update={"search": search.model_copy(update={"runs": 2})})
+    drives = [config.executions_at_most for config in (demo, first_run, paper)]
+    assert drives == [2 * 1 * 20 * 3, 2 * 2 * 170 * 3, 2 * 5 * 170 * 3]
     assert parse_config({"twin": "none"}, "c.yaml").twin is None
-    assert (named["demo"].search.population, named["demo"].search.iterations, named["demo"].search.runs) == (6, 14, 1)
-    assert (named["paper"].search.population, named["paper"].search.iterations, named["paper"].search.runs) == (
-        20,
-        150,
-        5,
-    )
 
 
 def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -73,7 +73,7 @@ class ShortDrives:
 class Silent:
     def stage(self, name: str) -> None: ...
 
-    def expect(self, executions: int) -> None: ...
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None: ...
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...
 

@@ -1,14 +1,11 @@
-"""The whole method through real nodes: the same bytes twice, stopped and resumed, and nothing left behind."""
+"""The whole method through real nodes: the same bytes twice; `test_kill.py` stops and resumes it."""
 
 from __future__ import annotations
 
 import json
-import os
-import signal
 import sqlite3
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -23,13 +20,6 @@ driver: dave2
 seed: 5
 search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 120}
 """
-SMALL = """
-siblings: [bullet, donkey]
-twin: null
-driver: autopilot
-seed: 3
-search: {population: 2, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}
-"""
 
 
 def executions(folder: Path) -> dict[tuple[str, str], tuple[str, str]]:
@@ -43,15 +33,6 @@ def executions(folder: Path) -> dict[tuple[str, str], tuple[str, str]]:
     except sqlite3.OperationalError:
         return {}
     return {(test_id, simulator): (outcome, sha) for test_id, simulator, outcome, sha in rows}
-
-
-def children_of(pid: int) -> list[int]:
-    return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()] + [
-        int(p)
-        for task in Path(f"/proc/{pid}/task").iterdir()
-        for p in (task / "children").read_text().split()
-        if task.name != str(pid)
-    ]
 
 
 def test_the_same_seed_gives_the_same_bytes_also_on_a_busy_machine(tmp_path: Path) -> None:
@@ -82,36 +63,3 @@ def test_the_same_seed_gives_the_same_bytes_also_on_a_busy_machine(tmp_path: Pat
         assert recorded[0] == recorded[1], name
     shown = subprocess.run([*DS, "maps", str(first), "--json"], capture_output=True, text=True, check=True)
     assert json.loads(shown.stdout) == json.loads((first / "maps" / "maps.json").read_text())
-
-
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
-def test_a_stopped_campaign_leaves_no_process_and_goes_on(tmp_path: Path, stop: signal.Signals) -> None:
-    (tmp_path / "c.yaml").write_text(SMALL)
-    out = tmp_path / "out"
-    command = [*DS, "campaign", "run", str(tmp_path / "c.yaml"), "--out", str(out), "--json"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 90.0
-    while time.monotonic() < deadline:
-        if len(executions(out)) >= 2:
-            break
-        time.sleep(0.1)
-    children = children_of(process.pid)
-    assert len(children) == 3
-    process.send_signal(stop)
-    _, errors = process.communicate(timeout=20.0)
-    assert "Traceback" not in errors
-    assert process.returncode == (130 if stop is signal.SIGINT else -signal.SIGKILL)
-    deadline = time.monotonic() + 10.0
-    while [p for p in children if os.path.exists(f"/proc/{p}")] and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not [p for p in children if os.path.exists(f"/proc/{p}")]
-    kept = executions(out)
-    assert 2 <= len(kept) < 12
-    done = subprocess.run([*DS, "campaign", "resume", str(out), "--json"], capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stderr[-2000:]
-    after = executions(out)
-    assert len(after) == 12 and kept.items() <= after.items()
-    driven = [line for line in done.stderr.splitlines() if " on " in line and "/12 " in line]
-    assert len(driven) == 12 - len(kept)
-    status = subprocess.run([*DS, "campaign", "status", str(out), "--json"], capture_output=True, text=True, check=True)
-    assert json.loads(status.stdout)["executions"] == 12

@@ -59,8 +59,8 @@ class Watcher(Protocol):
         """A stage begins."""
         ...
 
-    def expect(self, executions: int) -> None:
-        """So many executions are there to do in all, those that are done included."""
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """How many executions there are on each simulator, in the search and after it, done ones included."""
         ...
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
@@ -116,7 +116,10 @@ class Campaign:
             CampaignError: a simulator gave no outcome for `PATIENCE` tests in a row; the same command goes on there.
         """
         config = self._config
-        self._watcher.expect(config.executions_at_most)
+        own = config.search.runs * config.settings.budget
+        search = dict.fromkeys(config.siblings, own)
+        everything = own * len(config.siblings)
+        self._watcher.expect([search, {name: everything - search.get(name, 0) for name in config.simulators}])
         self._watcher.stage("search")
         searches = {
             sibling: [partial(self._search, sibling, run) for run in range(config.search.runs)]
@@ -130,14 +133,12 @@ class Campaign:
             raise
         tests = self._store.tests()
         chosen = self._migrated(tests)
-        self._watcher.expect(len(tests) + len(chosen) * (len(config.simulators) - 1))
+        foreign = {name: [test for test in chosen if test.sibling != name] for name in config.simulators}
+        self._watcher.expect([search, {name: len(theirs) for name, theirs in foreign.items()}])
         self._watcher.stage("migration and twin" if config.twin else "migration")
         # Every test on the siblings that did not make it (paper 3.4), all of them on the twin (paper 3.6).
         self._in_parallel(
-            {
-                simulator: [partial(self._execute, test, simulator) for test in chosen if test.sibling != simulator]
-                for simulator in config.simulators
-            }
+            {name: [partial(self._execute, test, name) for test in theirs] for name, theirs in foreign.items()}
         )
 
     def _migrated(self, tests: Sequence[Test]) -> Sequence[Test]:

@@ -6,45 +6,55 @@ error. Exit status: 0 done, 1 a run ended in an error, 2 bad input.
 
 from __future__ import annotations
 
+import errno
 import sqlite3
 import sys
 from typing import Any
 
 import typer
 
-from ds_orchestrator.commands import bags, campaigns, drives, evaluations, networks, roads, siblings, twin
+from ds_orchestrator import stopping
 from ds_orchestrator.commands.answers import Interrupted
 
-app = typer.Typer(
-    help="Test a driving network on digital siblings.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-for part in (campaigns, evaluations, drives, bags, roads, networks, siblings, twin):
-    app.add_typer(part.app)
+
+def make_app() -> typer.Typer:
+    """Every verb; what they import takes a second or more, in which Ctrl-C is understood already."""
+    from ds_orchestrator.commands import bags, campaigns, drives, evaluations, networks, roads, siblings, twin
+
+    app = typer.Typer(
+        help="Test a driving network on digital siblings.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
+    for part in (campaigns, evaluations, drives, bags, roads, networks, siblings, twin):
+        app.add_typer(part.app)
+    return app
 
 
 def _one_line(error: BaseException) -> str:
     text: Any = error.strerror if isinstance(error, OSError) and error.strerror else error
     where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
-    return f"{where}{' '.join(str(text).split())}"
+    full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+    advice = ": make room, and give the same command again" if full else ""
+    return f"{where}{' '.join(str(text).split())}{advice}"
 
 
-def _say_stopped() -> None:
+def _end_stopped() -> None:
     print("stopped: what was finished is kept, the same command goes on from there", file=sys.stderr)
+    sys.exit(stopping.exit_status())
 
 
 def main() -> None:
     """Run `ds`; whatever goes wrong ends in one line on standard error."""
+    stopping.listen()
     try:
-        app(prog_name="ds")
-    except Interrupted:
-        _say_stopped()
-        sys.exit(130)
+        make_app()(prog_name="ds")
+    except (Interrupted, KeyboardInterrupt):
+        _end_stopped()
     except SystemExit as end:
-        if end.code == 130:  # typer's answer to Ctrl-C
-            _say_stopped()
+        if end.code == 130:  # typer's answer to an interruption
+            _end_stopped()
         raise
     except (ValueError, OSError, sqlite3.Error) as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from ds_orchestrator.config_problems import load_yaml, problems, yaml_problem
 from ds_orchestrator.features import DEFAULT_FEATURES, FEATURES, feature_of
 from ds_orchestrator.maps import MapPlan
 from ds_orchestrator.operators import OPERATORS
@@ -24,7 +25,7 @@ class ConfigError(ValueError):
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 def _one_of(value: str, allowed: Any, what: str) -> str:
@@ -136,9 +137,14 @@ class CampaignConfig(_Strict):
     command_timeout: Annotated[float, Field(gt=0, le=3600)] = 10.0
     record: Record = "telemetry"
 
-    @field_validator("twin")
+    @field_validator("siblings", "twin")
     @classmethod
-    def _none_in_words(cls, value: str | None) -> str | None:
+    def _known_simulators(cls, value: list[str] | str | None) -> list[str] | str | None:
+        for name in value if isinstance(value, list) else [value]:
+            if name not in (None, "none") and name.partition("@")[0] not in SIMULATORS and ":" not in name:
+                raise ValueError(
+                    f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
+                )
         return None if value == "none" else value
 
     @field_validator("sim2real")
@@ -159,14 +165,12 @@ class CampaignConfig(_Strict):
         return value
 
     @model_validator(mode="after")
-    def _known_simulators(self) -> CampaignConfig:
-        if len(set(self.simulators)) != len(self.simulators):
-            raise ValueError(f"a simulator is named twice: {', '.join(self.simulators)}")
-        for name in self.simulators:
-            if name.partition("@")[0] not in SIMULATORS and ":" not in name:
-                raise ValueError(
-                    f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
-                )
+    def _different_simulators(self) -> CampaignConfig:
+        twice = sorted({name for name in self.siblings if self.siblings.count(name) > 1})
+        if twice:
+            raise ValueError(f"siblings: {', '.join(twice)} is named twice, expected each simulator once")
+        if self.twin in self.siblings:
+            raise ValueError(f"twin: {self.twin} is a sibling too, expected another simulator, or none")
         return self
 
     @property
@@ -214,12 +218,16 @@ def read_config(path: Path) -> CampaignConfig:
         ConfigError: in one line, the key, what is wrong with it, and what is allowed.
     """
     try:
-        raw = yaml.safe_load(path.read_text())
+        raw = load_yaml(path.read_text())
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}): check the path") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not YAML ({' '.join(str(error).split())})") from None
-    return parse_config(raw or {}, str(path))
+        raise ConfigError(f"{path}: not YAML: {yaml_problem(error)}") from None
+    if raw is None:
+        raise ConfigError(
+            f"{path}: empty, expected a campaign's keys (such as {', '.join(CampaignConfig.model_fields)})"
+        )
+    return parse_config(raw, str(path))
 
 
 def parse_config(raw: object, source: str) -> CampaignConfig:
@@ -227,23 +235,4 @@ def parse_config(raw: object, source: str) -> CampaignConfig:
     try:
         return CampaignConfig.model_validate(raw)
     except ValidationError as error:
-        raise ConfigError(
-            f"{source}: {'; '.join(_problem(e['type'], e['loc'], e['msg']) for e in error.errors())}"
-        ) from None
-
-
-def _problem(kind: str, place: tuple[int | str, ...], message: str) -> str:
-    """One key, what is wrong with it, and what is allowed."""
-    where = ".".join(map(str, place)) or "top level"
-    if kind != "extra_forbidden":
-        return f"{where}: {message.removeprefix('Value error, ')}"
-    model: type[BaseModel] = CampaignConfig
-    for part in place[:-1]:
-        model = _model_of(model, str(part))
-    return f"{where}: there is no such key (keys: {', '.join(model.model_fields)})"
-
-
-def _model_of(model: type[BaseModel], key: str) -> type[BaseModel]:
-    annotation = model.model_fields[key].annotation
-    found = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type) and issubclass(a, BaseModel)]
-    return found[0] if found else model
+        raise ConfigError(f"{source}: {problems(error, CampaignConfig)}") from None

@@ -18,9 +18,14 @@ def only_one(folder: Path) -> Iterator[None]:
     """Hold a folder; the kernel lets go of it when this process ends.
 
     Raises:
-        LockError: another process holds it.
+        LockError: another process holds it, or nothing can be written there.
     """
-    file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise LockError(
+            f"{folder} cannot be written ({error.strerror}): check its permissions and disk, or choose another --out"
+        ) from None
     try:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

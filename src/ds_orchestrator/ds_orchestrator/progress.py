@@ -5,11 +5,13 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ds_orchestrator.store import Execution, Test
+from ds_orchestrator.time_left import TimeLeft
 
 
 class ScreenWatcher:
@@ -20,9 +22,8 @@ class ScreenWatcher:
         self._lock = threading.Lock()
         self._total = 0
         self._done = 0
-        self._fresh = 0
         self._failures = 0
-        self._started = time.monotonic()
+        self._left = TimeLeft()
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -37,7 +38,6 @@ class ScreenWatcher:
 
     def __enter__(self) -> ScreenWatcher:
         self._progress.start()
-        self._started = time.monotonic()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -45,20 +45,25 @@ class ScreenWatcher:
 
     def stage(self, name: str) -> None:
         """Show the stage."""
+        with self._lock:
+            self._left.begin(time.monotonic())
         self._progress.update(self._task, description=name)
         if not self._console.is_terminal:
             print(f"stage: {name}", file=sys.stderr, flush=True)
 
-    def expect(self, executions: int) -> None:
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         """Take in how many executions there are in all."""
-        self._total = executions
-        self._progress.update(self._task, total=executions)
+        with self._lock:
+            self._left.expect(stages)
+            self._total = sum(sum(stage.values()) for stage in stages)
+        self._progress.update(self._task, total=self._total)
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
         """Count an execution; what the store knew already took no time, so it does not count for the time left."""
         with self._lock:
             self._done += 1
-            self._fresh += fresh
+            # A test is driven on its own sibling by the search, elsewhere by the stage after that.
+            self._left.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
             self._failures += execution is not None and execution.outcome.is_failure
             left = self._time_left()
             self._progress.update(self._task, completed=self._done, failures=self._failures, left=left)
@@ -68,9 +73,9 @@ class ScreenWatcher:
                 print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
 
     def _time_left(self) -> str:
-        if not self._fresh:
+        seconds = self._left.seconds()
+        if seconds is None:
             return ""
-        seconds = (time.monotonic() - self._started) / self._fresh * max(self._total - self._done, 0)
         if seconds < 120:
             return f"about {seconds:.0f} s left"
         return f"about {seconds / 60:.0f} min left" if seconds < 7200 else f"about {seconds / 3600:.1f} h left"

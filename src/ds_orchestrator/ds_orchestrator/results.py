@@ -22,6 +22,10 @@ RQ1 = Path("evaluation/rq1.json")
 """Where `ds evaluate --data` leaves the tables of RQ1 for the report, relative to the campaign's folder."""
 STAGES = ("maps", "evaluation", "report")
 """What is made of the executions, in order."""
+WRITTEN = ("bags", "logs", "maps", "evaluation", "report.html")
+"""What a campaign writes into its folder beside the store."""
+NOT_MADE = -1
+"""Executions of which a result was made that is not there or not whole."""
 
 
 def open_store(folder: Path) -> Store:
@@ -33,6 +37,23 @@ def open_store(folder: Path) -> Store:
     if not folder.is_dir():
         raise StoreError(f"no folder {folder}: run a campaign there first")
     return Store(folder / "campaign.sqlite")
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make a folder for a campaign if need be, and see that nobody else's files lie where it writes.
+
+    Raises:
+        StoreError: it cannot be made, or would be written over.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise StoreError(f"{folder} is a file, expected a folder: choose another --out") from None
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be made ({error.strerror}): choose another --out") from None
+    foreign = [name for name in WRITTEN if (folder / name).exists()]
+    if foreign and not (folder / "campaign.sqlite").exists():
+        raise StoreError(f"{folder} holds {foreign[0]} and no campaign, it would be written over: choose another --out")
 
 
 def config_of(store: Store) -> CampaignConfig:
@@ -114,6 +135,9 @@ def write_all(
         return report
     began = time.monotonic()
     maps = maps_of(store)
+    # Half written is not made; a process that ends amid this leaves it to be made again.
+    for stage in STAGES:
+        store.set_result(stage, NOT_MADE)
     say("stage: maps")
     write_json(folder, maps)
     write_maps(maps, folder / "maps")

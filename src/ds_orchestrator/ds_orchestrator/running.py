@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from ds_orchestrator.domain import Domain
 from ds_orchestrator.graph import GraphExecutor
 from ds_orchestrator.graph_plan import driver_process, simulator_processes
+from ds_orchestrator.stopping import Deaf
 from ds_orchestrator.supervisor import Supervisor
 from ds_orchestrator.worker_pool import WorkerPool
 
@@ -32,8 +32,8 @@ def running_graph(
         ds_orchestrator.supervisor.ProcessError: one of its processes ended.
     """
     with ExitStack() as stack:
-        # On the way out nothing may interrupt the cleaning up, however often Ctrl-C is pressed.
-        stack.callback(lambda: signal.signal(signal.SIGINT, signal.default_int_handler))
+        deaf = Deaf()
+        stack.push(deaf.__exit__)
         supervisor = None
         domain = None
         if not attach:
@@ -45,7 +45,7 @@ def running_graph(
             stack.callback(supervisor.close)
         executor = GraphExecutor(namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor)
         stack.callback(executor.close)
-        stack.callback(lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+        stack.callback(deaf.__enter__)
         executor.wait_until_ready()
         executor.check_simulators()
         yield executor

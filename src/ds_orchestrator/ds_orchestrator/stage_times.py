@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from ds_orchestrator.campaign import Watcher
 from ds_orchestrator.store import Execution, Store, Test
@@ -39,9 +39,9 @@ class StageClock:
             self._store.add_seconds(self._name, self._clock() - self._began)
         self._name = ""
 
-    def expect(self, executions: int) -> None:
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         """See `Watcher.expect`."""
-        self._watcher.expect(executions)
+        self._watcher.expect(stages)
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
         """See `Watcher.finished`."""

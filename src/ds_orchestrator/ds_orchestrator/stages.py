@@ -68,6 +68,11 @@ def stages_of(config: CampaignConfig, store: Store) -> list[Stage]:
     return [*stages, *(Stage(name=name, done=int(made.get(name) == count), expected=1) for name in STAGES)]
 
 
+def is_driven(config: CampaignConfig, store: Store) -> bool:
+    """Whether every test of a campaign has its outcome everywhere, so that no graph is needed to go on with it."""
+    return all(stage.state == "done" for stage in stages_of(config, store) if stage.failures is not None)
+
+
 def _stage(name: str, executions: Iterable[Execution], expected: int | None) -> Stage:
     mine = list(executions)
     return Stage(name=name, done=len(mine), expected=expected, failures=sum(e.outcome.is_failure for e in mine))

@@ -3,45 +3,20 @@
 from __future__ import annotations
 
 import json
-import sqlite3
-import threading
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_orchestrator.store_file import Row, StoreError, StoreFile
 from ds_road import Road
 from ds_sim.simulator import Outcome
 
-SCHEMA_VERSION = 2
-_SCHEMA = """
-CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL);
-CREATE TABLE tests (
-    test_id TEXT PRIMARY KEY, sibling TEXT NOT NULL, run INTEGER NOT NULL, number INTEGER NOT NULL,
-    road_id TEXT NOT NULL, control_points TEXT NOT NULL, turns_count INTEGER NOT NULL, curvature_bin INTEGER NOT NULL,
-    curvature REAL NOT NULL, seed INTEGER NOT NULL, published INTEGER NOT NULL);
-CREATE TABLE executions (
-    test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, outcome TEXT NOT NULL, message TEXT NOT NULL,
-    fitness REAL NOT NULL, max_lateral_position REAL NOT NULL, steps INTEGER NOT NULL,
-    simulated_seconds REAL NOT NULL, trajectory_sha256 TEXT NOT NULL, trajectory BLOB NOT NULL, steering BLOB NOT NULL,
-    bag TEXT NOT NULL,
-    PRIMARY KEY (test_id, simulator));
-CREATE TABLE errors (
-    test_id TEXT NOT NULL, simulator TEXT NOT NULL, attempt INTEGER NOT NULL, outcome TEXT NOT NULL,
-    message TEXT NOT NULL);
-CREATE TABLE given_up (test_id TEXT PRIMARY KEY);
-CREATE TABLE searches (
-    sibling TEXT NOT NULL, run INTEGER NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
-    PRIMARY KEY (sibling, run));
-CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL);
-"""
-
-
-class StoreError(ValueError):
-    """A campaign folder that cannot be used."""
+__all__ = ["Execution", "Store", "StoreError", "Test"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,60 +78,39 @@ class Store:
     """
 
     def __init__(self, path: Path, *, config: str | None = None) -> None:
-        self._lock = threading.Lock()
-        try:
-            if config is None and not path.exists():
-                raise StoreError(f"no campaign in {path.parent}: run one there first")
-            self._db = sqlite3.connect(path, check_same_thread=False, isolation_level=None)
-            self._db.execute("PRAGMA journal_mode=WAL")
-            if self._is_empty():
-                if config is None:
-                    raise StoreError(f"no campaign in {path.parent}: it was stopped before it began, run it again")
-                self._begin(config)
-            version = self._db.execute("PRAGMA user_version").fetchone()[0]
-        except sqlite3.Error as error:
-            raise StoreError(f"{path} cannot be used ({error}): check the folder, or choose another --out") from None
-        if version != SCHEMA_VERSION:
-            raise StoreError(f"{path} has version {version}, expected {SCHEMA_VERSION}: choose another --out folder")
+        self._file = StoreFile(path, None if config is None else {"config": config})
         if config is not None and self.config != config:
-            raise StoreError(f"{path.parent} holds a campaign with another configuration: choose another --out")
-
-    def _is_empty(self) -> bool:
-        """Whether the file was made just now, or by a process that was killed before it made the tables."""
-        return bool(self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0)
-
-    def _begin(self, config: str) -> None:
-        """Tables, version and configuration, all or nothing."""
-        self._db.execute("BEGIN IMMEDIATE")
-        for statement in filter(str.strip, _SCHEMA.split(";")):
-            self._db.execute(statement)
-        self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
-        self._db.execute("INSERT INTO about VALUES ('config', ?)", (config,))
-        self._db.execute("COMMIT")
+            different = _differences(self.config, config)
+            self.close()
+            raise StoreError(
+                f"{path.parent} holds a campaign with another configuration ({different}): restore it, or choose "
+                "another --out"
+            )
 
     @property
     def config(self) -> str:
         """The campaign's configuration as JSON text."""
-        return str(self._db.execute("SELECT value FROM about WHERE key='config'").fetchone()[0])
+        found = self._file.ask("SELECT value FROM about WHERE key='config'")
+        if not found:
+            raise self._file.damaged("it has no configuration")
+        return str(found[0][0])
 
     def note(self, key: str, value: str) -> str:
         """Keep a fact about the campaign, such as versions; the one that is known already stays. What is known."""
-        with self._lock:
-            self._db.execute("INSERT OR IGNORE INTO about VALUES (?, ?)", (key, value))
-            return str(self._db.execute("SELECT value FROM about WHERE key=?", (key,)).fetchone()[0])
+        self._file.ask("INSERT OR IGNORE INTO about VALUES (?, ?)", (key, value))
+        return str(self._file.ask("SELECT value FROM about WHERE key=?", (key,))[0][0])
 
     def add_seconds(self, stage: str, seconds: float) -> None:
         """Add to the time by the wall clock that a stage has taken so far."""
-        key = f"seconds {stage}"
-        with self._lock:
-            known = self._db.execute("SELECT value FROM about WHERE key=?", (key,)).fetchone()
-            total = seconds + (float(known[0]) if known else 0.0)
-            self._db.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (key, f"{total:.1f}"))
+        self._file.ask(
+            "INSERT INTO about VALUES (?, printf('%.1f', ?)) ON CONFLICT(key) DO UPDATE SET "
+            "value = printf('%.1f', CAST(value AS REAL) + CAST(excluded.value AS REAL))",
+            (f"seconds {stage}", seconds),
+        )
 
     def notes(self) -> dict[str, str]:
         """Every fact about the campaign."""
-        with self._lock:
-            return dict(self._db.execute("SELECT key, value FROM about ORDER BY key").fetchall())
+        return dict(self._file.ask("SELECT key, value FROM about ORDER BY key"))
 
     def add_test(self, test: Test) -> None:
         """Remember a test; one that is known already stays as it is.
@@ -169,9 +123,8 @@ class Store:
             test.test_id, test.sibling, test.run, test.number, road.road_id, json.dumps(road.control_points),
             road.turns_count, road.curvature_bin, road.curvature, test.seed, road.published,
         )  # fmt: skip
-        with self._lock:
-            self._db.execute("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
-            known = self._db.execute("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,)).fetchone()[0]
+        self._file.ask("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
+        known = self._file.ask("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,))[0][0]
         if known != road.road_id:
             raise StoreError(
                 f"test {test.test_id} is now another road than when this campaign began: go on with the version that "
@@ -186,67 +139,57 @@ class Store:
             execution.trajectory_sha256, zlib.compress(execution.trajectory.tobytes()),
             zlib.compress(execution.steering.tobytes()), execution.bag,
         )  # fmt: skip
-        with self._lock:
-            self._db.execute("INSERT OR REPLACE INTO executions VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
+        self._file.ask("INSERT OR REPLACE INTO executions VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
 
     def add_error(self, test_id: str, simulator: str, attempt: int, outcome: Outcome, message: str) -> None:
         """Remember an attempt that ended in an error."""
-        with self._lock:
-            row = (test_id, simulator, attempt, outcome.name, message)
-            self._db.execute("INSERT INTO errors VALUES (?,?,?,?,?)", row)
+        row = (test_id, simulator, attempt, outcome.name, message)
+        self._file.ask("INSERT INTO errors VALUES (?,?,?,?,?)", row)
 
     def take_back(self, test_ids: Sequence[str]) -> None:
         """Forget tests without an outcome, the first of which alone stays, to be tried again."""
-        with self._lock:
-            self._db.execute("BEGIN IMMEDIATE")
-            for test_id in test_ids:
-                self._db.execute("DELETE FROM given_up WHERE test_id=?", (test_id,))
-            for test_id in test_ids[1:]:
-                self._db.execute("DELETE FROM tests WHERE test_id=?", (test_id,))
-            self._db.execute("COMMIT")
+        self._file.change(
+            *(("DELETE FROM given_up WHERE test_id=?", (test_id,)) for test_id in test_ids),
+            *(("DELETE FROM tests WHERE test_id=?", (test_id,)) for test_id in test_ids[1:]),
+        )
 
     def give_up(self, test_id: str) -> None:
         """Remember that the search went on without the outcome of a test."""
-        with self._lock:
-            self._db.execute("INSERT OR IGNORE INTO given_up VALUES (?)", (test_id,))
+        self._file.ask("INSERT OR IGNORE INTO given_up VALUES (?)", (test_id,))
 
     def given_up(self) -> set[str]:
         """Tests without whose outcome the search went on; they may have one now."""
-        with self._lock:
-            return {row[0] for row in self._db.execute("SELECT test_id FROM given_up")}
+        return {row[0] for row in self._file.ask("SELECT test_id FROM given_up")}
 
     def add_search(self, sibling: str, run: int, method: str, seed: int) -> None:
         """Remember how one run of a search was begun."""
-        with self._lock:
-            self._db.execute("INSERT OR IGNORE INTO searches VALUES (?,?,?,?)", (sibling, run, method, seed))
+        self._file.ask("INSERT OR IGNORE INTO searches VALUES (?,?,?,?)", (sibling, run, method, seed))
 
     def searches(self) -> list[tuple[str, int, str, int]]:
         """Every run of a search: sibling, run, method, seed."""
-        with self._lock:
-            return self._db.execute("SELECT * FROM searches ORDER BY sibling, run").fetchall()
+        rows = self._file.ask("SELECT sibling, run, method, seed FROM searches ORDER BY sibling, run")
+        return [(sibling, run, method, seed) for sibling, run, method, seed in rows]
 
     def set_result(self, stage: str, executions: int) -> None:
         """Remember that a result was made of so many executions."""
-        with self._lock:
-            self._db.execute("INSERT OR REPLACE INTO results VALUES (?,?)", (stage, executions))
+        self._file.ask("INSERT OR REPLACE INTO results VALUES (?,?)", (stage, executions))
 
     def results(self) -> dict[str, int]:
         """Result -> number of executions of which it was made."""
-        with self._lock:
-            return dict(self._db.execute("SELECT stage, executions FROM results").fetchall())
+        return dict(self._file.ask("SELECT stage, executions FROM results"))
 
     def errors(self) -> list[tuple[str, str, int, str, str]]:
         """Attempts that ended in an error: test, simulator, attempt, outcome, message."""
-        with self._lock:
-            return self._db.execute("SELECT * FROM errors ORDER BY test_id, simulator, attempt").fetchall()
+        columns = "test_id, simulator, attempt, outcome, message"
+        rows = self._file.ask(f"SELECT {columns} FROM errors ORDER BY test_id, simulator, attempt")
+        return [(test, simulator, attempt, outcome, message) for test, simulator, attempt, outcome, message in rows]
 
     def tests(self) -> list[Test]:
         """Every test, ordered by sibling, run and number."""
-        with self._lock:
-            rows = self._db.execute(
-                "SELECT test_id, sibling, run, number, control_points, seed, published FROM tests"
-                " ORDER BY sibling, run, number"
-            ).fetchall()
+        rows = self._file.ask(
+            "SELECT test_id, sibling, run, number, control_points, seed, published FROM tests"
+            " ORDER BY sibling, run, number"
+        )
         return [
             Test(
                 test_id=i,
@@ -270,18 +213,19 @@ class Store:
 
     def count_executions(self) -> int:
         """Number of executions."""
-        with self._lock:
-            return int(self._db.execute("SELECT count(*) FROM executions").fetchone()[0])
+        return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
     def _executions(self, where: str, values: tuple[str, ...]) -> list[Execution]:
-        with self._lock:
-            rows = self._db.execute(
-                "SELECT test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds,"
-                f" trajectory_sha256, trajectory, bag, steering FROM executions {where} ORDER BY simulator, test_id",
-                values,
-            ).fetchall()
-        return [
-            Execution(
+        rows = self._file.ask(
+            "SELECT test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds,"
+            f" trajectory_sha256, trajectory, bag, steering FROM executions {where} ORDER BY simulator, test_id",
+            values,
+        )
+        return [self._execution_of(row) for row in rows]
+
+    def _execution_of(self, row: Row) -> Execution:
+        try:
+            return Execution(
                 test_id=row[0],
                 simulator=row[1],
                 outcome=Outcome[row[2]],
@@ -294,10 +238,25 @@ class Store:
                 trajectory=np.frombuffer(zlib.decompress(row[9])).reshape(-1, 5),
                 bag=row[10],
                 steering=np.frombuffer(zlib.decompress(row[11])),
-            )  # fmt: skip
-            for row in rows
-        ]
+            )
+        except (zlib.error, ValueError, TypeError, KeyError):
+            raise self._file.damaged(f"the run of {row[0]} on {row[1]} cannot be read") from None
 
     def close(self) -> None:
         """Write everything out."""
-        self._db.close()
+        self._file.close()
+
+
+def _differences(known: str, given: str) -> str:
+    """Which keys of two configurations differ, and how."""
+    old, new = _flat(json.loads(known)), _flat(json.loads(given))
+    keys = [key for key in new | old if old.get(key) != new.get(key)]
+    return "; ".join(f"{key}: {old.get(key)} there, {new.get(key)} now" for key in keys)
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Keys within keys as `search.runs`."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat

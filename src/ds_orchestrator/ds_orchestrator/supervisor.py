@@ -11,6 +11,7 @@ import time
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
@@ -88,7 +89,10 @@ class Supervisor:
     def check(self, names: Collection[str]) -> None:
         """Raises ProcessError if one of these processes ended, with the last line of its log."""
         for name in set(self.dead()) & set(names):
-            raise ProcessError(f"{name} ended with status {self._processes[name].returncode}: {self.last_line(name)}")
+            status = self._processes[name].returncode
+            if status == -signal.SIGKILL:
+                raise ProcessError(f"{name} was killed while it was awaited: give the same command again")
+            raise ProcessError(f"{name} ended with status {status}: {self.last_line(name)}")
 
     def revive(self) -> list[str]:
         """Start every dead process again; their names."""
@@ -136,15 +140,17 @@ class Supervisor:
                     stderr=subprocess.STDOUT,
                     env=self._environment,
                     start_new_session=True,  # a Ctrl-C in the terminal goes to us alone; we tell the children
-                    preexec_fn=_die_with_parent,
+                    preexec_fn=partial(_die_with_parent, os.getpid()),
                 )
 
         self._processes[name] = self._spawner.submit(spawn).result()
 
 
-def _die_with_parent() -> None:
+def _die_with_parent(parent: int) -> None:
     """Let the kernel end this process when its parent is gone, even by SIGKILL."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it was gone before the kernel was told
+        os._exit(128 + signal.SIGTERM)
 
 
 def _yaml(value: object) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ds_orchestrator.stage_times import StageClock, seconds_of
@@ -17,8 +18,8 @@ class Silent:
     def stage(self, name: str) -> None:
         self.told.append(name)
 
-    def expect(self, executions: int) -> None:
-        self.told.append(executions)
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        self.told.append(stages)
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
         self.told.append(simulator)
@@ -29,7 +30,7 @@ def test_stages_add_up_over_sessions(tmp_path: Path) -> None:
     times = iter([10.0, 12.5, 12.5, 20.0])
     first = StageClock(watcher, store, lambda: next(times))
     first.end()  # nothing began yet
-    first.expect(7)
+    first.expect([{"a": 7}])
     first.stage("search")
     first.stage("twin")
     first.end()
@@ -38,6 +39,6 @@ def test_stages_add_up_over_sessions(tmp_path: Path) -> None:
     second = StageClock(watcher, store, lambda: next(again))
     second.stage("search")
     second.end()
-    assert watcher.told == [7, "search", "twin", "search"]
+    assert watcher.told == [[{"a": 7}], "search", "twin", "search"]
     store.note("another fact", "3")
     assert seconds_of(store.notes()) == {"twin": 7.5, "search": 3.5}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -54,17 +55,15 @@ def run_campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> 
     check_driver(config.driver)
     for name in config.simulators:
         make_simulator(name).close()
-    out.mkdir(parents=True, exist_ok=True)
-    with only_one(out):
-        return _run_campaign(config, out, attach=attach)
+    results.prepare_folder(out)
+    with only_one(out), closing(Store(out / "campaign.sqlite", config=config.identity())) as store:
+        return _run_campaign(config, out, store, attach=attach)
 
 
-def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
+def _run_campaign(config: CampaignConfig, out: Path, store: Store, *, attach: bool) -> Result:
     from ds_driver.network_driver import driver_sha256
-    from ds_orchestrator.graph_plan import namespaces_of
-    from ds_orchestrator.running import running_graph, running_workers
+    from ds_orchestrator.stages import is_driven
 
-    store = Store(out / "campaign.sqlite", config=config.identity())
     if config.driver != AUTOPILOT:
         weights = driver_sha256(config.driver)
         if store.note("sha256 of the driver's weights", weights) != weights:
@@ -74,6 +73,31 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
             store.note(f"version {name}, later", version)
     _note_parameter_files(store, config)
     (out / "bags").mkdir(exist_ok=True)
+    in_error = 0 if is_driven(config, store) else _drive(config, out, store, attach=attach)
+    report = results.write_all(out, store, again=False, say=say)
+    found = results.read_correlations(out)
+    document: dict[str, Any] = {
+        "folder": str(out),
+        "report": str(report),
+        "executions": len(store.executions()),
+        "executions_in_error": in_error,
+        "correlations": [asdict(c) for c in found],
+    }
+    tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
+
+    def show() -> None:
+        for table in tables:
+            table.show(Console())
+        print(report)
+
+    return Result(document=document, show=show, error=in_error > 0)
+
+
+def _drive(config: CampaignConfig, out: Path, store: Store, *, attach: bool) -> int:
+    """Drive what is not driven yet, on graphs of our own or on the one that runs; how much of it ended in errors."""
+    from ds_orchestrator.graph_plan import namespaces_of
+    from ds_orchestrator.running import running_graph, running_workers
+
     namespaces = namespaces_of(config.siblings, config.twin)
     started = time.monotonic()
     try:
@@ -97,27 +121,9 @@ def _run_campaign(config: CampaignConfig, out: Path, *, attach: bool) -> Result:
             finally:
                 clock.end()
     except (KeyboardInterrupt, Stopped):
-        store.close()
         raise Interrupted from None
     say(f"executed in {time.monotonic() - started:.0f} s")
-    report = results.write_all(out, store, again=False, say=say)
-    found = results.read_correlations(out)
-    document: dict[str, Any] = {
-        "folder": str(out),
-        "report": str(report),
-        "executions": len(store.executions()),
-        "executions_in_error": campaign.failed_executions,
-        "correlations": [asdict(c) for c in found],
-    }
-    tables = correlation_tables(found, config.siblings, config.twin, results.network_of(config)) if config.twin else []
-    store.close()
-
-    def show() -> None:
-        for table in tables:
-            table.show(Console())
-        print(report)
-
-    return Result(document=document, show=show, error=campaign.failed_executions > 0)
+    return campaign.failed_executions
 
 
 def _note_parameter_files(store: Store, config: CampaignConfig) -> None:
@@ -135,17 +141,19 @@ def _note_parameter_files(store: Store, config: CampaignConfig) -> None:
 
 def stored_config(folder: Path) -> CampaignConfig:
     """The configuration of a campaign that was begun."""
-    store = results.open_store(folder)
-    config = results.config_of(store)
-    store.close()
-    return config
+    with closing(results.open_store(folder)) as store:
+        return results.config_of(store)
 
 
 def status(folder: Path) -> Result:
     """How far a campaign is, stage by stage."""
+    with closing(results.open_store(folder)) as store:
+        return _status(store)
+
+
+def _status(store: Store) -> Result:
     from ds_orchestrator.stages import stages_of
 
-    store = results.open_store(folder)
     config = results.config_of(store)
     executions = store.executions()
     counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
@@ -167,7 +175,6 @@ def status(folder: Path) -> Result:
             for row in store.errors()
         ],
     }
-    store.close()
 
     def show() -> None:
         table = Table(title=f"{document['executions']} of {document['executions_in_all']} executions")
@@ -187,9 +194,8 @@ def maps(folder: Path) -> Result:
     """Every map of a campaign."""
     from ds_orchestrator.maps import to_json
 
-    store = results.open_store(folder)
-    document: dict[str, Any] = to_json(results.maps_of(store))
-    store.close()
+    with closing(results.open_store(folder)) as store:
+        document: dict[str, Any] = to_json(results.maps_of(store))
 
     def show() -> None:
         for name, content in document.items():
@@ -215,10 +221,8 @@ def maps(folder: Path) -> Result:
 
 def report(folder: Path) -> Path:
     """Write maps, pictures and report again."""
-    store = results.open_store(folder)
-    path = results.write_all(folder, store, say=say)
-    store.close()
-    return path
+    with closing(results.open_store(folder)) as store:
+        return results.write_all(folder, store, say=say)
 
 
 def _with(config: CampaignConfig, workers: int | None) -> CampaignConfig:

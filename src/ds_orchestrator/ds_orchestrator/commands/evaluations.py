@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +22,9 @@ app = typer.Typer()
 
 def evaluation(folder: Path, *, data: Path | None, images: int | None, out: Path | None) -> Result:
     """The tables of a campaign: RQ2 and RQ3, and RQ1 if there is a data set."""
-    store = results.open_store(folder)
-    config = results.config_of(store)
-    maps = results.maps_of(store)
-    store.close()
+    with closing(results.open_store(folder)) as store:
+        config = results.config_of(store)
+        maps = results.maps_of(store)
     if config.twin is None:
         raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []

@@ -1,0 +1,63 @@
+"""The time left against a campaign on a made-up clock: simulators side by side, stages one after the other."""
+
+from __future__ import annotations
+
+import heapq
+
+import pytest
+
+from ds_orchestrator.time_left import TimeLeft
+
+TOOK = {"fast": 2.0, "slow": 5.0, "twin": 3.0}
+STAGES = [{"fast": 40, "slow": 40}, {"fast": 40, "slow": 40, "twin": 80}]
+WHOLE = 40 * 5.0 + 80 * 3.0
+
+
+def estimates(known: int = 0) -> list[tuple[float, float]]:
+    """At the end of each execution: the seconds that it takes until all is done, and what is said; in order.
+
+    Args:
+        known: executions of the first stage on each simulator that were done before.
+    """
+    left, now, said = TimeLeft(), 0.0, []
+    left.expect(STAGES)
+    for number, stage in enumerate(STAGES):
+        left.begin(now)
+        ends = []
+        for name, count in stage.items():
+            before = known if number == 0 else 0
+            for _ in range(before):
+                left.finished(number, name, now, fresh=False)
+            ends += [(now + TOOK[name] * (k + 1), name) for k in range(count - before)]
+        heapq.heapify(ends)
+        while ends:
+            now, name = heapq.heappop(ends)
+            left.finished(number, name, now, fresh=True)
+            said.append((now, left.seconds() or 0.0))
+    return [(now - moment, seconds) for moment, seconds in said]
+
+
+@pytest.mark.parametrize("known", [0, 30])
+def test_it_is_right_in_every_stage_and_after_a_resume(known: int) -> None:
+    found = estimates(known)
+    assert found[0][0] == pytest.approx(WHOLE - known * 5.0 - 2.0)
+    for true, said in found[4:]:
+        # The twin is taken for as fast as the others until it has driven; then nothing is guessed.
+        assert said == pytest.approx(true, abs=0.2 * true + 5.0)
+    afterwards = [pair for pair in found if pair[0] < 80 * 3.0 - 6.0]
+    assert len(afterwards) > 100
+    for true, said in afterwards:
+        assert said == pytest.approx(true, abs=5.0)
+
+
+def test_it_follows_a_machine_that_becomes_slower_and_says_nothing_at_first() -> None:
+    left = TimeLeft()
+    left.expect([{"a": 200}])
+    left.begin(0.0)
+    left.finished(0, "a", 0.0, fresh=False)
+    assert left.seconds() is None
+    now = 0.0
+    for took in [1.0] * 50 + [4.0] * 50:
+        now += took
+        left.finished(0, "a", now, fresh=True)
+    assert left.seconds() == pytest.approx(99 * 4.0)

@@ -1,0 +1,89 @@
+"""Executors for campaigns without ROS, and a watcher that says nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ds_driver.control import Autopilot
+from ds_orchestrator.campaign import Stopped
+from ds_orchestrator.store import Execution, Test
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
+
+
+class LocalExecutor:
+    """Drives in this process; stops after so many runs, and has so many errors to hand out first."""
+
+    def __init__(self, *, runs: int = 10_000, errors: int = 0, errors_after: int = 0) -> None:
+        self.roads: list[tuple[str, str]] = []
+        self._left = runs
+        self._errors = errors
+        self._errors_after = errors_after
+        self.error = Outcome.DRIVER_SILENT
+
+    def stop(self) -> None: ...
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        if self._left == 0:
+            raise Stopped
+        if self._errors and len(self.roads) >= self._errors_after:
+            self._errors -= 1
+            return RunRecord(road=road, seed=seed, outcome=self.error, message="no command within 1 s")
+        self._left -= 1
+        self.roads.append((simulator, road.road_id))
+        made = make_simulator(simulator)
+        session, pilot = Session(made), Autopilot(made.spec.autopilot)
+        observation = session.start(road, seed)
+        while session.driving and observation is not None and observation.step < 60:
+            command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
+            observation = session.advance(command)
+        assert session.run is not None
+        if session.driving:
+            session.end(Outcome.TIMEOUT, "sixty steps are enough for a test")
+        made.close()
+        return session.run
+
+
+class MadeUpExecutor(LocalExecutor):
+    """Drives nothing: an outcome that is made of simulator, road and seed alone, in no time."""
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        if self._left == 0:
+            raise Stopped
+        self._left -= 1
+        self.roads.append((simulator, road.road_id))
+        rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
+        lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
+        failed = bool(np.abs(lateral).max() > HALF_LANE)
+        x, y = road.right_lane_centre[0].tolist()
+        run = RunRecord(road=road, seed=seed, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED)
+        run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
+        run.observations = [
+            Observation(
+                image=np.empty((0, 0, 3), np.uint8),
+                step=k,
+                time=k / 20,
+                vehicle=VehicleState(x=x, y=y + k, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
+                lane=LaneState(
+                    lateral_position=float(offset),
+                    lateral_distance=HALF_LANE - abs(float(offset)),
+                    preview_lateral_position=float(offset),
+                    arc_length=float(k),
+                ),
+                outcome=Outcome.RUNNING if k < 5 else run.outcome,
+            )
+            for k, offset in enumerate(lateral)
+        ]
+        return run
+
+
+class Silent:
+    def stage(self, name: str) -> None: ...
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None: ...
+
+    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...

@@ -1,0 +1,215 @@
+"""Folders that cannot be used: one clear line, an exit status that is not 0, and not a byte changed."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.campaign.executors import MadeUpExecutor
+from tests.campaign.test_campaign import maps_text, run
+
+from ds_orchestrator import cli, stopping
+from ds_orchestrator.config import CampaignConfig, SearchConfig, read_config
+from ds_orchestrator.lock import only_one
+from ds_orchestrator.store import Store, StoreError
+
+CONFIG = """
+siblings: [donkey]
+twin: null
+driver: autopilot
+seed: 7
+record: {record}
+search: {{population: 2, iterations: 2, runs: 1, min_angle: 40, max_angle: 90}}
+"""
+Ds = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def ds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Ds]:
+    """`ds` in this process: its exit status, and what it wrote on standard error."""
+    before = {number: signal.getsignal(number) for number in stopping.SIGNALS}
+
+    def call(*arguments: object) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["ds", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        code = end.value.code
+        return (code if isinstance(code, int) else 0), capsys.readouterr().err.strip()
+
+    yield call
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def mount(tmp_path: Path) -> Iterator[Callable[..., Path]]:
+    """Mounts something on a folder, where that is allowed."""
+    mounted: list[Path] = []
+
+    def begin(folder: Path, *arguments: str) -> Path:
+        folder.mkdir(exist_ok=True)
+        done = subprocess.run(["mount", *arguments, str(folder)], capture_output=True, check=False)
+        if done.returncode:
+            pytest.skip("only root may mount")
+        mounted.append(folder)
+        return folder
+
+    yield begin
+    for folder in mounted:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "c.yaml"
+    path.write_text(CONFIG.format(record="none"))
+    return path
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, config: Path) -> Path:
+    """One that was stopped after two of four tests."""
+    run(tmp_path / "out", MadeUpExecutor(runs=2), read_config(config))[1].close()
+    return tmp_path / "out"
+
+
+def content(folder: Path) -> dict[str, str]:
+    """Every file and the hash of what is in it; the lock holds nothing."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def change(folder: Path, statement: str) -> None:
+    db = sqlite3.connect(folder / "campaign.sqlite", isolation_level=None)
+    db.execute(statement)
+    db.close()
+
+
+def tear(folder: Path) -> None:
+    """Overwrite the second page, which holds what the first one's table of contents names."""
+    with (folder / "campaign.sqlite").open("r+b") as file:
+        file.seek(4096)
+        file.write(b"\xff" * 4096)
+
+
+def foreign(folder: Path) -> None:
+    (folder / "campaign.sqlite").unlink()
+    change(folder, "CREATE TABLE sales (euro INTEGER)")
+
+
+def folder_instead(folder: Path) -> None:
+    (folder / "campaign.sqlite").unlink()
+    (folder / "campaign.sqlite").mkdir()
+
+
+SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
+    "older": (lambda f: change(f, "PRAGMA user_version=1"), "an older version of ds (schema 1, expected 2)"),
+    "newer": (lambda f: change(f, "PRAGMA user_version=99"), "a newer version of ds (schema 99, expected 2)"),
+    "foreign": (foreign, "is not a campaign's file"),
+    "a table is missing": (lambda f: change(f, "DROP TABLE given_up"), "is not a campaign's file"),
+    "no database": (lambda f: (f / "campaign.sqlite").write_bytes(b"something else " * 1000), "is damaged"),
+    "torn": (tear, "is damaged"),
+    "a folder": (folder_instead, "is a folder, expected a campaign's file"),
+}
+
+
+@pytest.mark.parametrize("how", SPOILT)
+def test_a_store_that_cannot_be_used_is_left_as_it_is(campaign: Path, config: Path, ds: Ds, how: str) -> None:
+    spoil, named = SPOILT[how]
+    spoil(campaign)
+    before = content(campaign)
+    for arguments in (("campaign", "run", config, "--out", campaign), ("campaign", "status", campaign)):
+        status, said = ds(*arguments)
+        assert status == 2 and named in said and str(campaign) in said, said
+        assert len(said.splitlines()) == 1 and said.startswith("error: ")
+        assert content(campaign) == before
+
+
+def test_damage_within_a_run_is_named(campaign: Path, ds: Ds) -> None:
+    change(campaign, "UPDATE executions SET trajectory=x'00' WHERE test_id='donkey-0-0001'")
+    before = content(campaign)
+    for verb in (("campaign", "status"), ("maps",), ("report",)):
+        status, said = ds(*verb, campaign)
+        assert status == 2 and "is damaged (the run of donkey-0-0001 on donkey cannot be read)" in said
+        assert content(campaign) == before
+
+
+def test_another_configuration_is_refused_key_by_key(campaign: Path, config: Path, ds: Ds) -> None:
+    config.write_text(config.read_text().replace("seed: 7", "seed: 8").replace("iterations: 2", "iterations: 3"))
+    before = content(campaign)
+    status, said = ds("campaign", "run", config, "--out", campaign)
+    assert status == 2 and "(search.iterations: 2 there, 3 now; seed: 7 there, 8 now)" in said
+    assert content(campaign) == before
+
+
+def test_a_folder_in_use_is_refused(campaign: Path, config: Path, ds: Ds) -> None:
+    before = content(campaign)
+    with only_one(campaign):
+        status, said = ds("campaign", "run", config, "--out", campaign)
+    assert status == 1 and said == f"error: {campaign} is in use by another run: wait for it, or choose another --out"
+    assert content(campaign) == before
+
+
+def test_a_folder_with_somebody_elses_files_is_refused(tmp_path: Path, config: Path, ds: Ds) -> None:
+    (tmp_path / "mine" / "maps").mkdir(parents=True)
+    (tmp_path / "mine" / "maps" / "maps.json").write_text("[]")
+    before = content(tmp_path)
+    status, said = ds("campaign", "run", config, "--out", tmp_path / "mine")
+    assert status == 2 and "holds maps and no campaign" in said and content(tmp_path) == before
+    status, said = ds("campaign", "status", tmp_path / "mine")
+    assert status == 2 and "no campaign in" in said
+    status, said = ds("campaign", "run", config, "--out", config)
+    assert status == 2 and "is a file, expected a folder" in said and content(tmp_path) == before
+
+
+def test_a_read_only_folder_is_read_and_not_run(
+    campaign: Path, config: Path, ds: Ds, mount: Callable[..., Path]
+) -> None:
+    mount(campaign, "--bind", "-o", "ro", str(campaign))
+    before = content(campaign)
+    status, said = ds("campaign", "run", config, "--out", campaign)
+    assert status == 1 and "cannot be written" in said and len(said.splitlines()) == 1
+    assert ds("campaign", "status", campaign) == (0, "")
+    with pytest.raises(StoreError, match="cannot be written"):
+        Store(campaign / "campaign.sqlite", config=read_config(config).identity())
+    status, said = ds("report", campaign)
+    assert status == 2 and len(said.splitlines()) == 1
+    assert content(campaign) == before
+
+
+@pytest.mark.parametrize(("record", "half", "size"), [("none", 40, "128k"), ("telemetry", 5, "256k")])
+def test_a_full_disk_ends_the_run_and_loses_nothing(
+    tmp_path: Path, mount: Callable[..., Path], record: str, half: int, size: str
+) -> None:
+    """The store itself finds no room, or a bag does; with more room the campaign ends as if nothing had been."""
+    settings = SearchConfig(population=half, iterations=half, runs=1, min_angle=40, max_angle=90)
+    config = CampaignConfig(siblings=["donkey"], twin=None, driver="autopilot", seed=7, record=record, search=settings)  # type: ignore[arg-type]
+    _, whole = run(tmp_path / "whole", MadeUpExecutor(), config)
+    small = mount(tmp_path / "small", "-t", "tmpfs", "-o", f"size={size}", "tmpfs")
+    with pytest.raises(ValueError, match="disk is full: make room|No space left on device.: check the disk"):
+        run(small, MadeUpExecutor(), config)
+    copy = tmp_path / "copy"
+    shutil.copytree(small, copy)
+    store = Store(copy / "campaign.sqlite")
+    kept = {(e.test_id, e.simulator): e.trajectory_sha256 for e in store.executions()}
+    store.close()
+    assert 0 < len(kept) < 2 * half
+    rest = MadeUpExecutor()
+    _, store = run(copy, rest, config)
+    assert len(rest.roads) == 2 * half - len(kept)
+    assert maps_text(store) == maps_text(whole)
+    assert kept.items() <= {(e.test_id, e.simulator): e.trajectory_sha256 for e in store.executions()}.items()
+
+
+def test_a_process_that_was_killed_before_it_wrote_anything_leaves_a_folder_to_begin_in(tmp_path: Path) -> None:
+    (tmp_path / "campaign.sqlite").touch()
+    with pytest.raises(StoreError, match="stopped before it began"):
+        Store(tmp_path / "campaign.sqlite")
+    assert Store(tmp_path / "campaign.sqlite", config="{}").config == "{}"
