@@ -21,7 +21,7 @@ LONGEST_LABEL = 100
 def label_of(name: str) -> str:
     """A simulator's name as a part of file names and test ids, at most `LONGEST_LABEL` characters of ASCII.
 
-    A name of letters, digits, `_`, `-` and `.` is its own label. In any other one, other characters become `.`, the middle
+    A name of letters, digits, `_`, `-` and `.` is its own label. In any other one, others become `.`, the middle
     is left out if it is long, and the first eight digits of its SHA-256 end it, so that different names stay different.
     """
     label = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else "." for c in name)
