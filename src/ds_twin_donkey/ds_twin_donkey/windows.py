@@ -77,7 +77,8 @@ class Windows:
         self._before = _SETTLING + math.ceil(longest_delay / FRAME_TIME) + 2
         places = [(drive, begin) for drive in drives for begin in self._begins(drive)]
         if not places:
-            need = (RUN_IN + self._shortest) * FRAME_TIME
+            before = 0 if any(drive.from_rest for drive in drives) else self._before
+            need = (RUN_IN + self._shortest + before) * FRAME_TIME
             raise FitError(f"no drive of {need:g} s without a gap: record longer ones, or take shorter windows")
         most = max(int(longest / seconds), 1)
         if len(places) > most:
