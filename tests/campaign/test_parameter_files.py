@@ -16,7 +16,7 @@ from ds_orchestrator.commands.campaigns import run_campaign
 from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig
 from ds_orchestrator.store import Execution, Store, Test
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import label_of, make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Outcome
 
@@ -95,3 +95,15 @@ def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     assert config.twin.replace("'", "&#39;") in report.read_text()
     pictures = [path.name for path in out.rglob("*.png")]
     assert any("car.yaml" in name for name in pictures), pictures
+
+
+def test_labels_are_file_names_and_no_two_names_share_one(tmp_path: Path) -> None:
+    long = f"donkey@{'/'.join(['folder'] * 60)}"
+    alike = ["donkey@a/b.yaml", "donkey@a.b.yaml", "donkey.a.b.yaml", "donkey@\u00e9.yaml"]
+    names = [*alike, f"{long}/a", f"{long}/b", "x" * 300]
+    labels = [label_of(name) for name in names]
+    assert len(set(labels)) == len(names)
+    for first in labels:
+        for second in labels:
+            (tmp_path / f"{first}-0-0001-on-{second}").touch()  # the longest name that is made of them
+    assert [label_of(name) for name in ("bullet", "donkey")] == ["bullet", "donkey"]

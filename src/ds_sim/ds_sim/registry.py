@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from importlib import import_module
 from pathlib import Path
 
@@ -13,11 +14,22 @@ SIMULATORS = {
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
 }
 """Name on the command line -> `module:Class`, a class without constructor arguments."""
+LONGEST_LABEL = 100
+"""Chosen: a bag's name holds two labels and some digits, and a file's name at most 255 bytes."""
 
 
 def label_of(name: str) -> str:
-    """A simulator's name as a part of file names and test ids; different names keep different labels."""
-    return "".join(c if c.isalnum() or c in "_-." else "." for c in name)
+    """A simulator's name as a part of file names and test ids, at most `LONGEST_LABEL` characters of ASCII.
+
+    A name of letters, digits, `_`, `-` and `.` is its own label. In any other one, others become `.`, the middle
+    is left out if it is long, and the first eight digits of its SHA-256 end it, so that different names stay different.
+    """
+    label = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else "." for c in name)
+    if label == name and len(label) <= LONGEST_LABEL:
+        return label
+    ending = "-" + hashlib.sha256(name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    room = LONGEST_LABEL - len(ending)
+    return (label if len(label) <= room else label[: room // 3] + label[-(room - room // 3) :]) + ending
 
 
 class UnknownSimulatorError(ValueError):

@@ -100,16 +100,18 @@ class Lanes:
         Args:
             pulses: as `pulses` gives them.
             frames: of the pulses.
-            play: (n,) where in the play the wheels are at first, -1 to 1.
+            play: (n,) where the wheels end, -1 to 1, between where they would had they begun at either end of the play.
+                A path is smooth in this place, and not in the place at first: steering that moves forgets that one.
         """
         older, _ = self.delayed(pulses, frames[0])
         servo, duty = older[0].copy(), older[1].copy()
-        wheels = servo + play * 0.5 * self._p["servo_backlash"]
+        half = 0.5 * self._p["servo_backlash"]
+        wheels = np.stack((servo - half, servo + half))
         for frame in frames:
             older, newer = self.delayed(pulses, frame)
             for share in self._shares:
                 servo, wheels, _, duty, _, _ = self._actuate(servo, wheels, duty, older, newer, share)
-        return servo, wheels, duty
+        return servo, 0.5 * ((1.0 - play) * wheels[0] + (1.0 + play) * wheels[1]), duty
 
     def advance(
         self, motion: Array, actuators: tuple[Array, Array, Array], older: Array, newer: Array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,7 +111,9 @@ def drives_of(times: Array, commands: Array, measured: Array) -> tuple[Drive, ..
 
 def _even(times: Array, commands: Array, measured: Array) -> Drive:
     measured = measured.copy()
-    measured[:, 2] = np.unwrap(measured[:, 2])
+    measured[~np.isfinite(measured)] = np.nan
+    turned = np.isfinite(measured[:, 2])
+    measured[turned, 2] = np.unwrap(measured[turned, 2])  # one NaN would spoil all that follow
     if np.abs(np.diff(times) - FRAME_TIME).max() > _EVEN:
         grid = np.arange(times[0], times[-1] + 1e-9, FRAME_TIME)
         # A command holds until the next one; a measured value is taken on the line between two rows.
@@ -225,15 +228,19 @@ def _told(row: dict[str, Any]) -> tuple[float, float]:
     Its steering is ours: -1 is full left (donkeycar, parts/actuator.py, PWMSteering.LEFT_ANGLE), 1 full right.
     """
     mode = row.get("user/mode", "user")
-    angle = row.get("pilot/angle") if mode != "user" else row.get("user/angle")
-    throttle = row.get("pilot/throttle") if mode == "local" else row.get("user/throttle")
-    return (np.nan if angle is None else float(np.clip(angle, -1.0, 1.0)),
-            np.nan if throttle is None else min(float(throttle), 1.0))  # fmt: skip
+    angle = _number(row.get("pilot/angle") if mode != "user" else row.get("user/angle"))
+    throttle = _number(row.get("pilot/throttle") if mode == "local" else row.get("user/throttle"))
+    return float(np.clip(angle, -1.0, 1.0)), float(np.minimum(throttle, 1.0))
+
+
+def _number(value: object) -> float:
+    """A finite number as it is, anything else as NaN: such a row is left out, as one without a command is."""
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else math.nan
 
 
 def _column(rows: Iterable[dict[str, Any]], *keys: str) -> Array:
-    values = [next((row[key] for key in keys if isinstance(row.get(key), (int, float))), np.nan) for row in rows]
-    return np.array(values, dtype=np.float64)
+    found = [[_number(row.get(key)) for key in keys] for row in rows]
+    return np.array([next((v for v in values if not math.isnan(v)), math.nan) for values in found], dtype=np.float64)
 
 
 def _digest(files: list[Path]) -> str:

@@ -23,8 +23,14 @@ FURTHEST = 2.5
 """A parameter stays within this factor of its start; chosen: well past any two cars of a kind."""
 _STEP = 1e-4
 """Of the forward differences, relative; far above rounding and below any kink of play or rate limit."""
+_PLAY = UNKNOWNS - 1
+"""Which value of a first state is the place in the play; the only one with bounds, -1 and 1."""
 _STEPPED = UNKNOWNS - 3
 """Values of a first state whose slopes are found by a step; those of its place and heading are known."""
+_FOLLOWING = 3
+"""Steps of the first states for other parameters; chosen: the second finds the best ones where the model is smooth."""
+_FLUNG = 1e6
+"""What a residual is at most."""
 FLOORS = (5e-4, 5e-4, 5e-4, 1e-3, 2e-3)
 """Least noise per channel (m, m, rad, m/s, rad/s); chosen: below any sensor's, for noiseless logs."""
 
@@ -81,10 +87,12 @@ class Problem:
             moved[column] += _STEP
             cars.append(self.car(names, moved))
         states = np.repeat(eta[None], len(names) + 1 + _STEPPED, axis=0)
+        steps = np.full((len(states), self.windows.count), _STEP)
+        steps[-1] = np.where(eta[:, _PLAY] > 0.0, -_STEP, _STEP)  # past the ends of the play nothing changes
         for row in range(_STEPPED):
-            states[len(names) + 1 + row, :, 3 + row] += _STEP
+            states[len(names) + 1 + row, :, 3 + row] += steps[len(names) + 1 + row]
         rows = self.predict([*cars, *[cars[0]] * _STEPPED], states)
-        slopes = (rows[1:] - rows[0]) / _STEP
+        slopes = (rows[1:] - rows[0]) / steps[1:, :, None, None]
         pose = np.zeros((3, *rows[0].shape))
         # Moving or turning a window's first pose moves or turns its whole path.
         pose[0, ..., 0] = pose[1, ..., 1] = pose[2, ..., 2] = 1.0
@@ -115,8 +123,7 @@ class Problem:
         def residuals(values: Array) -> Array:
             with np.errstate(all="ignore"):
                 states[values.tobytes()], rows = anchor.follow(values)
-            # A step so far off that the car is flung out of numbers is a bad one, no more.
-            return np.clip(np.nan_to_num(rows.ravel(), nan=1e6), -1e6, 1e6)
+            return rows.ravel()
 
         def jacobian(values: Array) -> Array:
             nonlocal anchor, rounds
@@ -188,20 +195,40 @@ class _Anchor:
 
     def __init__(self, problem: Problem, names: Sequence[str], theta: Array, eta: Array) -> None:
         self._problem, self._names, self.theta, self.eta = problem, names, theta.copy(), eta
-        ours, states, self.left = problem.jacobian(names, theta, eta)
-        self._inverse = np.linalg.pinv(states, rcond=1e-10)
-        self._ours = ours
-        self.projected: Array = (ours - states @ (self._inverse @ ours)).reshape(-1, len(names))
+        self._ours, self._states, self.left = problem.jacobian(names, theta, eta)
+        self._inverse = np.linalg.pinv(self._states, rcond=1e-10)
+        held = self._states.copy()
+        held[..., _PLAY] = 0.0
+        self._held = np.linalg.pinv(held, rcond=1e-10)
+        # Wheels at an end of the play that would go further stay there while the parameters move.
+        further = eta[:, _PLAY] - np.einsum("wj,wj->w", self._inverse[:, _PLAY], self.left)
+        self._at_end = (np.abs(eta[:, _PLAY]) >= 1.0) & (further * eta[:, _PLAY] >= 1.0)
+        inverse = np.where(self._at_end[:, None, None], self._held, self._inverse)
+        self.projected: Array = (self._ours - self._states @ (inverse @ self._ours)).reshape(-1, len(names))
 
     def follow(self, theta: Array) -> tuple[Array, Array]:
-        """First states and residuals for other parameters."""
-        tangent = self.left + self._ours @ (theta - self.theta)
-        eta = self.eta - np.einsum("wij,wj->wi", self._inverse, tangent)
-        left = self._problem.residuals(self._names, theta, eta)
-        closer = eta - np.einsum("wij,wj->wi", self._inverse, np.nan_to_num(left))
-        again = self._problem.residuals(self._names, theta, closer)
-        if np.array_equal(theta, self.theta):
-            kept = (np.square(self.left).sum(axis=1) < np.square(left).sum(axis=1))[:, None]
-            eta, left = np.where(kept, self.eta, eta), np.where(kept, self.left, left)
-        better = np.square(again).sum(axis=1) < np.square(left).sum(axis=1)
-        return np.where(better[:, None], closer, eta), np.where(better[:, None], again, left)
+        """First states and residuals for other parameters: the tangent, then Gauss-Newton, less far where worse."""
+        eta, left = self.eta, self._left(theta, self.eta)
+        goal = self._step(eta, self.left + self._ours @ (theta - self.theta))
+        share = np.ones((len(eta), 1))
+        for _ in range(_FOLLOWING):
+            tried = eta + share * (goal - eta)
+            again = self._left(theta, tried)
+            better = (np.square(again).sum(axis=1) < np.square(left).sum(axis=1))[:, None]
+            eta, left = np.where(better, tried, eta), np.where(better, again, left)
+            goal, share = self._step(eta, left), np.where(better, 1.0, 0.25 * share)
+        return eta, left
+
+    def _left(self, theta: Array, eta: Array) -> Array:
+        # A car that is flung out of numbers is a bad one, no more.
+        left = np.nan_to_num(self._problem.residuals(self._names, theta, eta), nan=_FLUNG)
+        return np.clip(left, -_FLUNG, _FLUNG)
+
+    def _step(self, eta: Array, left: Array) -> Array:
+        """Least squares over the first states of what is left at `eta`, no place beyond an end of the play."""
+        free = eta - np.einsum("wij,wj->wi", self._inverse, left)
+        place = np.where(self._at_end, eta[:, _PLAY], np.clip(free[:, _PLAY], -1.0, 1.0))
+        moved = left + self._states[..., _PLAY] * (place - eta[:, _PLAY])[:, None]
+        bound = eta - np.einsum("wij,wj->wi", self._held, moved)
+        bound[:, _PLAY] = place
+        return np.where((place == free[:, _PLAY])[:, None], free, bound)

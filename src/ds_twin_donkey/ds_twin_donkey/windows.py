@@ -24,10 +24,13 @@ RUN_IN = 5
 """Frames before a window's first residual; tyres and body (5 Hz, damped) have forgotten how they were set by then."""
 _SETTLING = 30
 """Frames of commands before that; twelve time constants of the motor's lag, the slowest actuator."""
-_GUESS = np.array([np.inf, np.inf, np.inf, 0.1, 0.15, 0.3, 3.0**-0.5])
+_GUESS = np.array([np.inf, np.inf, np.inf, 0.1, np.nan, 0.3, 3.0**-0.5])
 """How far a first state may be off its smoothed measurement (m/s, m/s, rad/s; 1); chosen: three to five times what the
-smoothing leaves of usual noise, and for the lateral speed a slip of 0.1 at 1.5 m/s. It matters only where a window
-forgets its first lateral speed before its first residual. The last one is the spread of any place between -1 and 1."""
+smoothing leaves of usual noise; for the lateral speed see `_LIKELY_SLIP`. The last one is the spread of any place
+between -1 and 1."""
+_LIKELY_SLIP = 0.1
+"""What a first lateral speed may be off, over the speed; chosen: a hard bend's. It matters only where a window forgets
+it before its first residual, and a slow car, which forgets fastest, would be flung about by more."""
 _STANDS, _ROLLS = 0.03, 0.15
 """Model m/s. No window begins between them: whether friction holds the car there is a matter of noise. A slower car is
 taken to stand if no throttle is on its way. Chosen: smoothed noise of a speed sensor, and a few frames of
@@ -74,7 +77,8 @@ class Windows:
         self._before = _SETTLING + math.ceil(longest_delay / FRAME_TIME) + 2
         places = [(drive, begin) for drive in drives for begin in self._begins(drive)]
         if not places:
-            need = (RUN_IN + self._shortest) * FRAME_TIME
+            before = 0 if any(drive.from_rest for drive in drives) else self._before
+            need = (RUN_IN + self._shortest + before) * FRAME_TIME
             raise FitError(f"no drive of {need:g} s without a gap: record longer ones, or take shorter windows")
         most = max(int(longest / seconds), 1)
         if len(places) > most:
@@ -95,6 +99,8 @@ class Windows:
             if self.first_states[window, 3] < _STANDS:
                 self.first_states[window, 3:] = 0.0
                 self.guess[window, 3:6] = _REST
+            else:
+                self.guess[window, 4] = _LIKELY_SLIP * max(self.first_states[window, 3], _ROLLS)
         self.known = np.isfinite(self.measured)
 
     def _begins(self, drive: Drive) -> list[int]:

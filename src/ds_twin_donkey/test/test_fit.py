@@ -11,14 +11,15 @@ import pytest
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import rollout
-from ds_twin_donkey.excitation import hidden_and_start, manoeuvres, random_commands, recorded
+from ds_twin_donkey.excitation import coast, hard_bends, hidden_and_start, manoeuvres, random_commands, recorded
 from ds_twin_donkey.fit import FitSettings, fit
 from ds_twin_donkey.fit_picture import draw_fit
 from ds_twin_donkey.logs import Log, LogError, drives_of, read_log
 from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
+from ds_twin_donkey.residuals import Problem
 from ds_twin_donkey.simulator import DonkeySimulator
-from ds_twin_donkey.windows import FitError
+from ds_twin_donkey.windows import FitError, Windows
 
 P = DonkeyParameters()
 MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
@@ -135,6 +136,30 @@ def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path)
         read_log(write_tub(tmp_path / "b", commands, {}))
 
 
+def test_rows_without_numbers_are_left_out(tmp_path: Path) -> None:
+    rolling = {"pos/pos_x": np.zeros(60), "pos/pos_z": 0.05 * np.arange(60.0), "pos/speed": np.ones(60)}
+    tub = write_tub(tmp_path / "t", np.tile((0.1, 0.4), (60, 1)), rolling)
+    lines = (tub / "catalog_0.catalog").read_text().splitlines()
+    for row, wrong in ((20, '"user/angle": "left"'), (40, '"user/throttle": Infinity'), (50, '"pos/speed": NaN')):
+        name = wrong.split(":")[0]
+        lines[row] = json.dumps({k: v for k, v in json.loads(lines[row]).items() if k != name.strip('"')})
+        lines[row] = f"{lines[row][:-1]}, {wrong}}}"
+    (tub / "catalog_0.catalog").write_text("\n".join(lines))
+    drives = read_log(tub).drives
+    assert [len(drive.commands) for drive in drives] == [20, 19, 19]
+    assert [int(np.isnan(drive.measured[:, 3]).sum()) for drive in drives] == [0, 0, 1]
+
+
+def test_a_heading_that_is_missing_once_is_missing_once() -> None:
+    times, measured = np.arange(40.0) * FRAME_TIME, np.ones((40, 5))
+    measured[:, 2] = (np.arange(40.0) * 0.3 + np.pi) % (2.0 * np.pi) - np.pi
+    measured[7, 2] = np.nan
+    (drive,) = drives_of(times, np.tile((0.0, 0.3), (40, 1)), measured)
+    expected = np.arange(40.0) * 0.3
+    expected[7] = np.nan
+    np.testing.assert_allclose(drive.measured[:, 2], expected, rtol=0, atol=1e-9)
+
+
 def test_a_left_turn_of_a_tub_is_a_left_turn_of_the_car(tmp_path: Path) -> None:
     """By hand: ahead is z, so a quarter of a circle to the left goes from (0, 0) to x = -1, z = 1; steering is -0.5."""
     turn = np.linspace(0.0, 0.5 * np.pi, 60)
@@ -172,6 +197,23 @@ def test_a_car_that_stands_still_tells_nothing() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(FitError, match="record"):
         fit([recorded(P, rng, np.zeros((100, 2)))], settings=FitSettings(window_seconds=1.0))
+
+
+def test_wheels_at_an_end_of_the_play_do_not_stop_the_fit() -> None:
+    """A car that stands with more trim than play has its wheels there: past it nothing has a slope."""
+    rng = np.random.default_rng(5)
+    car = P.changed(steering_trim=-0.012, servo_backlash=0.014)
+    drive = recorded(car, rng, np.concatenate((coast(1.0, 0.2), hard_bends(rng, 1.8))), MOTION_CAPTURE)
+    problem = Problem(Windows([drive], car, 2.5, 10.0, 0.1), car, 10)
+    problem.sigma = np.array(MOTION_CAPTURE)
+    names, eta = ["full_duty", "steering_trim"], problem.windows.first_states.copy()
+    eta[:, -1] = 1.0
+    theta, states = problem.solve(names, np.array([0.01, 0.02]), eta, 8, lambda _: None, 1e-5)
+    assert np.abs(states[:, -1]).max() <= 1.0
+    off = [abs(v - getattr(car, n)) for n, v in zip(names, problem.values(names, theta), strict=True)]
+    assert all(np.array(off) <= 2.0 * np.array(problem.half_widths(names, theta, states)))
+    count = problem.windows.known.sum()
+    assert np.square(problem.residuals(names, theta, states)).sum() == pytest.approx(count, rel=0.25)
 
 
 def test_gaps_and_reverse_throttle_end_a_drive() -> None:
