@@ -20,7 +20,6 @@ from scipy.stats import wasserstein_distance
 from ds_driver.driving import make_driver
 from ds_driver.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.preprocessing import Crop, ImageError
-from ds_driver.tub import TubError, read_tub
 from ds_orchestrator.answering import answer_recording
 from ds_orchestrator.bags import BagError
 from ds_orchestrator.domain import Domain
@@ -29,6 +28,7 @@ from ds_orchestrator.redriving import redrive
 from ds_orchestrator.steering_errors import BINS, density, distances, pooled_errors, summarise
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
+from ds_sim.tub import TubError, read_tub
 
 RNG = np.random.default_rng(1)
 PICTURE = RNG.integers(0, 255, (30, 40, 3), dtype=np.uint8)
@@ -62,7 +62,7 @@ def tub(tmp_path: Path) -> Path:
 
 
 def test_a_tub_is_read_with_its_sign_and_without_what_was_deleted(tub: Path) -> None:
-    records = read_tub(tub)
+    records = read_tub(tub).records
     assert [(r.index, r.steering, r.throttle) for r in records] == [
         (0, 0.0, 0.5), (1, 0.1, 0.5), (3, -0.7, 0.2), (4, 0.4, 0.5)
     ]  # fmt: skip

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ds_driver.control import Autopilot
 from ds_driver.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.preprocessing import Crop, ImageError
-from ds_driver.tub import is_tub, read_tub
 from ds_orchestrator.bag_reading import STATE, BagReader, read_run, stamp_of
 from ds_orchestrator.bag_redriving import COMPRESSED, IMAGE
 from ds_orchestrator.bags import BagError, spec_of
+from ds_sim.tub import is_tub, read_tub
 
 NEAR = 0.1
 """s that an image and a steering value may be apart in someone else's bag; chosen: two frames at 20 Hz."""
@@ -115,7 +115,7 @@ def open_recording(path: Path, reading: Reading) -> Recording:
 
 
 def _tub_frames(recording: Recording) -> Iterator[Frame]:
-    records = [record for record in read_tub(recording.path) if record.image is not None]
+    records = [record for record in read_tub(recording.path).records if record.image is not None]
     for record in records:
         image, trouble = None, ""
         try:

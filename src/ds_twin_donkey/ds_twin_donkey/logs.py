@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME
+from ds_sim.tub import TubError, is_tub, number, read_tub
 from ds_twin_donkey.parameters import SCALE
 
 Array = NDArray[np.float64]
@@ -81,7 +80,7 @@ def read_log(path: Path) -> Log:
     """
     if (path / "metadata.yaml").is_file():
         return _read_bag(path)
-    if (path / "manifest.json").is_file():
+    if is_tub(path):
         return _read_tub(path)
     if not path.exists():
         raise LogError(f"{path}: no such log: give the folder of a bag or of a Donkey Car tub")
@@ -172,17 +171,11 @@ def _simulator_of(path: Path) -> str:
 
 def _read_tub(path: Path) -> Log:
     try:
-        lines = (path / "manifest.json").read_text().splitlines()
-        index = json.loads(lines[4])
-        files = [path / name for name in index["paths"]]
-        deleted = set(index.get("deleted_indexes", []))
-        rows = [json.loads(line) for file in files for line in file.read_text().splitlines() if line.strip()]
-        rows = [row for row in rows if row["_index"] not in deleted]
-        times = np.array([row["_timestamp_ms"] for row in rows], dtype=np.float64) / 1000.0
-    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
-        raise LogError(
-            f"{path}: not a tub of version 2 ({type(error).__name__}: {error}): convert or copy it"
-        ) from None
+        tub = read_tub(path)
+    except TubError as error:
+        raise LogError(str(error)) from None
+    rows = [record.fields for record in tub.records]
+    times = np.array([record.seconds for record in tub.records])
     columns = {
         "x": _column(rows, "pos/pos_x"),
         # Unity's y is up and its axes are left-handed: seen from above, x is to the right and z ahead, so that a turn
@@ -204,8 +197,8 @@ def _read_tub(path: Path) -> Log:
     return Log(
         name=path.name,
         kind="tub",
-        sha256=_digest(files),
-        drives=drives_of(times, np.array([_told(row) for row in rows], dtype=np.float64), measured),
+        sha256=_digest(tub.files),
+        drives=drives_of(times, np.array([(r.steering, r.throttle) for r in tub.records], dtype=np.float64), measured),
     )
 
 
@@ -222,28 +215,12 @@ def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:
         )
 
 
-def _told(row: dict[str, Any]) -> tuple[float, float]:
-    """What the car was told: the pilot's values where it drove, as donkeycar's DriveMode has it.
-
-    Its steering is ours: -1 is full left (donkeycar, parts/actuator.py, PWMSteering.LEFT_ANGLE), 1 full right.
-    """
-    mode = row.get("user/mode", "user")
-    angle = _number(row.get("pilot/angle") if mode != "user" else row.get("user/angle"))
-    throttle = _number(row.get("pilot/throttle") if mode == "local" else row.get("user/throttle"))
-    return float(np.clip(angle, -1.0, 1.0)), float(np.minimum(throttle, 1.0))
-
-
-def _number(value: object) -> float:
-    """A finite number as it is, anything else as NaN: such a row is left out, as one without a command is."""
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else math.nan
-
-
 def _column(rows: Iterable[dict[str, Any]], *keys: str) -> Array:
-    found = [[_number(row.get(key)) for key in keys] for row in rows]
-    return np.array([next((v for v in values if not math.isnan(v)), math.nan) for values in found], dtype=np.float64)
+    found = [[number(row.get(key)) for key in keys] for row in rows]
+    return np.array([next((v for v in values if v is not None), np.nan) for values in found], dtype=np.float64)
 
 
-def _digest(files: list[Path]) -> str:
+def _digest(files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())
