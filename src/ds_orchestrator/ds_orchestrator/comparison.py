@@ -34,7 +34,7 @@ class PairComparison:
         only_second_fails: roads.
         both_complete: roads.
         kappa: Cohen's kappa of the verdicts with its 95 % interval; None where it is not defined.
-        kappa_interval: of kappa, asymptotic (statsmodels).
+        kappa_interval: of kappa, asymptotic (statsmodels), within -1 and 1.
         reason: why there is no kappa, or "".
         median_apart: m, median over all places of the distance between the lateral positions.
         apart_95: m, 95th percentile of the same.
@@ -155,5 +155,6 @@ def _kappa(first: str, second: str, table: NDArray[np.int_]) -> tuple[float | No
             verdict = "completes" if counts[1] == 0 else "fails"
             return None, None, f"{name} {verdict} every road: agreement beyond chance is not defined"
     found = cohens_kappa(table)
-    interval = float(found.kappa_low), float(found.kappa_upp)
+    # The asymptotic interval may leave kappa's range.
+    interval = max(float(found.kappa_low), -1.0), min(float(found.kappa_upp), 1.0)
     return float(found.kappa), interval if all(map(math.isfinite, interval)) else None, ""
