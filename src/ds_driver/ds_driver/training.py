@@ -77,7 +77,7 @@ SCHEDULES: dict[str, dict[str, Schedule]] = {
     "laptop": {
         "dave2": Schedule(epochs=2, patience=10, images_per_simulator=None),
         "chauffeur": Schedule(epochs=4, patience=10, images_per_simulator=None),
-        "epoch": Schedule(epochs=3, patience=10, images_per_simulator=5000),
+        "epoch": Schedule(epochs=4, patience=10, images_per_simulator=None),
     },
     "paper": {
         "dave2": Schedule(epochs=50, patience=10, images_per_simulator=None),
