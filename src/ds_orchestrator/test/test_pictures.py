@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -105,7 +106,8 @@ def test_write_maps_writes_every_map_and_the_overview_with_equal_bytes(tmp_path:
     for folder in ("one", "two"):
         write_maps(maps, tmp_path / folder)
     written = {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()}
-    expected = {f"{n.replace(':', '.')}_{v}.png" for n in names for v in ("probability", "quality")} | {"overview.png"}
+    files = [n if ":" not in n else f"{n.replace(':', '.')}-{sha256(n.encode()).hexdigest()[:8]}" for n in names]
+    expected = {f"{n}_{v}.png" for n in files for v in ("probability", "quality")} | {"overview.png"}
     assert set(written) == expected
     assert written == {path.name: path.read_bytes() for path in (tmp_path / "two").iterdir()}
     single = cv2.imdecode(np.frombuffer(written["merged_quality.png"], np.uint8), cv2.IMREAD_COLOR)
