@@ -43,7 +43,7 @@ def test_the_same_seed_gives_the_same_bytes_also_on_a_busy_machine(tmp_path: Pat
         busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * (name == "second"))]
         try:
             command = [*DS, "campaign", "run", str(tmp_path / "c.yaml"), "--out", str(tmp_path / name), "--json"]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=280)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=400)
         finally:
             for process in busy:
                 process.kill()
