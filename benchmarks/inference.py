@@ -25,6 +25,7 @@ from rich.table import Table
 
 from ds_driver.backends import with_backend
 from ds_driver.collection import roads_both_ways
+from ds_driver.crops import simulator_crop
 from ds_driver.driving import Drive, drive_all, make_driver
 from ds_driver.network_driver import OwnPilot
 from ds_driver.networks import NETWORKS, make_network
@@ -82,8 +83,7 @@ def differences(name: str, roads: list[Road], console: Console) -> None:
     pilots = {backend: OwnPilot(name, backend) for backend in BACKENDS}
     apart: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
     for simulator in SIMULATORS:
-        spec = make_simulator(simulator).spec
-        crop = Crop(spec.crop_top, spec.crop_bottom)
+        crop = simulator_crop(simulator)
         for seed, road in enumerate(roads[:2]):
             for image in frames_of(name, simulator, road, seed, 3):
                 said = {b: p.predict(Seen(image=image, speed=0.0, crop=crop)).steering for b, p in pilots.items()}

@@ -13,6 +13,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from ds_driver.pixels import rgb_of_file
+from ds_driver.preprocessing import ImageError
+
 JPEG_QUALITY = 95
 """Chosen: 20 to 30 kB an image, errors below the cameras' own noise."""
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
@@ -72,10 +75,10 @@ def decode(jpeg: bytes) -> NDArray[np.uint8]:
     Raises:
         DatasetError: the bytes are damaged.
     """
-    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise DatasetError("an image of the data set is damaged: collect its drive again")
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    try:
+        return rgb_of_file(jpeg)
+    except ImageError:
+        raise DatasetError("an image of the data set is damaged: collect its drive again") from None
 
 
 def drive_path(folder: Path, simulator: str, road_id: str, direction: str) -> Path:

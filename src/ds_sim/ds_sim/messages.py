@@ -42,11 +42,6 @@ def to_time(seconds: float) -> Time:
     return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
-def from_time(stamp: Time) -> float:
-    """A stamp in seconds."""
-    return float(stamp.sec) + float(stamp.nanosec) * 1e-9
-
-
 def road_from_message(message: RoadMsg) -> Road:
     """Raises ds_road.RoadError for control points of which no road can be made."""
     return Road([(point.x, point.y) for point in message.control_points])
