@@ -21,6 +21,17 @@ def test_the_networks_have_the_papers_parameters(name: str, parameters: int) -> 
     assert count_parameters(make_network(name)) == parameters
 
 
+def test_chauffeurs_features_are_as_large_in_driving_as_in_training() -> None:
+    torch.manual_seed(1)
+    network = make_network("chauffeur")
+    coarse = torch.rand(4, 3, 10, 20) * 255
+    images = torch.nn.functional.interpolate(coarse, size=(160, 320), mode="bilinear")
+    with torch.inference_mode():
+        trained = torch.stack([network.train().features(images / 127.5 - 1.0) for _ in range(8)]).mean(dim=0)
+        driving = network.eval().features(images / 127.5 - 1.0)
+    assert (trained * driving).sum() / (driving * driving).sum() == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize("name", sorted(NETWORKS))
 def test_weights_survive_the_way_to_disk_and_back(tmp_path: Path, name: str) -> None:
     torch.manual_seed(1)
