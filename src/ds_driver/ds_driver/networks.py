@@ -41,7 +41,7 @@ class Dave2(nn.Module):
         return result
 
 
-class DropoutAheadOfMaximum(nn.Module):
+class DropoutAheadOfMaximum(nn.Dropout):
     """Dropout for an input of max pooling: what is kept keeps its size.
 
     The usual one enlarges what it keeps by 1 / (1 - p), for a sum to come out right. A maximum over neighbours that
@@ -49,13 +49,9 @@ class DropoutAheadOfMaximum(nn.Module):
     five blocks its features are 0.95^5 = 0.77 of what it was trained with, and so is its steering.
     """
 
-    def __init__(self, p: float) -> None:
-        super().__init__()
-        self.p = p
-
     def forward(self, values: Tensor) -> Tensor:
         """The values, in training each of them 0 with probability `p`."""
-        return nn.functional.dropout(values, self.p).mul_(1.0 - self.p) if self.training else values
+        return super().forward(values).mul_(1.0 - self.p) if self.training else values
 
 
 class Chauffeur(nn.Module):
