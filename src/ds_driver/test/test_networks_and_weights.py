@@ -26,9 +26,10 @@ def test_chauffeurs_features_are_as_large_in_driving_as_in_training() -> None:
     network = make_network("chauffeur")
     coarse = torch.rand(4, 3, 10, 20) * 255
     images = torch.nn.functional.interpolate(coarse, size=(160, 320), mode="bilinear")
+    features = network.get_submodule("features")
     with torch.inference_mode():
-        trained = torch.stack([network.train().features(images / 127.5 - 1.0) for _ in range(8)]).mean(dim=0)
-        driving = network.eval().features(images / 127.5 - 1.0)
+        trained = torch.stack([features.train()(images / 127.5 - 1.0) for _ in range(8)]).mean(dim=0)
+        driving = features.eval()(images / 127.5 - 1.0)
     assert (trained * driving).sum() / (driving * driving).sum() == pytest.approx(1.0, abs=0.05)
 
 
