@@ -1,8 +1,8 @@
 """What computes a network fastest with one thread, how far the answers differ, and whether a drive ends differently.
 
-`python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch (untrained where none is shipped: the time does
-not depend on the weights), turn by turn, so that a busy machine is equally slow for all. It gives the processor time
-of this process, which other programs disturb little, and the time on the wall.
+`python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, turn by turn, so that a busy machine is equally
+slow for all. It gives the processor time of this process, which other programs disturb little, and the time on the
+wall.
 
 `--roads 17` also drives so many random roads in both directions on every simulator with each backend (17: 102 drives
 each), holds the outcomes against PyTorch's, and compares the steering on frames of PyTorch's drives.
@@ -11,11 +11,9 @@ each), holds the outcomes against PyTorch's, and compares the steering on frames
 from __future__ import annotations
 
 import argparse
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -28,10 +26,9 @@ from ds_driver.collection import roads_both_ways
 from ds_driver.crops import simulator_crop
 from ds_driver.driving import Drive, drive_all, make_driver
 from ds_driver.network_driver import OwnPilot
-from ds_driver.networks import NETWORKS, make_network
+from ds_driver.networks import NETWORKS
 from ds_driver.pilots import Seen
 from ds_driver.preprocessing import Crop
-from ds_driver.weights import save_weights, shipped_networks
 from ds_road import Road
 from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.session import RunRecord
@@ -40,14 +37,14 @@ from ds_sim.simulator import Outcome
 BACKENDS = ("torch", "onnx", "openvino")
 
 
-def speed(name: str, weights: str, frames: int, table: Table) -> None:
+def speed(name: str, frames: int, table: Table) -> None:
     """Milliseconds a frame with its preprocessing, and seconds to load, one row a backend."""
     image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), dtype=np.uint8)
     seen = Seen(image=image, speed=5.0, crop=Crop(54, 0))
     pilots, loading = {}, {}
     for backend in BACKENDS:
         started = time.process_time()
-        pilots[backend] = OwnPilot(weights, backend)
+        pilots[backend] = OwnPilot(name, backend)
         pilots[backend].predict(seen)
         loading[backend] = time.process_time() - started
     busy: dict[str, list[float]] = {backend: [] for backend in BACKENDS}
@@ -127,22 +124,16 @@ def main() -> None:
     console = Console(width=120)
     torch.set_num_threads(1)
     table = Table("network", "backend", "busy ms, least", "median", "wall ms, least", "median", "loading, busy s")
-    shipped = shipped_networks()
     names = arguments.networks.split(",")
-    with tempfile.TemporaryDirectory() as folder:
-        for name in names:
-            weights = Path(folder) / f"{name}.safetensors"
-            if name not in shipped:
-                torch.manual_seed(1)
-                save_weights(make_network(name), weights, architecture=name)
-            if arguments.frames:
-                speed(name, name if name in shipped else str(weights), arguments.frames, table)
     if arguments.frames:
+        for name in names:
+            speed(name, arguments.frames, table)
         console.print(table)
-    roads = roads_both_ways(arguments.roads, arguments.seed)
-    for name in (n for n in names if n in shipped and roads):
-        differences(name, roads, console)
-        outcomes(name, roads, console)
+    if arguments.roads:
+        roads = roads_both_ways(arguments.roads, arguments.seed)
+        for name in names:
+            differences(name, roads, console)
+            outcomes(name, roads, console)
 
 
 if __name__ == "__main__":

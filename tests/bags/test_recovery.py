@@ -19,9 +19,10 @@ from ds_orchestrator.bag_info import info
 from ds_orchestrator.bag_messages import MessageMaker, typestore
 from ds_orchestrator.bag_reading import BagReader, read_run
 from ds_orchestrator.bag_redriving import redrive_bag
-from ds_orchestrator.bags import BagError, RunWriter, hidden_of, spec_of, write_bag
+from ds_orchestrator.bags import BagError, RunWriter, hidden_of, write_bag
 from ds_orchestrator.recovering import UNFINISHED, recover
 from ds_orchestrator.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_sim.registry import spec_of
 from ds_sim.session import RunRecord
 
 pytestmark = pytest.mark.graph

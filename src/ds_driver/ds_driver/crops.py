@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ds_driver.dataset import imported_names
 from ds_driver.preprocessing import Crop
-from ds_sim.registry import make_simulator
+from ds_sim.registry import spec_of
 
 
 def crops_of(data: Path, names: Iterable[str]) -> dict[str, Crop]:
@@ -26,6 +26,5 @@ def crops_of(data: Path, names: Iterable[str]) -> dict[str, Crop]:
 
 def simulator_crop(name: str) -> Crop:
     """What a network need not see on a simulator."""
-    simulator = make_simulator(name)
-    simulator.close()
-    return Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
+    spec = spec_of(name)
+    return Crop(spec.crop_top, spec.crop_bottom)

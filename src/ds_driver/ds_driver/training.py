@@ -70,19 +70,18 @@ class Schedule:
 
     epochs: int
     patience: int
-    images_per_simulator: int | None
 
 
 SCHEDULES: dict[str, dict[str, Schedule]] = {
     "laptop": {
-        "dave2": Schedule(epochs=2, patience=10, images_per_simulator=None),
-        "chauffeur": Schedule(epochs=4, patience=10, images_per_simulator=None),
-        "epoch": Schedule(epochs=4, patience=10, images_per_simulator=None),
+        "dave2": Schedule(epochs=2, patience=10),
+        "chauffeur": Schedule(epochs=4, patience=10),
+        "epoch": Schedule(epochs=4, patience=10),
     },
     "paper": {
-        "dave2": Schedule(epochs=50, patience=10, images_per_simulator=None),
-        "chauffeur": Schedule(epochs=500, patience=20, images_per_simulator=None),
-        "epoch": Schedule(epochs=500, patience=20, images_per_simulator=None),
+        "dave2": Schedule(epochs=50, patience=10),
+        "chauffeur": Schedule(epochs=500, patience=20),
+        "epoch": Schedule(epochs=500, patience=20),
     },
 }
 """Name -> network -> schedule; `paper` (4.2.2, for plain images) wants a GPU, `laptop` is chosen: see the cards."""

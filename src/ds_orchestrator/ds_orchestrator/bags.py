@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -13,7 +12,7 @@ from ds_orchestrator.bag_messages import MessageMaker, typestore
 from ds_orchestrator.redriving import redrive
 from ds_orchestrator.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_orchestrator.versions import versions
-from ds_sim.registry import make_simulator
+from ds_sim.registry import spec_of
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, SimulatorSpec
 
@@ -39,16 +38,6 @@ _IMAGE_TOPIC = {"compressed": "camera/image_raw/compressed", "raw": "camera/imag
 
 class BagError(ValueError):
     """A bag that cannot be written or read."""
-
-
-@lru_cache
-def spec_of(simulator: str) -> SimulatorSpec:
-    """What a simulator is; made once, as some take a while."""
-    made = make_simulator(simulator)
-    try:
-        return made.spec
-    finally:
-        made.close()
 
 
 def facts_of(simulator: str, run: RunRecord, level: Level) -> dict[str, str]:

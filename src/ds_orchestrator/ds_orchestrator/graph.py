@@ -25,7 +25,7 @@ from ds_orchestrator.graph_plan import DRIVER_PROCESS, simulator_process_name
 from ds_orchestrator.supervisor import Supervisor
 from ds_road import Road
 from ds_sim import messages
-from ds_sim.registry import make_simulator
+from ds_sim.registry import spec_of
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, Outcome
 
@@ -105,7 +105,7 @@ class GraphExecutor:
             GraphError: it holds another one, or does not answer.
         """
         for name, namespace in self._namespaces.items():
-            found, expected = self.info(name).name, make_simulator(name).spec.name
+            found, expected = self.info(name).name, spec_of(name).name
             if found != expected:
                 raise GraphError(f"{namespace} is {found}, expected {expected}: start it under another namespace")
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from ds_driver.driving import AUTOPILOT
 from ds_orchestrator.supervisor import ProcessSpec
-from ds_sim.registry import make_simulator
+from ds_sim.registry import spec_of
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
@@ -41,7 +41,7 @@ def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> l
 
 def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
     """The driver of all simulators: the autopilot with each vehicle's gains, or a network with each camera's crop."""
-    specs = [make_simulator(name).spec for name in namespaces]
+    specs = [spec_of(name) for name in namespaces]
     parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
     if driver == AUTOPILOT:
         gains = [asdict(spec.autopilot) for spec in specs]

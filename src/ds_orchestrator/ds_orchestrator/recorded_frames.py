@@ -17,7 +17,8 @@ from ds_driver.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.preprocessing import Crop, ImageError
 from ds_orchestrator.bag_reading import STATE, BagReader, read_run, stamp_of
 from ds_orchestrator.bag_redriving import COMPRESSED, IMAGE
-from ds_orchestrator.bags import BagError, spec_of
+from ds_orchestrator.bags import BagError
+from ds_sim.registry import spec_of
 from ds_sim.tub import is_tub, read_tub
 
 NEAR = 0.1

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.control import Autopilot
-from ds_orchestrator.bags import spec_of
 from ds_orchestrator.features import Cell
 from ds_orchestrator.pictures import png
 from ds_orchestrator.report_data import in_words
 from ds_orchestrator.store import Execution, Test
 from ds_sim.camera import Camera, Sensor
 from ds_sim.ground import Ground, paint_ground
-from ds_sim.registry import make_simulator
+from ds_sim.registry import make_simulator, spec_of
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, SimulatorSpec, VehicleState
 
 CAMERA_PLACE = 45.0

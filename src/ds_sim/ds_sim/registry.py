@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 
-from ds_sim.simulator import Simulator
+from ds_sim.simulator import Simulator, SimulatorSpec
 
 SIMULATORS = {
     "bullet": "ds_sim_bullet.simulator:BulletSimulator",
@@ -60,3 +61,13 @@ def make_simulator(name: str) -> Simulator:
     except (ImportError, AttributeError) as error:
         raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}): check module:Class") from None
     return simulator
+
+
+@lru_cache
+def spec_of(name: str) -> SimulatorSpec:
+    """What a simulator is; made once, as some take a while. Raises as `make_simulator` does."""
+    made = make_simulator(name)
+    try:
+        return made.spec
+    finally:
+        made.close()

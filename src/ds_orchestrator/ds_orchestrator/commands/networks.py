@@ -161,7 +161,7 @@ def train_command(
     seed: Seed = 1,
     schedule: Annotated[str, typer.Option(help="laptop, or the paper's, which wants a GPU.")] = "laptop",
     epochs: Annotated[int | None, typer.Option(min=1, help="At most; the schedule's if left out.")] = None,
-    images: Annotated[int | None, typer.Option(min=1, help="Per simulator; the schedule's if left out.")] = None,
+    images: Annotated[int | None, typer.Option(min=1, help="Per simulator; all if left out.")] = None,
     learning_rate: Annotated[float, typer.Option(min=1e-7, max=1.0, help="Of Adam.")] = 1e-4,
     threads: Annotated[int, typer.Option(min=1, help="Of the mathematics.")] = 2,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
@@ -169,9 +169,12 @@ def train_command(
     """Train one network for all simulators of a data set."""
     from ds_driver.training import schedule_of
 
-    chosen = asdict(schedule_of(schedule, network))
-    chosen |= {k: v for k, v in {"epochs": epochs, "images_per_simulator": images}.items() if v is not None}
-    train(data, out, network=network, seed=seed, learning_rate=learning_rate, threads=threads, device=device, **chosen)
+    chosen = schedule_of(schedule, network)
+    train(
+        data, out, network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs,
+        patience=chosen.patience, images_per_simulator=images, learning_rate=learning_rate, threads=threads,
+        device=device,
+    )  # fmt: skip
 
 
 @app.command("assess")
