@@ -93,13 +93,11 @@ def architecture_of(network: str) -> str:
     from safetensors import SafetensorError, safe_open
 
     from ds_driver.backends import split_backend
-    from ds_driver.networks import NETWORKS
+    from ds_driver.weights import shipped_networks
 
     network = split_backend(network)[0]
-    if network in NETWORKS:
-        return network
     try:
-        with safe_open(network, framework="np") as file:
+        with safe_open(shipped_networks().get(network, network), framework="np") as file:
             return str((file.metadata() or {}).get("architecture", ""))
     except (OSError, SafetensorError):
         return ""

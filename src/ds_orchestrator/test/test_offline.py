@@ -130,11 +130,17 @@ def test_predictions_over_a_data_set_of_ours(tmp_path: Path) -> None:
     )
     assert found["bullet"].errors == pytest.approx([0.75, 0.25, 0.5], abs=1e-3)
     assert found["donkey"].labels == pytest.approx([1.0, 0.9]) and told == ["5/5"]
-    assert architecture_of(str(tmp_path / "biased.safetensors")) == "chauffeur" and architecture_of("dave2") == "dave2"
     few = predict(tmp_path / "data", str(tmp_path / "biased.safetensors"), lambda *_: None, images=2)
     assert few["bullet"].labels == pytest.approx([0.5, 0.75])
     with pytest.raises(ErrorsError, match="name a network"):
         predict(tmp_path / "data", "autopilot", lambda *_: None)
+
+
+def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None:
+    save_weights(make_network("chauffeur"), tmp_path / "mine.safetensors", architecture="chauffeur")
+    assert architecture_of(str(tmp_path / "mine.safetensors")) == "chauffeur"
+    assert {architecture_of(name) for name in ("dave2", "dave2_short", "dave2_short@onnx")} == {"dave2"}
+    assert {architecture_of(name) for name in ("autopilot", "missing.safetensors", "my_driver:Driver")} == {""}
 
 
 def test_the_table_stands_beside_the_papers() -> None:
