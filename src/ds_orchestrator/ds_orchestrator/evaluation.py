@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,31 @@ class Correlation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Gain:
+    """How much better the merged map foretells the twin's failures than one sibling's, over the cells of all three.
+
+    Both maps see the same cells in every resample, so an interval here is narrower than two intervals side by side.
+
+    Attributes:
+        over: the sibling's union map.
+        value: of both maps.
+        cells: number of cells compared.
+        r: Pearson correlation of the merged map less that of the sibling's, or None where one is not defined.
+        r_interval: its 95 % bootstrap interval over cells.
+        auc: AUC-PRC of the merged map less that of the sibling's, or None.
+        auc_interval: its 95 % bootstrap interval over cells.
+    """
+
+    over: str
+    value: str
+    cells: int
+    r: float | None = None
+    r_interval: tuple[float, float] | None = None
+    auc: float | None = None
+    auc_interval: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Variant:
     """The same question asked in another way.
 
@@ -106,9 +131,9 @@ def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resample
         r=r,
         p=p,
         reason=reason,
-        r_interval=None if r is None or not resamples else _interval(ours, truth, _resampled_r, resamples),
+        r_interval=None if r is None or not resamples else _interval((ours, truth), _resampled_r, resamples),
         auc=auc,
-        auc_interval=None if auc is None or not resamples else _interval(ours, truth, _resampled_auc, resamples),
+        auc_interval=None if auc is None or not resamples else _interval((ours, truth), _resampled_auc, resamples),
         auc_reason=auc_reason,
         baseline=float(np.mean(truth > 0)) if len(truth) else None,
     )
@@ -124,6 +149,26 @@ def evaluate(
     names = [*(f"union_{sibling}" for sibling in siblings), "merged"]
     truth = maps[f"twin_{twin}"]
     return [correlate(maps[name], truth, value, resamples=resamples) for value in QUESTIONS for name in names]
+
+
+def gains(
+    maps: Mapping[str, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = RESAMPLES
+) -> list[Gain]:
+    """The merged map against each sibling's, by failure probability and by quality; none with a single sibling."""
+    merged, truth = maps["merged"], maps[f"twin_{twin}"]
+    found = []
+    for value, sibling in product(QUESTIONS, siblings if len(siblings) > 1 else ()):
+        union = maps[f"union_{sibling}"]
+        cells = sorted(set(merged.cells) & set(union.cells) & set(truth.cells))
+        ours, theirs = _values(merged, cells, value), _values(union, cells, value)
+        samples = ours, theirs, _values(truth, cells, "probability")
+        known: dict[str, Any] = {}
+        if all(_pearson(one, samples[2], value)[0] is not None for one in samples[:2]):
+            known |= {"r": _more_r(*samples), "r_interval": _interval(samples, _more_r, resamples)}
+        if _decided(samples[2]):
+            known |= {"auc": _more_auc(*samples), "auc_interval": _interval(samples, _more_auc, resamples)}
+        found.append(Gain(over=union.name, value=value, cells=len(cells), **known))
+    return found
 
 
 def variants(maps: Mapping[str, FeatureMap], siblings: Sequence[str], twin: str) -> list[Variant]:
@@ -258,8 +303,16 @@ def _resampled_auc(ours: Array, truth: Array) -> float:
     return _ap(ours, truth) if _decided(truth) else float("nan")
 
 
+def _more_r(merged: Array, sibling: Array, truth: Array) -> float:
+    return _resampled_r(merged, truth) - _resampled_r(sibling, truth)
+
+
+def _more_auc(merged: Array, sibling: Array, truth: Array) -> float:
+    return _resampled_auc(merged, truth) - _resampled_auc(sibling, truth)
+
+
 def _interval(
-    ours: Array, truth: Array, statistic: Callable[[Array, Array], float], resamples: int
+    samples: tuple[Array, ...], statistic: Callable[..., float], resamples: int
 ) -> tuple[float, float] | None:
     """Percentile interval of a bootstrap over cells; the same values give the same interval."""
     from sklearn import config_context
@@ -270,13 +323,13 @@ def _interval(
         warnings.simplefilter("ignore", NearConstantInputWarning)
         warnings.simplefilter("ignore", DegenerateDataWarning)
         found = bootstrap(
-            (ours, truth),
+            samples,
             statistic,
             paired=True,
             vectorized=False,
             n_resamples=resamples,
             method="percentile",
-            rng=np.random.default_rng(len(ours)),
+            rng=np.random.default_rng(len(samples[0])),
         )
     defined = found.bootstrap_distribution[~np.isnan(found.bootstrap_distribution)]
     if not len(defined):

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from ds_orchestrator.config import CampaignConfig, parse_config
-from ds_orchestrator.evaluation import RESAMPLES, Correlation, evaluate, variants
+from ds_orchestrator.evaluation import RESAMPLES, Correlation, evaluate, gains, variants
 from ds_orchestrator.maps import FeatureMap, campaign_maps, to_json
-from ds_orchestrator.paper_tables import NETWORKS, Network, correlation_tables, variant_table
+from ds_orchestrator.paper_tables import NETWORKS, Network, correlation_tables, gain_table, variant_table
 from ds_orchestrator.predictions import architecture_of
 from ds_orchestrator.store import Store, StoreError
 from ds_orchestrator.tables import Table, read_tables, write_tables
@@ -92,11 +92,13 @@ def network_of(config: CampaignConfig) -> Network | None:
 
 
 def tables_of(config: CampaignConfig, maps: dict[str, FeatureMap], correlations: Sequence[Correlation]) -> list[Table]:
-    """RQ2, RQ3 and their variants, empty without a twin."""
+    """RQ2, RQ3, what merging adds if there is something to merge, and variants; empty without a twin."""
     if config.twin is None:
         return []
+    added = gains(maps, config.siblings, config.twin)
     return [
         *correlation_tables(correlations, config.siblings, config.twin, network_of(config)),
+        *([gain_table(added, config.siblings)] if added else []),
         variant_table(variants(maps, config.siblings, config.twin)),
     ]
 

@@ -131,12 +131,12 @@ def shown(value: Value, style: Style) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, tuple):
-        return f"[{value[0]:.2f}, {value[1]:.2f}]"
+        return f"[{value[0]:z.2f}, {value[1]:z.2f}]"
     if style == "p" and float(value) < _SMALLEST_P:
         return f"< {_SMALLEST_P:.0e}"
     if style == "p":
         return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
-    return f"{value:.{_DIGITS[style]}f}" if style in _DIGITS else str(value)
+    return f"{value:z.{_DIGITS[style]}f}" if style in _DIGITS else str(value)
 
 
 def tex(text: str) -> str:
@@ -155,7 +155,7 @@ def _tex_value(value: Value, style: Style) -> str:
     if isinstance(value, str):
         return tex(value)
     if isinstance(value, tuple):
-        return "[" + ", ".join(f"${part:.2f}$" for part in value) + "]"
+        return "[" + ", ".join(f"${part:z.2f}$" for part in value) + "]"
     text = shown(value, style)
     return f"${text}$" if text.startswith("-") else text
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.stats import beta
 from statsmodels.stats.proportion import proportion_confint
 
-from ds_orchestrator.evaluation import correlate, evaluate, variants
+from ds_orchestrator.evaluation import Array, correlate, evaluate, gains, variants
 from ds_orchestrator.features import Cell
 from ds_orchestrator.maps import (
     FeatureMap,
@@ -354,6 +354,35 @@ def test_intervals_over_cells_are_those_of_a_bootstrap() -> None:
     # Where hardly any cell fails, some resamples have no failure at all: they are left out, and never become NaN.
     rare = correlate(row(ours.tolist()), row([0.0] * 39 + [1.0]), "probability", resamples=100)
     assert rare.auc_interval is not None and all(map(math.isfinite, (*rare.auc_interval, *(rare.r_interval or (0, 0)))))
+
+
+def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
+    """Against numbers and resamples drawn here; a cell that only one sibling fills does not count."""
+    rng = np.random.default_rng(12)
+    truth = np.round(rng.random(50) * (rng.random(50) < 0.5), 2)
+    good, bad = (np.clip(truth + rng.normal(0, noise, 50), 0, 1) for noise in (0.2, 0.6))
+    values = {"union_a": [*good.tolist(), 1.0], "union_b": bad.tolist(), "twin_t": [*truth.tolist(), 0.0]}
+    unions = {name: replace(row(of_cells), name=name) for name, of_cells in values.items()}
+    maps = {**unions, "merged": merge("merged", [unions["union_a"], unions["union_b"]], probability="product")}
+    over_a, over_b = (g for g in gains(maps, ["a", "b"], "t", resamples=400) if g.value == "probability")
+    merged = good * bad
+    assert (over_a.over, over_b.over, over_a.cells, over_b.cells) == ("union_a", "union_b", 50, 50)
+
+    def more(theirs: Array, k: Any = slice(None)) -> float:
+        one, other = (np.corrcoef(m[k], truth[k])[0, 1] for m in (merged, theirs))
+        return float(one - other)
+
+    drawn = rng.integers(50, size=(4000, 50))
+    for gain, theirs in ((over_a, good), (over_b, bad)):
+        assert gain.r == pytest.approx(more(theirs))
+        assert gain.r_interval == pytest.approx(np.quantile([more(theirs, k) for k in drawn], [0.025, 0.975]), abs=0.05)
+        precisions = [average_precision(m.tolist(), truth > 0) for m in (merged, theirs)]
+        assert gain.auc == pytest.approx(precisions[0] - precisions[1])
+    assert over_a.r is not None and over_b.r is not None and over_a.r < over_b.r
+    # Nothing to merge, nothing added; a twin without failures leaves both numbers open.
+    assert gains(maps, ["a"], "t") == []
+    safe = {**maps, "twin_t": row([0.0] * 50)}
+    assert {(g.r, g.r_interval, g.auc, g.auc_interval) for g in gains(safe, ["a", "b"], "t")} == {(None,) * 4}
 
 
 def test_an_auc_that_is_not_defined_says_why() -> None:

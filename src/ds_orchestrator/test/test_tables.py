@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from ds_orchestrator.evaluation import Correlation, Variant
-from ds_orchestrator.paper_tables import correlation_tables, role_of, variant_table
+from ds_orchestrator.evaluation import Correlation, Gain, Variant
+from ds_orchestrator.paper_tables import correlation_tables, gain_table, role_of, variant_table
 from ds_orchestrator.tables import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
 
 TABLE = Table(
@@ -102,6 +102,11 @@ def test_the_papers_rows_stand_beside_ours() -> None:
     assert len(ours.columns) == len(rq2.columns) - 3
     # A third sibling has no counterpart in the paper.
     assert role_of("union_x", ["a", "b", "x"]) == "DS3" and role_of("merged", ["a"]) == "DSS"
+
+
+def test_what_merging_adds_names_the_sibling() -> None:
+    gain = Gain(over="union_y", value="quality", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17)
+    assert gain_table([gain], ["x", "y"]).texts() == [["RQ3", "DS2 y", "9", "-0.100", "[-0.30, 0.10]", "0.000", ""]]
 
 
 def test_variants_are_one_row_each() -> None:
