@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ds_orchestrator.config import CampaignConfig
-from ds_orchestrator.evaluation import Correlation
+from ds_orchestrator.evaluation import Correlation, Gain
 from ds_orchestrator.maps import FeatureMap
 from ds_orchestrator.pictures import VALUE_TITLES, Value
 from ds_orchestrator.store import Execution
@@ -35,6 +35,7 @@ def summarise(
     executions: Sequence[Execution],
     *,
     tests: int,
+    gains: Sequence[Gain] = (),
 ) -> Findings:
     """Say what a campaign found, finished or not.
 
@@ -44,6 +45,7 @@ def summarise(
         correlations: with the twin, empty without one.
         executions: every one that is known.
         tests: how many tests there are.
+        gains: of merging, over each sibling; without them the merged map is not held against the siblings.
     """
     if not executions:
         return Findings(headline="Nothing was driven yet, so there is nothing to report.", details=[])
@@ -55,7 +57,7 @@ def summarise(
     for value in values:
         compared = [c for c in correlations if c.value == value]
         if compared:
-            details.append(_comparison(config, compared, value))
+            details.append(_comparison(config, compared, [g for g in gains if g.value == value], value))
     if not config.twin:
         details.append("No twin took part in this campaign, so the maps are compared with nothing.")
     return Findings(headline=f"{_agreement(config, maps)} {_key_number(config, correlations)}".strip(), details=details)
@@ -141,7 +143,9 @@ def _foretold(config: CampaignConfig, maps: Mapping[str, FeatureMap]) -> str:
     )
 
 
-def _comparison(config: CampaignConfig, correlations: Sequence[Correlation], value: Value) -> str:
+def _comparison(
+    config: CampaignConfig, correlations: Sequence[Correlation], gains: Sequence[Gain], value: Value
+) -> str:
     """The correlations of one value in words, and whether merging helped."""
     found = {c.name: c for c in correlations}
     merged = found["merged"]
@@ -153,19 +157,23 @@ def _comparison(config: CampaignConfig, correlations: Sequence[Correlation], val
         if merged.p is not None and merged.p >= _CHANCE
         else ""
     )
-    known = {name: r for name in config.siblings if (r := found[f"union_{name}"].r) is not None}
+    known = [name for name in config.siblings if found[f"union_{name}"].r is not None]
     if len(known) < len(config.siblings):
         return f"{subject}, the merged map has r = {merged.r:.2f}; not every sibling can be compared.{chance}"
-    beaten = [name for name, r in known.items() if merged.r > r]
     if len(known) == 1:
         return f"{subject}, the only sibling's map has r = {merged.r:.2f}, and the merged map is the same.{chance}"
     if merged.r <= 0:
-        verdict = "no positive correlation, so it does not foretell the twin's failures"
-    elif len(beaten) == len(known):
-        verdict = "it foretells the twin's failures better than every sibling alone"
-    elif beaten:
-        others = _listed([name for name in known if name not in beaten])
-        verdict = f"it foretells the twin's failures better than {_listed(beaten)} alone, but not better than {others}"
+        verdict = ": no positive correlation, so it does not foretell the twin's failures"
     else:
-        verdict = "every sibling alone foretells the twin's failures as well or better"
-    return f"{subject}, the merged map has r = {merged.r:.2f}: {verdict}.{chance}"
+        verdict = f": it foretells the twin's failures {_against_siblings(gains)}" if gains else ""
+    return f"{subject}, the merged map has r = {merged.r:.2f}{verdict}.{chance}"
+
+
+def _against_siblings(gains: Sequence[Gain]) -> str:
+    """Better, worse, or not to be told: only a difference whose 95 % interval leaves 0 out is called one."""
+    groups: dict[str, list[str]] = {"better than": [], "worse than": [], "as well as, for all that can be told,": []}
+    better, worse, open_ = groups.values()
+    for gain in gains:
+        low, high = gain.r_interval or (0.0, 0.0)
+        (better if low > 0 else worse if high < 0 else open_).append(gain.over.removeprefix("union_"))
+    return _listed([f"{how} {_listed(names)} alone" for how, names in groups.items() if names])

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ds_orchestrator.config import CampaignConfig
-from ds_orchestrator.evaluation import Correlation
+from ds_orchestrator.evaluation import Correlation, Gain
 from ds_orchestrator.findings import count, summarise
 from ds_orchestrator.maps import FeatureMap
 from ds_orchestrator.paper_tables import Network
@@ -45,6 +45,7 @@ def write_report(
     maps: Mapping[str, FeatureMap],
     correlations: Sequence[Correlation],
     *,
+    gains: Sequence[Gain] = (),
     tables: Sequence[Table] = (),
     network: Network | None = None,
 ) -> Path:
@@ -56,6 +57,7 @@ def write_report(
         config: as run.
         maps: as `ds_orchestrator.maps.campaign_maps` makes and names them.
         correlations: with the twin, empty without one.
+        gains: what merging adds to each sibling.
         tables: of the evaluation.
         network: whose numbers of the paper stand beside ours, or None.
 
@@ -79,7 +81,7 @@ def write_report(
     text = page.render(
         config=config,
         config_yaml=yaml.safe_dump(config.model_dump(), sort_keys=False, allow_unicode=True),
-        findings=summarise(config, maps, correlations, executions, tests=len(tests)),
+        findings=summarise(config, maps, correlations, executions, tests=len(tests), gains=gains),
         tiles=_tiles(config, correlations, tests, executions),
         cameras=camera_pictures(config.simulators, place) if place else [],
         camera_test=place,

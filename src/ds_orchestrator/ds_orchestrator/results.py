@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ds_orchestrator.config import CampaignConfig, parse_config
-from ds_orchestrator.evaluation import RESAMPLES, Correlation, evaluate, gains, variants
+from ds_orchestrator.evaluation import RESAMPLES, Correlation, Gain, evaluate, gains, variants
 from ds_orchestrator.maps import FeatureMap, campaign_maps, to_json
 from ds_orchestrator.paper_tables import NETWORKS, Network, correlation_tables, gain_table, variant_table
 from ds_orchestrator.predictions import architecture_of
@@ -75,6 +75,11 @@ def correlations_of(config: CampaignConfig, maps: dict[str, FeatureMap]) -> list
     return evaluate(maps, config.siblings, config.twin, resamples=RESAMPLES) if config.twin else []
 
 
+def gains_of(config: CampaignConfig, maps: dict[str, FeatureMap]) -> list[Gain]:
+    """What merging adds to each sibling, empty without a twin."""
+    return gains(maps, config.siblings, config.twin) if config.twin else []
+
+
 def read_correlations(folder: Path) -> list[Correlation]:
     """What `write_all` wrote of the comparison with the twin."""
     rows: list[dict[str, Any]] = json.loads((folder / "maps" / "correlations.json").read_text())
@@ -91,11 +96,12 @@ def network_of(config: CampaignConfig) -> Network | None:
     return (architecture, "real" if config.sim2real else "sim") if architecture in NETWORKS else None
 
 
-def tables_of(config: CampaignConfig, maps: dict[str, FeatureMap], correlations: Sequence[Correlation]) -> list[Table]:
+def tables_of(
+    config: CampaignConfig, maps: dict[str, FeatureMap], correlations: Sequence[Correlation], added: Sequence[Gain]
+) -> list[Table]:
     """RQ2, RQ3, what merging adds if there is something to merge, and variants; empty without a twin."""
     if config.twin is None:
         return []
-    added = gains(maps, config.siblings, config.twin)
     return [
         *correlation_tables(correlations, config.siblings, config.twin, network_of(config)),
         *([gain_table(added, config.siblings)] if added else []),
@@ -147,7 +153,8 @@ def write_all(
     mapped = time.monotonic()
     say("stage: evaluation")
     correlations = correlations_of(config, maps)
-    tables = tables_of(config, maps, correlations)
+    added = gains_of(config, maps)
+    tables = tables_of(config, maps, correlations, added)
     (folder / "maps" / "correlations.json").write_text(_text([asdict(c) for c in correlations]))
     write_tables(tables, folder / "evaluation")
     store.set_result("evaluation", count)
@@ -157,7 +164,7 @@ def write_all(
     say("stage: report")
     # RQ1 needs a data set: it is there if `ds evaluate --data` was given one.
     tables = [*read_tables(folder / RQ1), *tables]
-    write_report(folder, store, config, maps, correlations, tables=tables, network=network_of(config))
+    write_report(folder, store, config, maps, correlations, gains=added, tables=tables, network=network_of(config))
     store.set_result("report", count)
     return report
 

@@ -131,7 +131,7 @@ def shown(value: Value, style: Style) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, tuple):
-        return f"[{value[0]:z.2f}, {value[1]:z.2f}]"
+        return "[" + ", ".join(shown(part, style) for part in value) + "]"
     if style == "p" and float(value) < _SMALLEST_P:
         return f"< {_SMALLEST_P:.0e}"
     if style == "p":
@@ -155,7 +155,7 @@ def _tex_value(value: Value, style: Style) -> str:
     if isinstance(value, str):
         return tex(value)
     if isinstance(value, tuple):
-        return "[" + ", ".join(f"${part:z.2f}$" for part in value) + "]"
+        return "[" + ", ".join(f"${shown(part, style)}$" for part in value) + "]"
     text = shown(value, style)
     return f"${text}$" if text.startswith("-") else text
 

@@ -16,7 +16,7 @@ import pytest
 from report_campaigns import EVIL, make_campaign, make_execution, make_tests, results, road
 
 from ds_orchestrator.config import CampaignConfig
-from ds_orchestrator.evaluation import evaluate
+from ds_orchestrator.evaluation import Correlation, Gain, evaluate, gains
 from ds_orchestrator.features import Cell
 from ds_orchestrator.findings import summarise
 from ds_orchestrator.maps import FeatureMap, MapCell, campaign_maps
@@ -302,7 +302,8 @@ def said(siblings: list[str], merged: tuple[float, ...], twin: tuple[float, ...]
     maps = {name: hand_made(name, of) for name, of in values.items()}
     test = Test(test_id="t", sibling="bullet", run=0, number=0, road=road(0), seed=1)
     driven = [make_execution(test, name, 0.5) for name in config.simulators]
-    found = summarise(config, maps, evaluate(maps, siblings, "donkey"), driven, tests=1)
+    correlations, added = evaluate(maps, siblings, "donkey"), gains(maps, siblings, "donkey")
+    found = summarise(config, maps, correlations, driven, tests=1, gains=added)
     return " ".join((found.headline, *found.details))
 
 
@@ -314,9 +315,32 @@ def test_findings_say_what_the_numbers_say() -> None:
     r = {name: np.corrcoef(of, TWIN)[0, 1] for name, of in {**UNIONS, "merged": MERGED}.items()}
     assert r["softbody"] > r["merged"] > r["bullet"] > 0
     assert f"r = {r['merged']:.2f} (bullet {r['bullet']:.2f} and softbody {r['softbody']:.2f})" in text
-    assert "better than bullet alone, but not better than softbody" in text and "this may be chance" in text
+    # Four cells are too few to tell any two of them apart.
+    assert "as well as, for all that can be told, bullet and softbody alone" in text and "this may be chance" in text
     assert "Of 1 cell in which the merged map expects failures, the twin fails in 1; of 3 cells" in text
     assert "expects none, the twin fails in 1." in text
+
+
+def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
+    config = CampaignConfig(siblings=["bullet", "softbody", "third:Simulator"])
+    added = [
+        Gain(over=f"union_{name}", value="quality", cells=9, r=(low + high) / 2, r_interval=(low, high))
+        for name, low, high in zip(config.siblings, (0.01, -0.2, -0.3), (0.2, 0.3, -0.1), strict=True)
+    ]
+    correlations = [
+        Correlation(name=name, value="quality", cells=9, r=0.5, p=0.001)
+        for name in (*(f"union_{sibling}" for sibling in config.siblings), "merged")
+    ]
+    maps = {f"union_{name}": hand_made(name, MERGED) for name in config.siblings} | {
+        "merged": hand_made("merged", MERGED), "twin_donkey": hand_made("twin_donkey", TWIN),
+    }  # fmt: skip
+    test = Test(test_id="t", sibling="bullet", run=0, number=0, road=road(0), seed=1)
+    driven = [make_execution(test, name, 0.5) for name in config.simulators]
+    *_, sentence = summarise(config, maps, correlations, driven, tests=1, gains=added).details
+    assert sentence.endswith(
+        "better than bullet alone, worse than third:Simulator alone and as well as, for all that can be told, softbody "
+        "alone."
+    )
 
 
 def test_findings_say_why_there_is_no_correlation() -> None:

@@ -42,7 +42,7 @@ def test_latex_escapes_and_balances() -> None:
         and "0.025" in text
         and "$-0.123$" in text
         and " -- " in text
-        and "[$-0.50$, $0.25$]" in text
+        and "[$-0.500$, $0.250$]" in text
     )
     body = text[text.index(r"\toprule") : text.index(r"\bottomrule")]
     assert [len(re.findall(r"(?<!\\)&", line)) for line in body.splitlines() if line.endswith(r"\\")] == [4, 4, 4]
@@ -50,11 +50,11 @@ def test_latex_escapes_and_balances() -> None:
 
 
 def test_a_person_sees_short_numbers() -> None:
-    assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.50, 0.25]", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
+    assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.500, 0.250]", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
     assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
     out = io.StringIO()
     TABLE.show(Console(file=out, width=40))
-    assert "[-0.50, 0.25]" in out.getvalue() and "100 % sure" in out.getvalue()
+    assert "[-0.500, 0.250]" in out.getvalue() and "100 % sure" in out.getvalue()
 
 
 def test_a_p_value_is_never_0() -> None:
@@ -106,7 +106,7 @@ def test_the_papers_rows_stand_beside_ours() -> None:
 
 def test_what_merging_adds_names_the_sibling() -> None:
     gain = Gain(over="union_y", value="quality", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17)
-    assert gain_table([gain], ["x", "y"]).texts() == [["RQ3", "DS2 y", "9", "-0.100", "[-0.30, 0.10]", "0.000", ""]]
+    assert gain_table([gain], ["x", "y"]).texts() == [["RQ3", "DS2 y", "9", "-0.100", "[-0.300, 0.100]", "0.000", ""]]
 
 
 def test_variants_are_one_row_each() -> None:

@@ -31,7 +31,7 @@ def evaluation(folder: Path, *, data: Path | None, images: int | None, out: Path
     if data is not None:
         tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, results.network_of(config))
         keep_tables(tables, folder / results.RQ1)
-    tables += results.tables_of(config, maps, results.correlations_of(config, maps))
+    tables += results.tables_of(config, maps, results.correlations_of(config, maps), results.gains_of(config, maps))
     return _answer(tables, out or folder / "evaluation")
 
 
