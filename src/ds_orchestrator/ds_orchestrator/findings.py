@@ -165,13 +165,13 @@ def _comparison(
     if merged.r <= 0:
         verdict = ": no positive correlation, so it does not foretell the twin's failures"
     else:
-        verdict = f": it foretells the twin's failures {_against_siblings(gains)}" if gains else ""
+        verdict = f": {_against_siblings(gains)}" if gains else ""
     return f"{subject}, the merged map has r = {merged.r:.2f}{verdict}.{chance}"
 
 
 def _against_siblings(gains: Sequence[Gain]) -> str:
-    """Better, worse, or not to be told: only a difference whose 95 % interval leaves 0 out is called one."""
-    groups: dict[str, list[str]] = {"better than": [], "worse than": [], "as well as, for all that can be told,": []}
+    """Better, worse, or neither: only a difference whose 95 % interval leaves 0 out is called one."""
+    groups: dict[str, list[str]] = {"better than": [], "worse than": [], "not to be told apart from": []}
     better, worse, open_ = groups.values()
     for gain in gains:
         low, high = gain.r_interval or (0.0, 0.0)
