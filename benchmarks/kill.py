@@ -70,7 +70,9 @@ class Session:
         config = self.folder.with_suffix(".yaml")
         config.write_text(CONFIG.format(driver=self.driver))
         what = ["resume", str(self.folder)] if self.resume else ["run", str(config), "--out", str(self.folder)]
-        command = [sys.executable, "-m", "ds_orchestrator.cli", "campaign", *what, "--workers", str(self.workers)]
+        # A shell lets its background jobs ignore SIGINT, and who inherits that never hears it.
+        command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_orchestrator.cli"]
+        command += ["campaign", *what, "--workers", str(self.workers)]
         path = os.pathsep.join(filter(None, (str(Path.cwd()), os.environ.get("PYTHONPATH"))))
         environment = os.environ | {_MARK: str(self.folder), "PYTHONPATH": path}
         self.written = self.lines()
