@@ -21,7 +21,7 @@ from ds_road import generate
 from ds_sim.camera import Camera, Sensor
 from ds_sim.ground import paint_ground
 from ds_sim.image_statistics import image_statistics, percentiles
-from ds_sim.registry import SIMULATORS, make_simulator
+from ds_sim.registry import SIMULATORS, spec_of
 from ds_sim.simulator import VehicleState
 
 
@@ -57,7 +57,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     road, states = generate(np.random.default_rng(4), max_angle=60), poses(4) * 2
     for name in SIMULATORS:
-        spec = make_simulator(name).spec
+        spec = spec_of(name)
         ground = paint_ground(road, spec.look)
         raster = np.ascontiguousarray(ground.levels[0][:, :, :3])
         for width, height in ((320, 160), (640, 480)):
@@ -82,7 +82,7 @@ def compare(folder: Path) -> None:
         top = (image.shape[0] - rows) // 2
         size = (image.shape[1], rows)
         photographs.append(image_statistics(np.ascontiguousarray(image[top : top + rows])))  # type: ignore[arg-type]
-    spec = make_simulator("donkey").spec
+    spec = spec_of("donkey")
     frames = []
     for seed in range(4):
         ground = paint_ground(generate(np.random.default_rng(seed), max_angle=60), spec.look)

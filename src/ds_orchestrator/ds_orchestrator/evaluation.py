@@ -156,18 +156,17 @@ def gains(
 ) -> list[Gain]:
     """The merged map against each sibling's, by failure probability and by quality; none with a single sibling."""
     merged, truth = maps["merged"], maps[f"twin_{twin}"]
+    more_r, more_auc = _more(_resampled_r), _more(_resampled_auc)
     found = []
     for value, sibling in product(QUESTIONS, siblings if len(siblings) > 1 else ()):
         union = maps[f"union_{sibling}"]
-        cells = sorted(set(merged.cells) & set(union.cells) & set(truth.cells))
-        ours, theirs = _values(merged, cells, value), _values(union, cells, value)
-        samples = ours, theirs, _values(truth, cells, "probability")
+        samples = ours, theirs, against = _over_shared_cells([merged, union], truth, value)
         known: dict[str, Any] = {}
-        if all(_pearson(one, samples[2], value)[0] is not None for one in samples[:2]):
-            known |= {"r": _more_r(*samples), "r_interval": _interval(samples, _more_r, resamples)}
-        if _decided(samples[2]):
-            known |= {"auc": _more_auc(*samples), "auc_interval": _interval(samples, _more_auc, resamples)}
-        found.append(Gain(over=union.name, value=value, cells=len(cells), **known))
+        if all(_pearson(one, against, value)[0] is not None for one in (ours, theirs)):
+            known |= {"r": more_r(*samples), "r_interval": _interval(samples, more_r, resamples)}
+        if _decided(against):
+            known |= {"auc": more_auc(*samples), "auc_interval": _interval(samples, more_auc, resamples)}
+        found.append(Gain(over=union.name, value=value, cells=len(against), **known))
     return found
 
 
@@ -212,10 +211,16 @@ def _values(m: FeatureMap, cells: Sequence[Cell], value: str) -> Array:
 
 def _paired(m: FeatureMap, truth: FeatureMap, value: str = "probability") -> tuple[Array, Array]:
     """A value of one map and the failure probability of another over the cells that both fill."""
-    cells = sorted(set(m.cells) & set(truth.cells))
-    ours, against = _values(m, cells, value), _values(truth, cells, "probability")
-    known = ~np.isnan(ours)
-    return ours[known], against[known]
+    ours, against = _over_shared_cells([m], truth, value)
+    return ours, against
+
+
+def _over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str) -> tuple[Array, ...]:
+    """A value of several maps, and last the failure probability of another, over the cells that all fill."""
+    cells = sorted(set(truth.cells).intersection(*(m.cells for m in maps)))
+    ours, against = [_values(m, cells, value) for m in maps], _values(truth, cells, "probability")
+    known = ~np.isnan(ours).any(axis=0)
+    return tuple(values[known] for values in (*ours, against))
 
 
 def _filled(m: FeatureMap, truth: FeatureMap, value: str) -> tuple[FeatureMap, FeatureMap, str, Array, Array]:
@@ -303,12 +308,9 @@ def _resampled_auc(ours: Array, truth: Array) -> float:
     return _ap(ours, truth) if _decided(truth) else float("nan")
 
 
-def _more_r(merged: Array, sibling: Array, truth: Array) -> float:
-    return _resampled_r(merged, truth) - _resampled_r(sibling, truth)
-
-
-def _more_auc(merged: Array, sibling: Array, truth: Array) -> float:
-    return _resampled_auc(merged, truth) - _resampled_auc(sibling, truth)
+def _more(statistic: Callable[[Array, Array], float]) -> Callable[[Array, Array, Array], float]:
+    """How much higher a statistic is for the first map than for the second."""
+    return lambda ours, theirs, truth: statistic(ours, truth) - statistic(theirs, truth)
 
 
 def _interval(

@@ -157,10 +157,9 @@ def _comparison(
         if merged.p is not None and merged.p >= _CHANCE
         else ""
     )
-    known = [name for name in config.siblings if found[f"union_{name}"].r is not None]
-    if len(known) < len(config.siblings):
+    if any(found[f"union_{name}"].r is None for name in config.siblings):
         return f"{subject}, the merged map has r = {merged.r:.2f}; not every sibling can be compared.{chance}"
-    if len(known) == 1:
+    if len(config.siblings) == 1:
         return f"{subject}, the only sibling's map has r = {merged.r:.2f}, and the merged map is the same.{chance}"
     if merged.r <= 0:
         verdict = ": no positive correlation, so it does not foretell the twin's failures"

@@ -50,7 +50,7 @@ def drive(
     from ds_orchestrator.video import check_path, write_video
     from ds_sim.registry import make_simulator
 
-    make_simulator(sim)
+    make_simulator(sim).close()
     if not attach:
         check_driver(driver)
     if road.sampled or road.published or road.lane_width != ds_road.LANE_WIDTH:
