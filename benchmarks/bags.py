@@ -19,12 +19,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.driving import drive_road, make_driver
-from ds_orchestrator.bags import LEVELS, Level, write_bag
-from ds_orchestrator.redriving import redrive
-from ds_orchestrator.running import running_graph
+from ds_bags.layout import LEVELS, Level
+from ds_bags.run_writer import write_bag
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_orchestrator.graph.session import running_graph
 from ds_road import Road, generate
 from ds_sim.registry import make_simulator
+from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 
 TESTS = 5000
@@ -90,7 +91,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         again = statistics.median(
-            1e6 * seconds_of(lambda run=run: list(redrive(options.sim, run))) / len(run.observations)  # type: ignore[misc]
+            1e6 * seconds_of(lambda run=run: list(resimulate(options.sim, run))) / len(run.observations)  # type: ignore[misc]
             for run in runs
         )
         table = Table("level", "kB per frame", "us per frame", "of it driving again", f"bag of {frames:.0f} frames, kB")

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import generate
-from ds_sim.camera import Camera, Sensor
-from ds_sim.ground import paint_ground
-from ds_sim.image_statistics import image_statistics, percentiles
+from ds_sim.camera.ground import paint_ground
+from ds_sim.camera.image_statistics import image_statistics, percentiles
+from ds_sim.camera.renderer import Camera, Sensor
 from ds_sim.registry import SIMULATORS, spec_of
 from ds_sim.simulator import VehicleState
 

@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 from benchmarks.headless import Car, cars, drive
 
-from ds_driver.collection import CollectionPlan, training_roads
+from ds_driver.data.collection import CollectionPlan, training_roads
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome
 

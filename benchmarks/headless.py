@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.control import Autopilot
+from ds_driver.control.autopilot import Autopilot
 from ds_road import Road
-from ds_sim.lane import LaneTracker
+from ds_sim.lane_tracker import LaneTracker
 from ds_sim.oracle import Oracle
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Outcome
 from ds_sim.vehicle import Vehicle

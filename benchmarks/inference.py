@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.backends import with_backend
-from ds_driver.collection import roads_both_ways
-from ds_driver.crops import simulator_crop
-from ds_driver.driving import Drive, drive_all, make_driver
-from ds_driver.network_driver import OwnPilot
-from ds_driver.networks import NETWORKS
-from ds_driver.pilots import Seen
-from ds_driver.preprocessing import Crop
+from ds_driver.closed_loop.simulation import Drive, drive_all, make_driver
+from ds_driver.data.collection import roads_both_ways
+from ds_driver.data.crops import simulator_crop
+from ds_driver.networks.architectures import NETWORKS
+from ds_driver.networks.backends import with_backend
+from ds_driver.networks.network_driver import BuiltInPilot
+from ds_driver.networks.pilot import Frame
+from ds_driver.networks.preprocessing import Crop
 from ds_road import Road
 from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.session import RunRecord
@@ -40,11 +40,11 @@ BACKENDS = ("torch", "onnx", "openvino")
 def speed(name: str, frames: int, table: Table) -> None:
     """Milliseconds a frame with its preprocessing, and seconds to load, one row a backend."""
     image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), dtype=np.uint8)
-    seen = Seen(image=image, speed=5.0, crop=Crop(54, 0))
+    seen = Frame(image=image, speed=5.0, crop=Crop(54, 0))
     pilots, loading = {}, {}
     for backend in BACKENDS:
         started = time.process_time()
-        pilots[backend] = OwnPilot(name, backend)
+        pilots[backend] = BuiltInPilot(name, backend)
         pilots[backend].predict(seen)
         loading[backend] = time.process_time() - started
     busy: dict[str, list[float]] = {backend: [] for backend in BACKENDS}
@@ -77,13 +77,13 @@ def frames_of(driver: str, simulator: str, road: Road, seed: int, every: int) ->
 
 def differences(name: str, roads: list[Road], console: Console) -> None:
     """How far each backend steers from PyTorch on the same frames."""
-    pilots = {backend: OwnPilot(name, backend) for backend in BACKENDS}
+    pilots = {backend: BuiltInPilot(name, backend) for backend in BACKENDS}
     apart: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
     for simulator in SIMULATORS:
         crop = simulator_crop(simulator)
         for seed, road in enumerate(roads[:2]):
             for image in frames_of(name, simulator, road, seed, 3):
-                said = {b: p.predict(Seen(image=image, speed=0.0, crop=crop)).steering for b, p in pilots.items()}
+                said = {b: p.predict(Frame(image=image, speed=0.0, crop=crop)).steering for b, p in pilots.items()}
                 for backend, values in apart.items():
                     values.append(abs(said[backend] - said["torch"]))
     table = Table(f"{name}, steering apart from PyTorch", "frames", "median", "95 %", "99 %", "largest")

@@ -71,7 +71,7 @@ class Session:
         config.write_text(CONFIG.format(driver=self.driver))
         what = ["resume", str(self.folder)] if self.resume else ["run", str(config), "--out", str(self.folder)]
         # A shell lets its background jobs ignore SIGINT, and who inherits that never hears it.
-        command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_orchestrator.cli"]
+        command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_orchestrator.cli.main"]
         command += ["campaign", *what, "--workers", str(self.workers)]
         path = os.pathsep.join(filter(None, (str(Path.cwd()), os.environ.get("PYTHONPATH"))))
         environment = os.environ | {_MARK: str(self.folder), "PYTHONPATH": path}

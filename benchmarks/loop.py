@@ -17,10 +17,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.control import Autopilot
-from ds_driver.network_driver import NetworkDriver
-from ds_driver.preprocessing import Crop
-from ds_orchestrator.running import running_graph
+from ds_driver.control.autopilot import Autopilot
+from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.preprocessing import Crop
+from ds_orchestrator.graph.session import running_graph
 from ds_road import Road, generate
 from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.road_simulator import RoadSimulator

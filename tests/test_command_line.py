@@ -11,7 +11,7 @@ import pytest
 
 from ds_road import Road, generate, write_roads
 
-DS = [sys.executable, "-m", "ds_orchestrator.cli"]
+DS = [sys.executable, "-m", "ds_orchestrator.cli.main"]
 
 
 def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -27,7 +27,7 @@ def test_road_check_answers_for_every_road_whatever_it_is(tmp_path: Path) -> Non
     done = ds("road", "check", file, "--json")
     assert done.returncode == 0, done.stderr
     answers = json.loads(done.stdout)
-    keys = {"valid", "reason", "length", "curvature", "turns_count", "turns_count_published"}
+    keys = {"valid", "reason", "length", "curvature", "turns_count", "turns_count_maxitwo"}
     assert [a["valid"] for a in answers] == [True, False, False, False, False]
     assert all(set(a) == keys and bool(a["reason"]) == (not a["valid"]) for a in answers)
     assert answers[0]["length"] == pytest.approx(150.0) and answers[0]["turns_count"] == 0

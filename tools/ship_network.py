@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_driver.assessment import success_rates
-from ds_driver.collection import roads_both_ways
-from ds_driver.networks import count_parameters
-from ds_driver.weights import SHIPPED, load_network
-from ds_orchestrator.predictions import predict
+from ds_driver.closed_loop.success_rate import success_rates
+from ds_driver.data.collection import roads_both_ways
+from ds_driver.networks.architectures import count_parameters
+from ds_driver.networks.weights import SHIPPED, load_network
+from ds_orchestrator.evaluation.offline_predictions import predict
 from ds_sim.registry import SIMULATORS
 
 PAPER = {

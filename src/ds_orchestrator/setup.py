@@ -10,7 +10,7 @@ setup(
     maintainer="Digital Siblings maintainers",
     maintainer_email="maintainers@digital-siblings.invalid",
     packages=find_packages(exclude=["test"]),
-    package_data={PACKAGE: ["templates/*"]},
+    package_data={"": ["py.typed", "*.pyi"], f"{PACKAGE}.report": ["templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -18,10 +18,10 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "ds = ds_orchestrator.cli:main",
-            "campaign = ds_orchestrator.executables:campaign",
-            "drive = ds_orchestrator.executables:drive",
-            "demo = ds_orchestrator.executables:demo",
+            "ds = ds_orchestrator.cli.main:main",
+            "campaign = ds_orchestrator.ros.executables:campaign",
+            "drive = ds_orchestrator.ros.executables:drive",
+            "demo = ds_orchestrator.ros.executables:demo",
         ],
     },
 )

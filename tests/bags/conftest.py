@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from ds_driver.driving import make_driver
-from ds_orchestrator.bags import LEVELS, write_bag
+from ds_bags.layout import LEVELS
+from ds_bags.run_writer import write_bag
+from ds_driver.closed_loop.simulation import make_driver
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session

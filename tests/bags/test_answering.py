@@ -17,24 +17,24 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.stats import wasserstein_distance
 
-from ds_driver.driving import make_driver
-from ds_driver.pixels import fit_to_network, rgb_of, rgb_of_file
-from ds_driver.preprocessing import Crop, ImageError
-from ds_orchestrator.answering import answer_recording
-from ds_orchestrator.bags import BagError
-from ds_orchestrator.domain import Domain
-from ds_orchestrator.recorded_frames import Frame, Reading, open_recording
-from ds_orchestrator.redriving import redrive
-from ds_orchestrator.steering_errors import BINS, density, distances, pooled_errors, summarise
+from ds_bags.donkey_tub import TubError, read_tub
+from ds_bags.layout import BagError
+from ds_driver.closed_loop.simulation import make_driver
+from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
+from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
+from ds_driver.networks.preprocessing import Crop, ImageError
+from ds_orchestrator.evaluation.open_loop import evaluate_recording
+from ds_orchestrator.evaluation.steering_error_stats import BINS, density, distances, pooled_errors, summarise
+from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_sim.registry import make_simulator
+from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
-from ds_sim.tub import TubError, read_tub
 
 RNG = np.random.default_rng(1)
 PICTURE = RNG.integers(0, 255, (30, 40, 3), dtype=np.uint8)
 
 
-def brightness(frame: Frame, crop: Crop) -> float:
+def brightness(frame: RecordedFrame, crop: Crop) -> float:
     """A driver whose answer anybody can work out."""
     assert frame.image is not None and frame.image.shape == (160, 320, 3)
     return float(frame.image.mean()) / 255.0
@@ -72,7 +72,7 @@ def test_a_tub_is_read_with_its_sign_and_without_what_was_deleted(tub: Path) -> 
 
 
 def test_no_image_of_a_tub_is_lost_and_a_missing_one_is_told(tub: Path) -> None:
-    answers = answer_recording(open_recording(tub, Reading()), brightness)
+    answers = evaluate_recording(open_recording(tub, Reading()), brightness)
     assert answers.index.tolist() == [0, 1, 3] and answers.images == 4
     np.testing.assert_allclose(answers.errors, [0.0, 50 / 255 - 0.1, 150 / 255 + 0.7], atol=0.003)
     assert len(answers.trouble) == 1 and "4.png" in answers.trouble[0]
@@ -82,20 +82,20 @@ def test_no_image_of_a_tub_is_lost_and_a_missing_one_is_told(tub: Path) -> None:
 def test_a_network_answers_a_raw_bag_as_it_answered_in_the_loop(bags: Path, run: RunRecord) -> None:
     """Bit by bit for raw images; the autopilot's own answers are what the bag recorded."""
     driver = make_driver("dave2", make_simulator("donkey").spec)
-    expected = [driver(seen).steering for seen in redrive("donkey", run)]
-    from ds_driver.network_driver import NetworkDriver
+    expected = [driver(seen).steering for seen in resimulate("donkey", run)]
+    from ds_driver.networks.network_driver import NetworkDriver
 
     network = NetworkDriver("dave2")
     for truth in ("recorded", "autopilot"):
         recording = open_recording(bags / "raw", Reading(truth=truth))  # type: ignore[arg-type]
-        answers = answer_recording(recording, lambda frame, crop: network.steering(_image(frame), crop))
+        answers = evaluate_recording(recording, lambda frame, crop: network.steering(_image(frame), crop))
         assert answers.answered.tolist() == expected and answers.group == "donkey"
         told = [command.steering for command in run.commands]
         assert answers.recorded[:40].tolist() == told
         assert np.isfinite(answers.recorded[40]) == (truth == "autopilot")
 
 
-def _image(frame: Frame) -> Any:
+def _image(frame: RecordedFrame) -> Any:
     assert frame.image is not None
     return frame.image
 
@@ -138,7 +138,7 @@ def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 def test_anybody_s_bag_with_steering_from_any_field(foreign: Path) -> None:
     reading = Reading(steering="/cmd:wheel.angle", factor=-2.0)
-    answers = answer_recording(open_recording(foreign, reading), brightness)
+    answers = evaluate_recording(open_recording(foreign, reading), brightness)
     np.testing.assert_allclose(answers.seconds, np.arange(6) * 0.2)
     np.testing.assert_allclose(answers.recorded[:4], [0.0, 0.2, 0.4, 0.6], atol=1e-6)
     assert np.isnan(answers.recorded[4:]).all() and np.isfinite(answers.answered).all()
@@ -147,7 +147,7 @@ def test_anybody_s_bag_with_steering_from_any_field(foreign: Path) -> None:
     assert (summary.group, summary.images, summary.answered, summary.compared) == ("car", 6, 6, 4)
     for wrong, said in (("/cmd", "expected TOPIC:FIELD"), ("/no:x", "/cam, /cmd"), ("/cmd:wheel", "no number 'wheel'")):
         with pytest.raises(BagError, match=said):
-            answer_recording(open_recording(foreign, Reading(steering=wrong)), brightness)
+            evaluate_recording(open_recording(foreign, Reading(steering=wrong)), brightness)
     with pytest.raises(BagError, match="no images of topic /other"):
         open_recording(foreign, Reading(camera="/other"))
 
@@ -204,7 +204,7 @@ def test_density_and_distance_against_scipy(tub: Path) -> None:
     moved = {"a": errors, "b": errors + 0.25}
     [(one, other, apart)] = distances(moved)
     assert (one, other) == ("a", "b") and apart == pytest.approx(0.25)
-    answers = answer_recording(open_recording(tub, Reading()), brightness)
+    answers = evaluate_recording(open_recording(tub, Reading()), brightness)
     summary = summarise([answers, answers])[0]
     both = pooled_errors([answers, answers])["tub"]
     assert summary.compared == 6 and summary.mean_absolute == pytest.approx(np.abs(both).mean())
@@ -215,7 +215,7 @@ def test_density_and_distance_against_scipy(tub: Path) -> None:
 @pytest.mark.graph
 def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_path: Path) -> None:
     command = [
-        sys.executable, "-m", "ds_orchestrator.cli", "bag", "drive", str(bags / "compressed"), str(tub),
+        sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "drive", str(bags / "compressed"), str(tub),
         "--driver", "dave2", "--out", str(tmp_path / "out"), "--json",
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
@@ -233,18 +233,18 @@ def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_pa
 @pytest.mark.graph
 def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_path: Path) -> None:
     """Our driver as a node of its own; it crops nothing here, so neither does what it is held against."""
-    from ds_driver.network_driver import NetworkDriver
+    from ds_driver.networks.network_driver import NetworkDriver
 
-    domain = Domain()
+    domain = RosDomain()
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain.number)}
     node = subprocess.Popen(
-        [sys.executable, "-m", "ds_driver.node", "--ros-args", "-r", "__ns:=/ds1"],
+        [sys.executable, "-m", "ds_driver.ros.driver_node", "--ros-args", "-r", "__ns:=/ds1"],
         env=environment, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:
         command = [
-            sys.executable, "-m", "ds_orchestrator.cli", "bag", "drive", str(bags / "raw"), "--attach", "--limit", "12",
-            "--out", str(tmp_path), "--json",
+            sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "drive", str(bags / "raw"), "--attach",
+            "--limit", "12", "--out", str(tmp_path), "--json",
         ]  # fmt: skip
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
     finally:
@@ -255,6 +255,6 @@ def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_p
     assert json.loads(done.stdout)["groups"][0]["answered"] == 12
     network = NetworkDriver("dave2")
     recording = open_recording(bags / "raw", Reading())
-    expected = answer_recording(recording, lambda frame, _: network.steering(_image(frame), Crop()), limit=12)
+    expected = evaluate_recording(recording, lambda frame, _: network.steering(_image(frame), Crop()), limit=12)
     with (tmp_path / "answers.csv").open() as file:
         assert [float(row["answered"]) for row in csv.DictReader(file)] == expected.answered.tolist()

@@ -16,13 +16,14 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from ds_orchestrator.bag_info import in_words, info
-from ds_orchestrator.bag_messages import MessageMaker, typestore
-from ds_orchestrator.bag_reading import BagReader, read_run
-from ds_orchestrator.bags import LEVELS, BagError, Level, write_bag
-from ds_orchestrator.redriving import RedriveError, redrive
-from ds_sim.camera import Camera
+from ds_bags.info import describe, in_words
+from ds_bags.layout import LEVELS, BagError, Level
+from ds_bags.message_factory import MessageFactory, typestore
+from ds_bags.reader import BagReader, read_run
+from ds_bags.run_writer import write_bag
+from ds_sim.camera.renderer import Camera
 from ds_sim.registry import make_simulator
+from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, VehicleState
 
@@ -97,7 +98,7 @@ def test_mcap_and_its_ros2_support_read_it_from_the_schemas_inside(bags: Path, l
 
 
 def test_images_are_those_that_the_driver_saw(bags: Path, run: RunRecord) -> None:
-    images = [seen.image for seen in redrive("donkey", run)]
+    images = [seen.image for seen in resimulate("donkey", run)]
     raw = read_all(bags / "raw")["/twin/camera/image_raw"]
     compressed = read_all(bags / "compressed")["/twin/camera/image_raw/compressed"]
     for image, (_, kept), (_, jpeg) in zip(images, raw, compressed, strict=True):
@@ -115,7 +116,7 @@ def test_transforms_and_camera_info_put_the_road_where_the_camera_draws_it() -> 
     vehicle = VehicleState(
         x=31.0, y=-7.0, yaw=2.1, speed=0.0, yaw_rate=0.0, steering_angle=0.0, roll=0.05, pitch=-0.08, heave=0.03
     )
-    maker = MessageMaker("/twin")
+    maker = MessageFactory("/twin")
     body = maker.body_transform(vehicle, 0).transforms[0]
     camera = maker.camera_transform(spec.camera, 0).transforms[0]
     assert (body.header.frame_id, body.child_frame_id) == ("road", camera.header.frame_id)
@@ -139,10 +140,10 @@ def test_messages_are_those_of_the_graph_byte_for_byte(run: RunRecord) -> None:
     from rclpy.serialization import serialize_message
     from std_msgs.msg import Header
 
-    from ds_sim import messages
+    from ds_sim.ros import conversions as messages
 
     spec, seen, time = make_simulator("donkey").spec, run.observations[17], 850_000_000
-    maker, store = MessageMaker("/twin"), typestore()
+    maker, store = MessageFactory("/twin"), typestore()
     header = Header(stamp=messages.to_time(0.85), frame_id="twin/camera")
     road_header = Header(stamp=header.stamp, frame_id="road")
     pairs: list[tuple[Any, Any, str]] = [
@@ -185,7 +186,7 @@ def test_a_bag_alone_tells_what_happened(bags: Path, run: RunRecord) -> None:
             theirs.step, theirs.time, theirs.vehicle, theirs.lane
         )  # fmt: skip
     assert (recorded.simulator, recorded.driver, recorded.namespace) == ("donkey", "autopilot", "/twin")
-    document = info(bags / "raw")
+    document = describe(bags / "raw")
     facts = document["facts"]
     assert json.loads(facts["road"]) == [list(point) for point in run.road.control_points]
     assert (facts["seed"], facts["outcome"], facts["steps"]) == ("3", "CANCELLED", "40")
@@ -204,21 +205,21 @@ def test_the_same_run_gives_the_same_bytes_and_replaces_its_bag(bags: Path, run:
 
 
 def test_images_of_a_run_that_does_not_come_out_the_same_are_refused(run: RunRecord, tmp_path: Path) -> None:
-    with pytest.raises(RedriveError, match="at step 1, "):
+    with pytest.raises(ResimulationError, match="at step 1, "):
         write_bag(tmp_path / "bag", "/twin", "softbody", run, {}, "raw")
     assert not (tmp_path / "bag").exists()
 
 
 def test_what_is_no_bag_is_told_in_one_line(bags: Path, tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no such bag"):
-        info(tmp_path / "none")
+        describe(tmp_path / "none")
     with pytest.raises(BagError, match=r"expected a folder with metadata\.yaml"):
-        info(tmp_path)
+        describe(tmp_path)
     shutil.copytree(bags / "telemetry", tmp_path / "cut")
     file = tmp_path / "cut" / "telemetry.mcap"
     file.write_bytes(file.read_bytes()[:2000])
     with pytest.raises(BagError, match="ds bag recover"):
-        info(tmp_path / "cut")
+        describe(tmp_path / "cut")
     (tmp_path / "cut" / "metadata.yaml").write_text("{")
     with pytest.raises(BagError, match="cannot be read"):
-        info(tmp_path / "cut")
+        describe(tmp_path / "cut")

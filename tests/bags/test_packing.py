@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from ds_orchestrator.bag_info import info
-from ds_orchestrator.bag_redriving import redrive_bag
-from ds_orchestrator.bags import LEVELS, BagError, write_bag
-from ds_orchestrator.packing import groups_of, pack, topic_prefix, unpack
-from ds_orchestrator.store import Execution, Store, Test
+from ds_bags.info import describe
+from ds_bags.layout import LEVELS, BagError
+from ds_bags.packs import pack, topic_prefix, unpack
+from ds_bags.run_writer import write_bag
+from ds_bags.verification import verify_bag
+from ds_orchestrator.campaign.bag_groups import groups_of
+from ds_orchestrator.store.store import Execution, Store, Test
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -31,8 +33,8 @@ def test_what_is_unpacked_is_what_was_packed_byte_for_byte(bags: Path, tmp_path:
         for file in (bags / level).iterdir():
             assert (made / file.name).read_bytes() == file.read_bytes(), file.name
     assert unpack(tmp_path / "pack", tmp_path / "one", "telemetry") == [tmp_path / "one" / "telemetry"]
-    assert redrive_bag(tmp_path / "one" / "telemetry").step is None
-    assert info(tmp_path / "pack")["facts"]["packed"] == "3"
+    assert verify_bag(tmp_path / "one" / "telemetry").step is None
+    assert describe(tmp_path / "pack")["facts"]["packed"] == "3"
 
 
 def test_a_campaign_s_bags_are_grouped_by_cell_or_by_run(run: RunRecord, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ds_orchestrator.bag_redriving import redrive_bag
+from ds_bags.verification import verify_bag
 from ds_road import Road
 
 pytestmark = pytest.mark.graph
@@ -21,12 +21,12 @@ def test_a_subscribed_bag_has_every_image_bit_by_bit(tmp_path: Path) -> None:
     (tmp_path / "road.json").write_text(json.dumps(road.control_points))
     bag = tmp_path / "bag"
     command = [
-        sys.executable, "-m", "ds_orchestrator.cli", "drive", "--sim", "ds_twin_donkey.simulator:DonkeySimulator",
+        sys.executable, "-m", "ds_orchestrator.cli.main", "drive", "--sim", "ds_twin_donkey.simulator:DonkeySimulator",
         "--driver", "autopilot", "--road", str(tmp_path / "road.json"), "--bag", str(bag), "--level", "raw", "--json",
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     steps = json.loads(done.stdout)["steps"]
-    found = redrive_bag(bag)
+    found = verify_bag(bag)
     assert (found.step, found.frames, found.images) == (None, steps + 1, steps + 1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bag", "road.json"]

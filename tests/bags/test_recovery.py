@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from ds_orchestrator.bag_info import info
-from ds_orchestrator.bag_messages import MessageMaker, typestore
-from ds_orchestrator.bag_reading import BagReader, read_run
-from ds_orchestrator.bag_redriving import redrive_bag
-from ds_orchestrator.bags import BagError, RunWriter, hidden_of, write_bag
-from ds_orchestrator.recovering import UNFINISHED, recover
-from ds_orchestrator.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_bags.info import describe
+from ds_bags.layout import BagError, partial_path
+from ds_bags.message_factory import MessageFactory, typestore
+from ds_bags.reader import BagReader, read_run
+from ds_bags.recovery import UNFINISHED, recover
+from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_bags.run_writer import RunWriter, write_bag
+from ds_bags.verification import verify_bag
 from ds_sim.registry import spec_of
 from ds_sim.session import RunRecord
 
@@ -53,7 +54,7 @@ def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
     sizes = rng.integers(100, 60_000, 400)
     flushed = rng.random(400) < 0.3
     target, delay = int(rng.integers(1, 200)), float(rng.uniform(0.0, 0.004))
-    store, make = typestore(), MessageMaker("/x")
+    store, make = typestore(), MessageFactory("/x")
     empty = make._make(
         "sensor_msgs/CompressedImage", header=make._header(5, "camera"), format="jpeg", data=np.zeros(0, np.uint8)
     )
@@ -82,18 +83,18 @@ def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
     in_child(work, moment)
     safe = (tmp_path / "told").stat().st_size
     with pytest.raises(BagError, match="ds bag recover"):
-        info(tmp_path / "bag")
+        describe(tmp_path / "bag")
     found = recover(tmp_path / "bag")
     read = payloads(found.folder)
     assert len(read) == found.messages >= safe >= target
     assert read == [message(number) for number in range(len(read))]
-    facts = info(found.folder)["facts"]
+    facts = describe(found.folder)["facts"]
     assert (facts["seed"], facts["outcome"]) == (str(seed), UNFINISHED)
 
 
 def test_a_killed_campaign_s_bag_is_unfinished_and_can_be_driven_again(run: RunRecord, tmp_path: Path) -> None:
     """`write_bag` itself, killed while its hidden file grows: no bag appears, what is there redrives bit for bit."""
-    hidden = hidden_of(tmp_path / "bag") / "bag" / "bag.mcap"
+    hidden = partial_path(tmp_path / "bag") / "bag" / "bag.mcap"
 
     def moment() -> bool:
         return hidden.exists() and hidden.stat().st_size > 2_000_000
@@ -101,9 +102,9 @@ def test_a_killed_campaign_s_bag_is_unfinished_and_can_be_driven_again(run: RunR
     in_child(lambda: write_bag(tmp_path / "bag", "/twin", "donkey", run, {"driver": "autopilot"}, "raw"), moment)
     assert not (tmp_path / "bag").exists()
     with pytest.raises(BagError, match="was never finished"):
-        info(tmp_path / "bag")
+        describe(tmp_path / "bag")
     found = recover(tmp_path / "bag", tmp_path / "saved")
-    again = redrive_bag(found.folder)
+    again = verify_bag(found.folder)
     assert again.step is None and 5 < again.frames == again.images < 41
     with BagReader(found.folder) as bag:
         recorded = read_run(bag)
@@ -117,8 +118,8 @@ def test_a_bag_without_its_folder_s_metadata_keeps_its_outcome(bags: Path, tmp_p
     shutil.copytree(bags / "compressed", tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").unlink()
     found = recover(tmp_path / "bag")
-    facts = info(found.folder)["facts"]
-    assert found.lost_bytes == 0 and facts == info(bags / "compressed")["facts"]
+    facts = describe(found.folder)["facts"]
+    assert found.lost_bytes == 0 and facts == describe(bags / "compressed")["facts"]
     assert payloads(found.folder) == payloads(bags / "compressed")
 
 

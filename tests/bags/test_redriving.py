@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from ds_orchestrator.bag_redriving import redrive_bag
-from ds_orchestrator.bags import LEVELS, BagError, Level, write_bag
-from ds_orchestrator.redriving import difference_between
+from ds_bags.layout import LEVELS, BagError, Level
+from ds_bags.run_writer import write_bag
+from ds_bags.verification import verify_bag
+from ds_sim.resimulation import difference_between
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command
 
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.graph
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_recorded_run_comes_out_the_same(bags: Path, level: Level) -> None:
-    found = redrive_bag(bags / level)
+    found = verify_bag(bags / level)
     assert (found.step, found.frames, found.images) == (None, 41, 0 if level == "telemetry" else 41)
 
 
@@ -31,9 +32,9 @@ def test_the_step_and_the_distance_of_a_changed_command_are_told(run: RunRecord,
     commands = list(run.commands)
     commands[20] = Command(commands[20].steering, 0.0)
     write_bag(tmp_path / "bag", "/twin", "donkey", replace(run, commands=commands), {})
-    found = redrive_bag(tmp_path / "bag")
+    found = verify_bag(tmp_path / "bag")
     assert found.step is not None and 21 <= found.step <= 23 and "m away" in found.difference
-    command = [sys.executable, "-m", "ds_orchestrator.cli", "bag", "redrive", str(tmp_path / "bag"), "--json"]
+    command = [sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "redrive", str(tmp_path / "bag"), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1 and f"at step {found.step}, " in done.stderr
     document = json.loads(done.stdout)
@@ -51,7 +52,7 @@ def test_one_bit_is_a_difference(run: RunRecord) -> None:
 
 
 def test_another_simulator_and_another_bag_are_told(bags: Path, tmp_path: Path) -> None:
-    found = redrive_bag(bags / "raw", "softbody")
+    found = verify_bag(bags / "raw", "softbody")
     assert found.step == 1 and found.simulator == "softbody"
     with pytest.raises(BagError, match="no such bag"):
-        redrive_bag(tmp_path / "none")
+        verify_bag(tmp_path / "none")

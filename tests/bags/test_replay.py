@@ -15,11 +15,11 @@ from typing import Any
 
 import pytest
 
-from ds_orchestrator.bag_reading import BagReader
-from ds_orchestrator.domain import Domain
-from ds_orchestrator.replaying import PAUSE, QUIT, STEP, Controls, Played, play
+from ds_bags.player import PAUSE, QUIT, STEP, Controls, Played, play
+from ds_bags.reader import BagReader
+from ds_orchestrator.graph.ros_domain import RosDomain
 
-DS = [sys.executable, "-m", "ds_orchestrator.cli", "bag", "replay"]
+DS = [sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "replay"]
 MS = 1_000_000
 MESSAGES: list[tuple[Any, int, bytes]] = [
     ("a", 1000 * MS, b"1"), ("b", 1000 * MS, b"2"), ("a", 1050 * MS, b"3"), ("b", 1200 * MS, b"4"),
@@ -105,7 +105,7 @@ def listener() -> Iterator[Callable[[dict[str, Any]], tuple[dict[str, str], list
     from rclpy.node import Node
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    domain = Domain()
+    domain = RosDomain()
     rclpy.init(domain_id=domain.number)
     node = Node("listener")
     executor = SingleThreadedExecutor()
@@ -171,7 +171,7 @@ def test_keys_of_a_terminal_pause_step_and_end(bags: Path) -> None:
     import pty
     import termios
 
-    domain = Domain()
+    domain = RosDomain()
     master, slave = pty.openpty()
     before = termios.tcgetattr(slave)
     process = subprocess.Popen(

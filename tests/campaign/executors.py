@@ -1,4 +1,4 @@
-"""Executors for campaigns without ROS, and a watcher that says nothing."""
+"""Executors for campaigns without ROS, and a listener that says nothing."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ds_driver.control import Autopilot
-from ds_orchestrator.campaign import Stopped
-from ds_orchestrator.store import Execution, Test
+from ds_driver.control.autopilot import Autopilot
+from ds_orchestrator.campaign.runner import Stopped
+from ds_orchestrator.store.store import Execution, Test
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session

@@ -13,14 +13,15 @@ import pytest
 import yaml
 from tests.campaign.executors import LocalExecutor, MadeUpExecutor, Silent
 
-from ds_orchestrator.campaign import Campaign, CampaignError, Executor, Stopped
-from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
-from ds_orchestrator.lock import LockError, only_one
-from ds_orchestrator.maps import cells_of, elites_of, to_json
-from ds_orchestrator.results import maps_of
-from ds_orchestrator.stages import stages_of
-from ds_orchestrator.store import Store, StoreError
-from ds_orchestrator.worker_pool import WorkerPool
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
+from ds_orchestrator.campaign.folder import LockError, locked
+from ds_orchestrator.campaign.runner import Campaign, CampaignError, Executor, Stopped
+from ds_orchestrator.campaign.status import stages_of
+from ds_orchestrator.evaluation.campaign_evaluation import maps_of
+from ds_orchestrator.graph.worker_pool import WorkerPool
+from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
+from ds_orchestrator.maps.feature_map import to_json
+from ds_orchestrator.store.store import Store, StoreError
 from ds_road import Road
 from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
@@ -155,9 +156,9 @@ def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> Non
 
 
 def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
-    with only_one(tmp_path), pytest.raises(LockError, match="in use by another run"), only_one(tmp_path):
+    with locked(tmp_path), pytest.raises(LockError, match="in use by another run"), locked(tmp_path):
         pass
-    with only_one(tmp_path):
+    with locked(tmp_path):
         pass
 
 
@@ -182,7 +183,7 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
         ({"seed": [1, 2]}, "seed: [1, 2], expected a whole number"),
         ({"seeds": [1, 2]}, "seeds: there is no such key"),
         ({"record": "everything"}, "record: everything, expected one of none, telemetry, compressed, raw"),
-        ({"published": "yes"}, "published: 'yes', expected true or false"),
+        ({"maxitwo_compatible": "yes"}, "maxitwo_compatible: 'yes', expected true or false"),
         ([1, 2], "c.yaml: [1, 2], expected keys with values"),
         ({"seed": -1, "workers": 65}, "seed: -1, expected at least 0; workers: 65, expected at most 64"),
         ({"search": {"method": "hyperion"}}, "search.method: unknown search 'hyperion': expected one of deephyperion"),
@@ -302,20 +303,20 @@ def test_every_search_goes_on_where_it_was_stopped(tmp_path: Path, method: str) 
     assert parts.searches() == whole.searches() and parts.searches()[0][:3] == (DONKEYS[1], 0, method)
 
 
-def test_published_drives_the_mutants_centre_line_and_migrates_elites_alone(tmp_path: Path) -> None:
-    config = CONFIG.model_copy(update={"published": True})
+def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_alone(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"maxitwo_compatible": True})
     executor = MadeUpExecutor()
     _, store = run(tmp_path / "a", executor, config)
     tests = store.tests()
     assert len(tests) == 2 * (2 + 2 + 1)
-    mutants = [test for test in tests if test.road.published]
+    mutants = [test for test in tests if test.road.maxitwo_compatible]
     assert len(mutants) == 2 * 3 and all(len(test.road.points) == 96 for test in mutants)
     driven = {e.test_id: e.trajectory for e in store.executions()}
     for test in mutants:
         # What is driven begins where the mutant begins, though a simulator is sent control points alone.
         assert driven[test.test_id][0, :2] == pytest.approx(test.road.right_lane_centre[0], abs=1e-9)
     plan = config.map_plan()
-    cells = cells_of(tests, store.executions(), features=plan.features, published=True)
+    cells = cells_of(tests, store.executions(), features=plan.features, maxitwo_compatible=True)
     elites = elites_of(tests, store.executions(), cells)
     migrated = {e.test_id for e in store.executions() if not e.test_id.startswith(label_of(e.simulator) + "-")}
     assert migrated == elites and 0 < len(elites) <= len(tests)

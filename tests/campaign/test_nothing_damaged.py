@@ -15,10 +15,11 @@ import pytest
 from tests.campaign.executors import MadeUpExecutor
 from tests.campaign.test_campaign import maps_text, run
 
-from ds_orchestrator import cli, stopping
-from ds_orchestrator.config import CampaignConfig, SearchConfig, read_config
-from ds_orchestrator.lock import only_one
-from ds_orchestrator.store import Store, StoreError
+from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, read_config
+from ds_orchestrator.campaign.folder import locked
+from ds_orchestrator.cli import main as cli
+from ds_orchestrator.graph import signals as stopping
+from ds_orchestrator.store.store import Store, StoreError
 
 CONFIG = """
 siblings: [donkey]
@@ -151,7 +152,7 @@ def test_another_configuration_is_refused_key_by_key(campaign: Path, config: Pat
 
 def test_a_folder_in_use_is_refused(campaign: Path, config: Path, ds: Ds) -> None:
     before = content(campaign)
-    with only_one(campaign):
+    with locked(campaign):
         status, said = ds("campaign", "run", config, "--out", campaign)
     assert status == 1 and said == f"error: {campaign} is in use by another run: wait for it, or choose another --out"
     assert content(campaign) == before

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from ds_driver.control import Autopilot
-from ds_orchestrator import results
-from ds_orchestrator.campaign import Campaign
-from ds_orchestrator.commands.answers import Interrupted
-from ds_orchestrator.commands.campaigns import run_campaign
-from ds_orchestrator.config import CampaignConfig, ConfigError, SearchConfig
-from ds_orchestrator.store import Execution, Store, Test
+from ds_driver.control.autopilot import Autopilot
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
+from ds_orchestrator.campaign.runner import Campaign, Stopped
+from ds_orchestrator.report.build import write_all
+from ds_orchestrator.run import run_campaign
+from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.session import RunRecord, Session
@@ -36,18 +35,18 @@ def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch:
         raise KeyboardInterrupt
         yield
 
-    monkeypatch.setattr("ds_orchestrator.running.running_graph", stopped)
+    monkeypatch.setattr("ds_orchestrator.graph.session.running_graph", stopped)
     file = tmp_path / "car.yaml"
     file.write_text(CAR)
     config, out = config_with(file), tmp_path / "out"
-    with pytest.raises(Interrupted):
+    with pytest.raises(Stopped):
         run_campaign(config, out)
     file.write_text(CAR.replace("0.8", "0.7"))
     with pytest.raises(ConfigError, match="the file has changed since the campaign began: restore it") as caught:
         run_campaign(config, out)
     assert "\n" not in str(caught.value)
     file.write_text(CAR)
-    with pytest.raises(Interrupted):
+    with pytest.raises(Stopped):
         run_campaign(config, out)
 
 
@@ -91,7 +90,7 @@ def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     bags = [out / execution.bag for execution in store.executions()]
     assert len(bags) == len(set(bags)) == len(store.tests()) * 2
     assert all(bag.parent == out / "bags" and (bag / "metadata.yaml").is_file() for bag in bags)
-    report = results.write_all(out, store)
+    report = write_all(out, store)
     assert config.twin.replace("'", "&#39;") in report.read_text()
     pictures = [path.name for path in out.rglob("*.png")]
     assert any("car.yaml" in name for name in pictures), pictures

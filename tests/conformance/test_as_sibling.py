@@ -20,7 +20,7 @@ def test_the_whole_method_takes_a_third_sibling(tmp_path: Path) -> None:
     assert line is not None
     search = "search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}"
     (tmp_path / "c.yaml").write_text("\n".join((line.group(), "twin: donkey", "driver: autopilot", search)))
-    command = [sys.executable, "-m", "ds_orchestrator.cli", "campaign", "run", "c.yaml", "--out", "out", "--json"]
+    command = [sys.executable, "-m", "ds_orchestrator.cli.main", "campaign", "run", "c.yaml", "--out", "out", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stderr[-2000:]
     document = json.loads(done.stdout)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.driving import drive_road, make_driver
-from ds_orchestrator.campaign import trajectory_sha256
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_orchestrator.campaign.runner import trajectory_sha256
 from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import FRAME_TIME, Outcome
@@ -25,7 +25,7 @@ ROAD = generate(np.random.default_rng(21), max_angle=120)
 @pytest.fixture(scope="module")
 def graph(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Every simulator with the autopilot, in one graph; gives (executor, simulator -> namespace)."""
-    from ds_orchestrator.running import running_graph
+    from ds_orchestrator.graph.session import running_graph
 
     names = request.getfixturevalue("all_simulator_names")
     spaces = {name: f"/sim{index}" for index, name in enumerate(names)}

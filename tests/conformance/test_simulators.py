@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ds_driver.control import Autopilot
+from ds_driver.control.autopilot import Autopilot
 from ds_road import Road, RoadError, generate
 from ds_sim.registry import SIMULATORS, UnknownSimulatorError, make_simulator
 from ds_sim.simulator import (

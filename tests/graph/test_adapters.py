@@ -20,19 +20,21 @@ SPACE = {"donkey": "/ds1"}
 @pytest.fixture
 def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey, and the adapter with the parameters of the test."""
-    from ds_orchestrator.domain import Domain
-    from ds_orchestrator.graph import GraphExecutor
-    from ds_orchestrator.supervisor import ProcessSpec, Supervisor
+    from ds_orchestrator.graph.executor import GraphExecutor
+    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
     sync, parameters = request.param
-    domain = Domain()
+    domain = RosDomain()
     simulator = ProcessSpec(
         name="simulator_ds1",
-        module="ds_sim.node",
+        module="ds_sim.ros.simulator_node",
         namespace="/ds1",
         parameters={"simulator": "donkey", "command_timeout": 10.0, "sync": sync},
     )
-    adapter = ProcessSpec(name="driver", module="ds_driver.cmd_vel_adapter", namespace="/ds1", parameters=parameters)
+    adapter = ProcessSpec(
+        name="driver", module="ds_driver.ros.cmd_vel_adapter_node", namespace="/ds1", parameters=parameters
+    )
     supervisor = Supervisor([simulator, adapter], domain=domain.number, logs=logs)
     executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
     join(executor)

@@ -23,11 +23,11 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import Image
 
-    from ds_driver.network_driver import NetworkDriver
-    from ds_driver.preprocessing import Crop
-    from ds_driver.vehicle_commands import Geometry
-    from ds_orchestrator.domain import Domain
-    from ds_orchestrator.supervisor import ProcessSpec, Supervisor
+    from ds_driver.control.command_conversions import Geometry
+    from ds_driver.networks.network_driver import NetworkDriver
+    from ds_driver.networks.preprocessing import Crop
+    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
     from ds_road import Road
 
     bend = Road([(50, 30), (50, 60), (60, 85), (85, 100), (110, 105), (140, 105)])
@@ -47,10 +47,10 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
     speed = 2.0 * (1.0 - steering**2) ** 0.5
     yaw_rate = Geometry(0.3, 0.4).yaw_rate_of(speed, -0.4 * steering)
 
-    domain = Domain()
+    domain = RosDomain()
     spec = ProcessSpec(
         name="driver",
-        module="ds_driver.camera_driver",
+        module="ds_driver.ros.camera_driver_node",
         namespace="/car",
         parameters={
             "output": "twist_stamped",

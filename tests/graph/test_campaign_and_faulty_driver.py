@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ds_orchestrator.config import parse_config
+from ds_orchestrator.campaign.config import parse_config
 
 pytestmark = pytest.mark.graph
 
@@ -30,9 +30,10 @@ def test_a_campaign_outlives_its_driver(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, outcome: str, message: str
 ) -> None:
     """The driver goes once, in the midst of a run; the test is driven again, and nothing of it enters a map."""
-    from ds_orchestrator import running
-    from ds_orchestrator.commands.campaigns import run_campaign, status
-    from ds_orchestrator.supervisor import ProcessSpec
+    from ds_orchestrator.cli.campaigns import status
+    from ds_orchestrator.graph import session as running
+    from ds_orchestrator.graph.supervisor import ProcessSpec
+    from ds_orchestrator.run import run_campaign
 
     faulty = ProcessSpec(
         name="driver",
@@ -45,9 +46,9 @@ def test_a_campaign_outlives_its_driver(
     result = run_campaign(parse_config(CONFIG, "test"), tmp_path / "out")
     assert time.monotonic() - began < 100.0
     assert (tmp_path / "once").exists()
-    assert result.document["executions"] == 3 and result.document["executions_in_error"] == 0
+    assert result.executions == 3 and result.executions_in_error == 0
     errors = status(tmp_path / "out").document["errors"]
     assert [(error["outcome"], error["attempt"]) for error in errors] == [(outcome, 0)]
     assert message in errors[0]["message"]
-    report = Path(result.document["report"]).read_text()
+    report = result.report.read_text()
     assert errors[0]["test_id"] in report and message in report

@@ -26,14 +26,14 @@ class Bench:
     """A simulator, and a faulty driver that takes orders; both processes are started again when they end."""
 
     def __init__(self, folder: Path) -> None:
-        from ds_orchestrator.domain import Domain
-        from ds_orchestrator.graph import GraphExecutor
-        from ds_orchestrator.graph_plan import simulator_processes
-        from ds_orchestrator.supervisor import ProcessSpec, Supervisor
+        from ds_orchestrator.graph.executor import GraphExecutor
+        from ds_orchestrator.graph.process_specs import simulator_processes
+        from ds_orchestrator.graph.ros_domain import RosDomain
+        from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
         self._orders = folder / "orders"
         self.order("none")
-        self._domain = Domain()
+        self._domain = RosDomain()
         driver = ProcessSpec(
             name="faulty",  # not "driver": the executor knows nothing of it, as of a user's own node
             module="tests.graph.faulty_driver",
@@ -102,7 +102,7 @@ def test_only_the_first_answer_to_a_frame_counts(bench: Bench) -> None:
 
 
 def test_a_late_answer_within_the_limit_changes_nothing(bench: Bench) -> None:
-    from ds_orchestrator.campaign import trajectory_sha256
+    from ds_orchestrator.campaign.runner import trajectory_sha256
 
     bench.order("none")
     prompt, _ = bench.drive()

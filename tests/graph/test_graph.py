@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.control import Autopilot
-from ds_orchestrator.campaign import trajectory_sha256
+from ds_driver.control.autopilot import Autopilot
+from ds_orchestrator.campaign.runner import trajectory_sha256
 from ds_road import Road, generate
-from ds_sim import messages
 from ds_sim.registry import make_simulator
+from ds_sim.ros import conversions as messages
 from ds_sim.session import Session
 from ds_sim.simulator import Outcome
 
@@ -32,7 +32,7 @@ SPACE = {"donkey": "/ds1"}
 @pytest.fixture
 def graph(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey with the autopilot."""
-    from ds_orchestrator.running import running_graph
+    from ds_orchestrator.graph.session import running_graph
 
     with running_graph(SPACE, "autopilot", command_timeout=5.0, logs=logs) as executor:
         join(executor)
@@ -42,12 +42,12 @@ def graph(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
 @pytest.fixture
 def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey that waits 1.5 s for a driver that the test brings; gives (executor, ROS domain)."""
-    from ds_orchestrator.domain import Domain
-    from ds_orchestrator.graph import GraphExecutor
-    from ds_orchestrator.graph_plan import simulator_processes
-    from ds_orchestrator.supervisor import Supervisor
+    from ds_orchestrator.graph.executor import GraphExecutor
+    from ds_orchestrator.graph.process_specs import simulator_processes
+    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.supervisor import Supervisor
 
-    domain = Domain()
+    domain = RosDomain()
     supervisor = Supervisor(simulator_processes(SPACE, 1.5), domain=domain.number, logs=logs)
     executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=1.5, supervisor=supervisor)
     join(executor)
@@ -125,7 +125,7 @@ def test_a_run_whose_client_died_is_ended_and_the_next_one_begins(graph: Any) ->
 
 
 def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
-    from ds_orchestrator.graph import GraphError
+    from ds_orchestrator.graph.executor import GraphError
 
     graph.check_simulators()
     graph._namespaces["bullet"] = "/ds1"
@@ -263,7 +263,7 @@ def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Somebody's class, found on PYTHONPATH by the driver's process; its log tells how long the answers took."""
-    from ds_orchestrator.running import running_graph
+    from ds_orchestrator.graph.session import running_graph
 
     (tmp_path / "late.py").write_text(
         "class Late:\n    def drive(self, seen):\n        return float('nan') if seen.step == 5 else 0.0\n"
@@ -284,11 +284,11 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
     from rclpy.node import Node
     from sensor_msgs.msg import Image
 
-    from ds_orchestrator.domain import Domain
-    from ds_orchestrator.graph_plan import driver_process
-    from ds_orchestrator.supervisor import Supervisor
+    from ds_orchestrator.graph.process_specs import driver_process
+    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.supervisor import Supervisor
 
-    domain = Domain()
+    domain = RosDomain()
     supervisor = Supervisor([driver_process("dave2", SPACE)], domain=domain.number, logs=logs)
     rclpy.init(domain_id=domain.number)
     node = Node("camera")

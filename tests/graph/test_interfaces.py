@@ -13,11 +13,11 @@ pytestmark = pytest.mark.graph
 
 DOCUMENT = Path("docs/interfaces.md")
 NODES: dict[str, tuple[str, dict[str, object]]] = {
-    "simulator": ("ds_sim.node", {"simulator": "donkey", "publish_clock": True}),
-    "driver": ("ds_driver.node", {}),
-    "autopilot": ("ds_driver.autopilot_node", {}),
-    "cmd_vel_adapter": ("ds_driver.cmd_vel_adapter", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
-    "camera_driver": ("ds_driver.camera_driver", {}),
+    "simulator": ("ds_sim.ros.simulator_node", {"simulator": "donkey", "publish_clock": True}),
+    "driver": ("ds_driver.ros.driver_node", {}),
+    "autopilot": ("ds_driver.ros.autopilot_node", {}),
+    "cmd_vel_adapter": ("ds_driver.ros.cmd_vel_adapter_node", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
+    "camera_driver": ("ds_driver.ros.camera_driver_node", {}),
 }
 """Node -> module and parameters under which all of its documented interfaces are there."""
 OPTIONAL = {
@@ -48,10 +48,10 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     import rclpy
     from rclpy.node import Node
 
-    from ds_orchestrator.domain import Domain
-    from ds_orchestrator.supervisor import ProcessSpec, Supervisor
+    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
-    domain = Domain()
+    domain = RosDomain()
     specs = [
         ProcessSpec(name=name, module=module, namespace=f"/{name}_space", parameters=parameters)
         for name, (module, parameters) in NODES.items()

@@ -56,11 +56,11 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[floa
                 seen.update(filter(None, others.values()))
             time.sleep(0.5)
 
-    watcher = threading.Thread(target=watch)
-    watcher.start()
+    listener = threading.Thread(target=watch)
+    listener.start()
     times = lines_of(one)
     assert two.wait() == 0
-    watcher.join()
+    listener.join()
     return folder, times, domains
 
 

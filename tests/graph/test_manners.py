@@ -51,9 +51,9 @@ def start() -> Iterator[Start]:
 
 @pytest.fixture
 def domain() -> Iterator[int]:
-    from ds_orchestrator.domain import Domain
+    from ds_orchestrator.graph.ros_domain import RosDomain
 
-    held = Domain()
+    held = RosDomain()
     yield held.number
     held.close()
 
@@ -105,7 +105,7 @@ def test_a_node_ends_in_the_midst_of_a_run(
     start: Start, domain: int, number: signal.Signals, simulator: str, logs: Path
 ) -> None:
     """A sound one that runs at full speed, and one that hangs in its physics."""
-    from ds_orchestrator.graph import GraphExecutor
+    from ds_orchestrator.graph.executor import GraphExecutor
 
     process = start("ds_sim/simulator", domain, "-p", f"simulator:={simulator}", "-r", "__ns:=/a/b")
     driver = start("ds_driver/autopilot", domain, "-r", "__ns:=/a/b")
@@ -132,8 +132,8 @@ def test_two_graphs_in_two_domains_leave_each_other_alone(logs: Path) -> None:
     from concurrent.futures import ThreadPoolExecutor
     from contextlib import ExitStack
 
-    from ds_orchestrator.campaign import trajectory_sha256
-    from ds_orchestrator.running import running_graph
+    from ds_orchestrator.campaign.runner import trajectory_sha256
+    from ds_orchestrator.graph.session import running_graph
 
     with ExitStack() as stack:
         graphs: list[Any] = [

@@ -13,13 +13,13 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-from ds_orchestrator.config import read_config
-from ds_orchestrator.graph_plan import driver_process, namespaces_of, simulator_processes
+from ds_orchestrator.campaign.config import read_config
+from ds_orchestrator.graph.process_specs import driver_process, namespaces_of, simulator_processes
 
 EXECUTABLES = {
-    "ds_sim.node": ("ds_sim", "simulator"),
-    "ds_driver.node": ("ds_driver", "driver"),
-    "ds_driver.autopilot_node": ("ds_driver", "autopilot"),
+    "ds_sim.ros.simulator_node": ("ds_sim", "simulator"),
+    "ds_driver.ros.driver_node": ("ds_driver", "driver"),
+    "ds_driver.ros.autopilot_node": ("ds_driver", "autopilot"),
 }
 """Module of a process -> package and executable that run it."""
 

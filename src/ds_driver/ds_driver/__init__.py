@@ -1,1 +1,8 @@
-"""Drivers: the reference autopilot, the networks, their training data and training, and the nodes that run them."""
+"""Driving networks, their training, and the nodes that drive.
+
+Public names are imported when they are first used; `__init__.pyi` lists them.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from ds_driver import backends
-from ds_driver.backends import BackendError, onnx_runner, split_backend, with_backend
-from ds_driver.network_driver import NetworkDriver, driver_sha256
-from ds_driver.networks import NETWORKS, make_network
-from ds_driver.onnx_graph import to_onnx
-from ds_driver.preprocessing import Crop, prepare
-from ds_driver.weights import save_weights, weights_sha256
+from ds_driver.networks import backends
+from ds_driver.networks.architectures import NETWORKS, make_network
+from ds_driver.networks.backends import BackendError, onnx_runner, split_backend, with_backend
+from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
+from ds_driver.networks.onnx_export import to_onnx
+from ds_driver.networks.preprocessing import Crop, prepare
+from ds_driver.networks.weights import save_weights, weights_sha256
 
 FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.uint8)
 
@@ -35,7 +35,7 @@ def weights(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
 
 def test_every_backend_computes_what_pytorch_computes(weights: tuple[str, Path]) -> None:
     """Held against the network itself, called in the plainest way: batch first, no memory layout, no runner."""
-    from ds_driver.weights import load_network
+    from ds_driver.networks.weights import load_network
 
     network = load_network(str(weights[1]))
     with torch.inference_mode():
@@ -52,8 +52,8 @@ def test_every_backend_computes_what_pytorch_computes(weights: tuple[str, Path])
 def test_a_backend_gives_the_same_bits_in_another_process() -> None:
     script = (
         "import numpy as np\n"
-        "from ds_driver.network_driver import NetworkDriver\n"
-        "from ds_driver.preprocessing import Crop\n"
+        "from ds_driver.networks.network_driver import NetworkDriver\n"
+        "from ds_driver.networks.preprocessing import Crop\n"
         "image = np.random.default_rng(3).integers(0, 256, (160, 320, 3), dtype=np.uint8)\n"
         "for b in ('torch', 'onnx', 'openvino'):\n"
         "    print(NetworkDriver('dave2@' + b).steering(image, Crop(54, 0)).hex())"

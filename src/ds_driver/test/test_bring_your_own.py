@@ -16,12 +16,12 @@ import yaml
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from ds_driver.control import throttle
-from ds_driver.driving import drive_road, make_driver
-from ds_driver.network_driver import NetworkDriver, driver_sha256
-from ds_driver.network_file import FilePilot, NetworkFile
-from ds_driver.pilots import DriverError, Seen
-from ds_driver.preprocessing import Crop
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.control.autopilot import throttle
+from ds_driver.networks.described_network import DescribedNetwork, DescribedNetworkPilot
+from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
+from ds_driver.networks.pilot import DriverError, Frame
+from ds_driver.networks.preprocessing import Crop
 from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome
@@ -129,7 +129,7 @@ def test_a_donkey_car_pilot_in_tensorflow_lite_answers_as_tensorflow_says(tmp_pa
     assert (command.steering, command.throttle) == pytest.approx((-0.243504, 0.731181), abs=1e-5)
     (tmp_path / "mypilot.tflite").write_bytes(b"not a network")
     with pytest.raises(DriverError, match="mypilot.tflite cannot be loaded by OpenVINO"):
-        FilePilot(tmp_path / "p.yaml")
+        DescribedNetworkPilot(tmp_path / "p.yaml")
 
 
 class Pixel(nn.Module):
@@ -179,7 +179,7 @@ def test_colours_layouts_and_normalisation(
     layout, channels = keys.get("layout", "nchw"), 1 if keys.get("colour") == "grey" else 3
     shape = (1, channels, 8, 16) if layout == "nchw" else (1, 8, 16, channels)
     path = written(tmp_path, Pixel(*place), shape, input={"size": [8, 16], **keys})
-    found = FilePilot(path).predict(Seen(image=image, speed=1.0))
+    found = DescribedNetworkPilot(path).predict(Frame(image=image, speed=1.0))
     assert found.steering == pytest.approx(expected, abs=0.6 if channels == 1 or "colour" in keys else 1e-5)
     assert found.throttle is None
 
@@ -194,7 +194,7 @@ def test_crops(tmp_path: Path, crop: object, first: int, last: int) -> None:
     for place, expected in ((0, first), (high - 1, last)):
         network = Pixel(0, place, 7)
         path = written(tmp_path, network, (1, 3, high, 320), input={"size": [high, 320], "crop": crop})
-        assert FilePilot(path).predict(Seen(image=rows, speed=0.0, crop=Crop(54, 1))).steering == expected
+        assert DescribedNetworkPilot(path).predict(Frame(image=rows, speed=0.0, crop=Crop(54, 1))).steering == expected
 
 
 def test_outputs_are_chosen_scaled_and_turned(tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_number_types_and_inputs_that_do_not_fit_are_told(tmp_path: Path) -> Non
 
 
 def test_the_guides_descriptions_are_valid() -> None:
-    found = [NetworkFile.model_validate(yaml.safe_load(text)) for text in examples("yaml")]
+    found = [DescribedNetwork.model_validate(yaml.safe_load(text)) for text in examples("yaml")]
     assert [f.file for f in found] == ["my_net.onnx", "mypilot.onnx", "mypilot.tflite"]
 
 

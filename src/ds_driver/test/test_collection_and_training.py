@@ -11,11 +11,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from ds_driver.augmentation import augment
-from ds_driver.collection import CollectionPlan, collect, training_roads
-from ds_driver.dataset import DatasetError, Sample, balance, check_equal, decode, encode, read_samples, write_manifest
-from ds_driver.preprocessing import Crop
-from ds_driver.training import TrainingError, TrainingPlan, device_of, schedule_of, split, train
+from ds_driver.data.collection import CollectionPlan, collect, training_roads
+from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples, write_manifest
+from ds_driver.networks.preprocessing import Crop
+from ds_driver.training.augmentation import augment
+from ds_driver.training.trainer import TrainingError, TrainingPlan, device_of, schedule_of, split, train
+from ds_sim.camera.jpeg import encode
 
 JPEG = encode(np.zeros((160, 320, 3), np.uint8))
 PLAN = CollectionPlan(roads=2, seed=5, max_angle=60, every=12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ds_driver.control import Autopilot, throttle
+from ds_driver.control.autopilot import Autopilot, throttle
 from ds_sim.simulator import AutopilotGains, Command
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from ds_driver.frame_matching import FrameMatching
+from ds_driver.control.stamp_matching import StampMatcher
 
 STEP = 50_000_000
 
 
 def test_a_stamped_command_answers_its_frame_whichever_comes_first() -> None:
-    matching: FrameMatching[str, str] = FrameMatching()
+    matching: StampMatcher[str, str] = StampMatcher()
     assert matching.frame(STEP, "a") is None
     assert matching.command(STEP, "left") == ("a", "left")
     assert matching.command(2 * STEP, "right") is None
@@ -18,7 +18,7 @@ def test_a_stamped_command_answers_its_frame_whichever_comes_first() -> None:
 
 
 def test_a_second_answer_a_late_one_and_a_stamp_of_no_frame_are_refused() -> None:
-    matching: FrameMatching[str, str] = FrameMatching()
+    matching: StampMatcher[str, str] = StampMatcher()
     matching.frame(STEP, "a")
     matching.command(STEP, "left")
     for stamp in (STEP, STEP // 2, 1_700_000_000 * 10**9):
@@ -28,7 +28,7 @@ def test_a_second_answer_a_late_one_and_a_stamp_of_no_frame_are_refused() -> Non
 
 
 def test_a_command_without_stamp_answers_the_newest_frame_once_or_the_next() -> None:
-    matching: FrameMatching[str, str] = FrameMatching()
+    matching: StampMatcher[str, str] = StampMatcher()
     matching.frame(STEP, "a")
     matching.frame(2 * STEP, "b")
     assert matching.command(0, "left") == ("b", "left")
@@ -39,18 +39,18 @@ def test_a_command_without_stamp_answers_the_newest_frame_once_or_the_next() -> 
 
 
 def test_a_frame_that_is_shown_again_can_be_answered_again() -> None:
-    matching: FrameMatching[str, str] = FrameMatching()
+    matching: StampMatcher[str, str] = StampMatcher()
     for _ in range(2):
         assert matching.frame(STEP, "a") is None
         assert matching.command(STEP, "left") == ("a", "left")
 
 
 def test_nothing_piles_up() -> None:
-    matching: FrameMatching[int, int] = FrameMatching()
+    matching: StampMatcher[int, int] = StampMatcher()
     for number in range(1, 2000):
         matching.frame(number * STEP, number)
     assert len(matching._frames) <= 20
-    matching = FrameMatching()
+    matching = StampMatcher()
     for number in range(1, 2000):
         matching.command(number * STEP, number)
     assert len(matching._early) <= 20

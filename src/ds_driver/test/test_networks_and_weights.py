@@ -10,10 +10,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from ds_driver.network_driver import NetworkDriver
-from ds_driver.networks import NETWORKS, UnknownNetworkError, count_parameters, make_network
-from ds_driver.preprocessing import Crop, ImageError, prepare
-from ds_driver.weights import WeightsError, load_network, save_weights, shipped_networks
+from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError, count_parameters, make_network
+from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.preprocessing import Crop, ImageError, prepare
+from ds_driver.networks.weights import WeightsError, load_network, save_weights, shipped_networks
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("dave2", 2_882_619), ("chauffeur", 104_905), ("epoch", 26_239_009)])

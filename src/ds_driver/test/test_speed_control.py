@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ds_driver.speed_control import SpeedControl
+from ds_driver.control.speed_controller import SpeedController
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Command
@@ -12,7 +12,7 @@ from ds_sim.simulator import Command
 
 @pytest.mark.parametrize(("name", "wanted"), [("bullet", 5.0), ("softbody", 5.0), ("donkey", 3.0), ("donkey", 6.0)])
 def test_a_wanted_speed_is_reached_and_held(name: str, wanted: float) -> None:
-    simulator, control = make_simulator(name), SpeedControl()
+    simulator, control = make_simulator(name), SpeedController()
     seen = simulator.load(Road([(125.0, 25.0 * i) for i in range(9)]), seed=1)
     speeds = []
     for _ in range(160):
@@ -24,7 +24,7 @@ def test_a_wanted_speed_is_reached_and_held(name: str, wanted: float) -> None:
 
 
 def test_a_stop_lets_go_of_the_throttle_at_once() -> None:
-    control = SpeedControl()
+    control = SpeedController()
     for _ in range(100):
         control.throttle(8.0, 3.0)
     assert control.throttle(0.0, 3.0) == 0.0
@@ -33,7 +33,7 @@ def test_a_stop_lets_go_of_the_throttle_at_once() -> None:
 
 def test_the_integral_does_not_wind_up_while_the_throttle_is_full() -> None:
     """After a minute far below the wanted speed, the throttle falls as soon as it is passed by a little."""
-    control = SpeedControl()
+    control = SpeedController()
     for _ in range(1200):
         assert control.throttle(8.0, 0.0) == 1.0
     assert control.throttle(8.0, 8.5) < 1.0

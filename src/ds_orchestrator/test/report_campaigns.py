@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_orchestrator.config import CampaignConfig
-from ds_orchestrator.evaluation import Correlation, evaluate
-from ds_orchestrator.maps import FeatureMap, campaign_maps
-from ds_orchestrator.store import Execution, Store, Test
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.evaluation.correlation import Correlation, evaluate
+from ds_orchestrator.maps.campaign_maps import build_maps
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road, generate
 from ds_sim.registry import label_of
 from ds_sim.simulator import Outcome
@@ -71,5 +72,5 @@ def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int) -> Sto
 
 
 def results(store: Store, config: CampaignConfig) -> tuple[dict[str, FeatureMap], list[Correlation]]:
-    maps = campaign_maps(config.siblings, config.twin, store.tests(), store.executions())
+    maps = build_maps(config.siblings, config.twin, store.tests(), store.executions())
     return maps, evaluate(maps, config.siblings, config.twin) if config.twin else []

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_driver.driving import Drive, drive_all, drive_road, make_driver
-from ds_orchestrator.comparison import compare, gaps, most_different, summary
+from ds_driver.closed_loop.simulation import Drive, drive_all, drive_road, make_driver
+from ds_orchestrator.evaluation.simulator_agreement import compare, gaps, most_different, summary
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ds_orchestrator.features import FEATURES, FeatureError, cell_of, feature_of
+from ds_orchestrator.search.features import FEATURES, FeatureError, cell_of, feature_of
 from ds_road import Road, generate
 
 STRAIGHT = Road([(125.0, 25.0 * k) for k in range(9)])
@@ -71,9 +71,9 @@ def test_names_that_stand_for_nothing(name: str) -> None:
         feature_of(name)
 
 
-def test_published_counts_turns_with_its_own_constants() -> None:
+def test_maxitwo_compatible_counts_turns_with_its_own_constants() -> None:
     roads = [generate(np.random.default_rng(s), max_angle=300) for s in range(30)]
-    cells = [cell_of(road, published=True) for road in roads]
-    assert cells == [(road.turns_count_published, road.curvature_bin) for road in roads]
+    cells = [cell_of(road, maxitwo_compatible=True) for road in roads]
+    assert cells == [(road.turns_count_maxitwo, road.curvature_bin) for road in roads]
     assert cells != [cell_of(road) for road in roads]
     assert set(FEATURES) >= {"turns_count", "curvature"}

@@ -14,22 +14,15 @@ from hypothesis import strategies as st
 from scipy.stats import beta
 from statsmodels.stats.proportion import proportion_confint
 
-from ds_orchestrator.evaluation import Array, correlate, evaluate, gains, variants
-from ds_orchestrator.features import Cell
-from ds_orchestrator.maps import (
-    FeatureMap,
-    MapCell,
-    MapPlan,
-    campaign_maps,
-    cells_of,
-    elites_of,
-    merge,
-    slices_of,
-    to_json,
-    union,
-)
-from ds_orchestrator.operators import apply, jeffreys_interval, merged_interval
-from ds_orchestrator.store import Execution, Test
+from ds_orchestrator.evaluation.correlation import correlate, evaluate, paired_differences
+from ds_orchestrator.evaluation.robustness_checks import check_robustness
+from ds_orchestrator.evaluation.statistics import Array
+from ds_orchestrator.maps.algebra import merge, union
+from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, slices_of, to_json
+from ds_orchestrator.maps.merge_operators import apply, jeffreys_interval, merged_interval
+from ds_orchestrator.search.features import Cell
+from ds_orchestrator.store.store import Execution, Test
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome
 
@@ -72,7 +65,7 @@ def probabilities(feature_map: FeatureMap) -> dict[Cell, Any]:
 
 
 def test_maps_of_the_hand_worked_campaign() -> None:
-    maps = campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS)
+    maps = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS)
     x, y = CELLS[X], CELLS[Y]
     # a on its own three tests in X: only a0 fails.
     assert probabilities(maps["search_a"]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
@@ -86,9 +79,9 @@ def test_maps_of_the_hand_worked_campaign() -> None:
     assert merged == {x: (9, pytest.approx(3 / 9 * 4 / 9 * 2 / 9)), y: (3, 0.0)}
     assert probabilities(maps["twin_twin"]) == {x: (9, pytest.approx(2 / 9)), y: (3, 0.0)}
     # Quality over the range 0.5 to 2.5: 2.5 -> 1, 2.1 -> 0.8. Cell X on a: (1 + 0.8 + 0.8) / 9, on c: (0.8 + 0.8) / 9.
-    assert maps["union_a"].cells[x].quality == pytest.approx(2.6 / 9)
-    assert maps["union_c"].cells[x].quality == pytest.approx(1.6 / 9)
-    assert maps["merged"].cells[x].quality == pytest.approx(1.6 / 9)
+    assert maps["union_a"].cells[x].quality_loss == pytest.approx(2.6 / 9)
+    assert maps["union_c"].cells[x].quality_loss == pytest.approx(1.6 / 9)
+    assert maps["merged"].cells[x].quality_loss == pytest.approx(1.6 / 9)
     assert maps["merged"].cells[x].failures is None and maps["union_a"].cells[x].failures == 3
 
 
@@ -98,7 +91,7 @@ def test_errors_enter_no_map_and_an_empty_cell_is_not_zero() -> None:
         else e
         for e in EXECUTIONS
     ]  # fmt: skip
-    maps = campaign_maps(SIBLINGS, None, TESTS, lost)
+    maps = build_maps(SIBLINGS, None, TESTS, lost)
     assert CELLS[Y] not in maps["union_b"].cells and CELLS[Y] not in maps["merged"].cells
     assert CELLS[Y] in maps["union_a"].cells
     assert not any(name.startswith("twin") for name in maps)
@@ -108,14 +101,14 @@ def test_errors_enter_no_map_and_an_empty_cell_is_not_zero() -> None:
 def test_stuck_and_timeout_are_failures() -> None:
     tests = [make_test("a0", "a", X), make_test("a1", "a", X)]
     done = [make_execution("a0", "a", 0.1, Outcome.STUCK), make_execution("a1", "a", 0.1, Outcome.TIMEOUT)]
-    assert campaign_maps(["a"], None, tests, done)["union_a"].cells[CELLS[X]].probability == 1.0
+    assert build_maps(["a"], None, tests, done)["union_a"].cells[CELLS[X]].probability == 1.0
 
 
 cells = st.dictionaries(
     st.tuples(st.integers(0, 4), st.integers(4, 9)),
     st.builds(
         lambda tests, share, quality: MapCell(
-            tests=tests, failures=round(share * tests), probability=round(share * tests) / tests, quality=quality
+            tests=tests, failures=round(share * tests), probability=round(share * tests) / tests, quality_loss=quality
         ),
         st.integers(1, 9), st.floats(0, 1), st.floats(0, 1),
     ),
@@ -133,7 +126,7 @@ def test_merge_does_not_depend_on_order_and_never_exceeds_any_sibling(maps: list
     for cell, value in one.cells.items():
         assert value.probability == pytest.approx(other.cells[cell].probability)
         assert value.probability <= min(m.cells[cell].probability for m in maps) + 1e-12
-        assert value.quality == min(m.cells[cell].quality for m in maps)
+        assert value.quality_loss == min(m.cells[cell].quality_loss for m in maps)
 
 
 @given(feature_maps)
@@ -142,7 +135,7 @@ def test_one_sibling_gives_itself_back(feature_map: FeatureMap) -> None:
     alone = union("m", [feature_map])
     assert probabilities(alone) == probabilities(feature_map)
     for cell, value in alone.cells.items():
-        assert value.quality == feature_map.cells[cell].quality == pytest.approx(value.pooled_quality)
+        assert value.quality_loss == feature_map.cells[cell].quality_loss == pytest.approx(value.pooled_quality_loss)
 
 
 @given(st.lists(feature_maps, min_size=1, max_size=4), st.randoms())
@@ -155,26 +148,26 @@ def test_a_union_adds_up_and_does_not_depend_on_order(maps: list[FeatureMap], ra
     for cell, value in one.cells.items():
         parts = [m.cells[cell] for m in maps if cell in m.cells]
         assert value.tests == sum(p.tests for p in parts) and value.failures == sum(p.failures or 0 for p in parts)
-        qualities = [p.quality for p in parts]
-        assert min(qualities) - 1e-12 <= value.quality <= max(qualities) + 1e-12
+        qualities = [p.quality_loss for p in parts]
+        assert min(qualities) - 1e-12 <= value.quality_loss <= max(qualities) + 1e-12
         assert value.interval is not None and value.interval[0] <= value.probability <= value.interval[1]
 
 
 def test_both_qualities_of_a_union_with_unequal_counts() -> None:
     """Nine tests of 0.1 and one of 0.9: the paper's mean of the maps' means is 0.5, maxitwo's mean of tests 0.18."""
-    many = FeatureMap(name="a", cells={(1, 5): MapCell(tests=9, failures=0, probability=0.0, quality=0.1)})
+    many = FeatureMap(name="a", cells={(1, 5): MapCell(tests=9, failures=0, probability=0.0, quality_loss=0.1)})
     one = FeatureMap(
         name="b",
         cells={
-            (1, 5): MapCell(tests=1, failures=1, probability=1.0, quality=0.9),
-            (2, 5): MapCell(tests=1, failures=1, probability=1.0, quality=0.9),
+            (1, 5): MapCell(tests=1, failures=1, probability=1.0, quality_loss=0.9),
+            (2, 5): MapCell(tests=1, failures=1, probability=1.0, quality_loss=0.9),
         },
     )
-    paper, pooled = union("u", [many, one]), union("u", [many, one], pooled_quality=True)
-    assert (paper.cells[1, 5].quality, paper.cells[1, 5].pooled_quality) == pytest.approx((0.5, 0.18))
-    assert pooled.cells[1, 5].quality == pytest.approx(0.18)
+    paper, pooled = union("u", [many, one]), union("u", [many, one], pooled_quality_loss=True)
+    assert (paper.cells[1, 5].quality_loss, paper.cells[1, 5].pooled_quality_loss) == pytest.approx((0.5, 0.18))
+    assert pooled.cells[1, 5].quality_loss == pytest.approx(0.18)
     # A cell that one map leaves empty is the other's: what is not known is not 0.
-    assert paper.cells[2, 5].quality == pooled.cells[2, 5].quality == 0.9
+    assert paper.cells[2, 5].quality_loss == pooled.cells[2, 5].quality_loss == 0.9
     assert paper.cells[1, 5].probability == pytest.approx(1 / 10)
 
 
@@ -199,18 +192,20 @@ def test_elites_of_the_hand_worked_campaign() -> None:
 
 def test_migrated_elites_and_the_published_way() -> None:
     x, y = CELLS[X], CELLS[Y]
-    chosen = campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True))
+    chosen = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True))
     assert probabilities(chosen["search_a"]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
     # a0 and b0 fail on a, c2 does not; of a3, b3 and c3 only c3 does.
     assert probabilities(chosen["union_a"]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
     assert probabilities(chosen["union_b"]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
     assert probabilities(chosen["twin_twin"]) == {x: (3, pytest.approx(2 / 3)), y: (3, 0.0)}
     assert probabilities(chosen["merged"])[x] == (3, pytest.approx(2 / 3 * 2 / 3 * 2 / 3))
-    published = campaign_maps(
-        SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True, published=True, quality="maximum")
+    maxitwo_compatible = build_maps(
+        SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True, maxitwo_compatible=True, quality_loss="maximum")
     )
-    assert all(value.tests == 1 for value in published["search_a"].cells.values())
-    assert published["search_a"].cells.keys() <= {(r.turns_count_published, r.curvature_bin) for r in ROADS.values()}
+    assert all(value.tests == 1 for value in maxitwo_compatible["search_a"].cells.values())
+    assert maxitwo_compatible["search_a"].cells.keys() <= {
+        (r.turns_count_maxitwo, r.curvature_bin) for r in ROADS.values()
+    }
 
 
 @pytest.mark.parametrize(
@@ -277,7 +272,9 @@ def test_the_authors_rules_on_the_same_counts() -> None:
         cells: dict[Cell, MapCell] = {}
         for cell, group in individuals.items():
             n, q = sum(failed for failed, _ in group), sum(value for _, value in group) / len(group)
-            cells[cell] = MapCell(tests=len(group), failures=n, probability=n / len(group), quality=q, pooled_quality=q)
+            cells[cell] = MapCell(
+                tests=len(group), failures=n, probability=n / len(group), quality_loss=q, pooled_quality_loss=q
+            )
         return FeatureMap(name=name, cells=cells)
 
     def pooled(target: str) -> dict[Cell, list[tuple[bool, float]]]:
@@ -287,10 +284,10 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     unions = {}
     for target in names:
         parts = [feature_map(f"{origin} to {target}", counted[origin, target]) for origin in "ab"]
-        united = union(f"union_{target}", parts, pooled_quality=True)
+        united = union(f"union_{target}", parts, pooled_quality_loss=True)
         for cell, group in pooled(target).items():
             assert united.cells[cell].probability == sum(failed for failed, _ in group) / len(group)
-            assert united.cells[cell].quality == pytest.approx(sum(value for _, value in group) / len(group))
+            assert united.cells[cell].quality_loss == pytest.approx(sum(value for _, value in group) / len(group))
         unions[target] = united
     a, b, twin = (unions[name].cells for name in names)
     assert set(a) == set(b) == set(twin)
@@ -304,7 +301,7 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     for operator, expected in rules.items():
         merged = merge("merged", [unions["a"], unions["b"]], probability=operator)
         assert {c: v.probability for c, v in merged.cells.items()} == pytest.approx(expected)
-        assert all(merged.cells[c].quality == min(a[c].quality, b[c].quality) for c in a)
+        assert all(merged.cells[c].quality_loss == min(a[c].quality_loss, b[c].quality_loss) for c in a)
     # Correlation: over the cells of both, and over the whole grid with -2 in what is empty.
     merged = merge("merged", [unions["a"], unions["b"]])
     score, truth = ([m[c].probability for c in sorted(a)] for m in (merged.cells, twin))
@@ -315,7 +312,7 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     searches = {f"search_{n}": feature_map("s", counted[n, n]) for n in "ab"}
     own = {f"migration_{n}_to_twin": feature_map("t", counted[n, "twin"]) for n in "ab"}
     maps = {**searches, **own, "union_a": unions["a"], "union_b": unions["b"], "merged": merged}
-    others = variants({**maps, "twin_twin": unions["twin"]}, ["a", "b"], "twin")
+    others = check_robustness({**maps, "twin_twin": unions["twin"]}, ["a", "b"], "twin")
     (filled_row,) = [v for v in others if "-2" in v.what and v.name == "merged" and v.value == "probability"]
     low, high = np.min(sorted(a), axis=0), np.max(sorted(a), axis=0)
     grid = [(i, j) for i in range(low[0], high[0] + 1) for j in range(low[1], high[1] + 1)]
@@ -364,7 +361,7 @@ def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
     values = {"union_a": [*good.tolist(), 1.0], "union_b": bad.tolist(), "twin_t": [*truth.tolist(), 0.0]}
     unions = {name: replace(row(of_cells), name=name) for name, of_cells in values.items()}
     maps = {**unions, "merged": merge("merged", [unions["union_a"], unions["union_b"]], probability="product")}
-    over_a, over_b = (g for g in gains(maps, ["a", "b"], "t", resamples=400) if g.value == "probability")
+    over_a, over_b = (g for g in paired_differences(maps, ["a", "b"], "t", resamples=400) if g.value == "probability")
     merged = good * bad
     assert (over_a.over, over_b.over, over_a.cells, over_b.cells) == ("union_a", "union_b", 50, 50)
 
@@ -380,9 +377,11 @@ def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
         assert gain.auc == pytest.approx(precisions[0] - precisions[1])
     assert over_a.r is not None and over_b.r is not None and over_a.r < over_b.r
     # Nothing to merge, nothing added; a twin without failures leaves both numbers open.
-    assert gains(maps, ["a"], "t") == []
+    assert paired_differences(maps, ["a"], "t") == []
     safe = {**maps, "twin_t": row([0.0] * 50)}
-    assert {(g.r, g.r_interval, g.auc, g.auc_interval) for g in gains(safe, ["a", "b"], "t")} == {(None,) * 4}
+    assert {(g.r, g.r_interval, g.auc, g.auc_interval) for g in paired_differences(safe, ["a", "b"], "t")} == {
+        (None,) * 4
+    }
 
 
 def test_an_auc_that_is_not_defined_says_why() -> None:
@@ -402,7 +401,7 @@ def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_made_the_test() 
     tests = [make_test("a0", "a", X), make_test("b0", "b", X)]
     done = [steered("a0", "a", [0.5, -0.5]), steered("a0", "b", [0.1, 0.1]), steered("b0", "a", [0.2, -0.2])]
     plan = MapPlan(features=("steering_deviation", "mean_lateral_position:10", "turns_count"))
-    maps = campaign_maps(["a", "b"], None, tests, done, plan)
+    maps = build_maps(["a", "b"], None, tests, done, plan)
     cell = (50, 2, X)  # deviation 0.5; 25 cm in steps of ten
     assert set(maps["search_a"].cells) == set(maps["migration_a_to_b"].cells) == {cell}
     assert set(maps["union_a"].cells) == set(maps["union_b"].cells) == {cell}
@@ -412,7 +411,7 @@ def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_made_the_test() 
 
 
 def test_counts_add_up_over_origins() -> None:
-    maps = campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS)
+    maps = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS)
     for sibling in SIBLINGS:
         parts = [maps[f"search_{sibling}"], *(maps[f"migration_{o}_to_{sibling}"] for o in SIBLINGS if o != sibling)]
         for cell, value in maps[f"union_{sibling}"].cells.items():
@@ -422,7 +421,7 @@ def test_counts_add_up_over_origins() -> None:
 
 def row(values: list[float]) -> FeatureMap:
     cells: dict[Cell, MapCell] = {
-        (i, 5): MapCell(tests=1, failures=0, probability=v, quality=1 - v) for i, v in enumerate(values)
+        (i, 5): MapCell(tests=1, failures=0, probability=v, quality_loss=1 - v) for i, v in enumerate(values)
     }
     return FeatureMap(name="m", cells=cells)
 
@@ -434,7 +433,7 @@ def test_pearson_equals_the_textbook_formula() -> None:
     r = covariance / math.sqrt(sum((a - mx) ** 2 for a in ours) * sum((b - my) ** 2 for b in truth))
     found = correlate(row(ours), row(truth), "probability")
     assert found.r == pytest.approx(r) and found.cells == 5 and found.p is not None and 0 < found.p < 1
-    assert correlate(row(ours), row(truth), "quality").r == pytest.approx(-r)
+    assert correlate(row(ours), row(truth), "quality_loss").r == pytest.approx(-r)
 
 
 @pytest.mark.parametrize(
@@ -447,9 +446,9 @@ def test_a_correlation_that_is_not_defined_says_why(ours: list[float], truth: li
 
 
 def test_every_sibling_and_the_merge_are_compared_with_the_twin() -> None:
-    found = evaluate(campaign_maps(SIBLINGS, "twin", TESTS, EXECUTIONS), SIBLINGS, "twin", resamples=20)
+    found = evaluate(build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS), SIBLINGS, "twin", resamples=20)
     names = ["union_a", "union_b", "union_c", "merged"]
-    assert [(c.name, c.value) for c in found] == [(n, v) for v in ("probability", "quality") for n in names]
+    assert [(c.name, c.value) for c in found] == [(n, v) for v in ("probability", "quality_loss") for n in names]
 
 
 def test_roads_for_the_table_exist() -> None:

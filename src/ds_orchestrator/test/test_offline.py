@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
-from ds_driver.dataset import encode, write_drive
-from ds_driver.networks import make_network
-from ds_driver.weights import save_weights
-from ds_orchestrator.offline import (
+from ds_driver.data.dataset import write_drive
+from ds_driver.networks.architectures import make_network
+from ds_driver.networks.weights import save_weights
+from ds_orchestrator.evaluation.offline_errors import (
     ErrorsError,
+    check_robustness,
     cohens_d,
     compare_errors,
     densities,
     shares,
-    variants,
 )
-from ds_orchestrator.paper_tables import error_tables
-from ds_orchestrator.predictions import architecture_of, predict
+from ds_orchestrator.evaluation.offline_predictions import architecture_of, predict
+from ds_orchestrator.evaluation.paper_tables import error_tables
+from ds_sim.camera.jpeg import encode
 
 RNG = np.random.default_rng(4)
 ONE = np.abs(RNG.normal(0, 0.12, 400))
@@ -70,14 +71,14 @@ def test_effect_and_power_are_the_textbooks() -> None:
         return float(nct.sf(limit, freedom, shift) + nct.cdf(-limit, freedom, shift))
 
     assert row.power == pytest.approx(power(900, 900), abs=1e-6)
-    (true,) = [v for v in variants({"a": ONE}, TWIN) if "power" in v.what and v.name == "a"]
+    (true,) = [v for v in check_robustness({"a": ONE}, TWIN) if "power" in v.what and v.name == "a"]
     assert true.power == pytest.approx(power(400, 500), abs=1e-6)
     # Sample size by the normal approximation: 2 ((z_0.975 + z_0.8) / d)^2.
     assert row.enough == pytest.approx(2 * ((norm.ppf(0.975) + norm.ppf(0.8)) / effect) ** 2, rel=0.02)
 
 
 def test_other_ways_use_the_errors_themselves() -> None:
-    (raw,) = [v for v in variants({"a": ONE}, TWIN) if "no bins" in v.what and v.name == "a"]
+    (raw,) = [v for v in check_robustness({"a": ONE}, TWIN) if "no bins" in v.what and v.name == "a"]
     assert raw.distance == pytest.approx(wasserstein_distance(ONE, TWIN)) and raw.p is not None
 
 
@@ -145,7 +146,7 @@ def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None
 
 def test_the_table_stands_beside_the_papers() -> None:
     groups = {"bullet": ONE, "softbody": OTHER}
-    rows, others = compare_errors(groups, TWIN), variants(groups, TWIN)
+    rows, others = compare_errors(groups, TWIN), check_robustness(groups, TWIN)
     errors = {**groups, "donkey": TWIN}
     main, _, bins = error_tables(rows, others, errors, ["bullet", "softbody"], "donkey", ("dave2", "sim"))
     by_name = {c.name: k for k, c in enumerate(main.columns)}

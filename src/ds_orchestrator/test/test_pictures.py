@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ds_orchestrator.maps import FeatureMap, MapCell
-from ds_orchestrator.pictures import (
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
+from ds_orchestrator.maps.heatmap import (
     COLOURS,
     EMPTY,
     Bounds,
@@ -30,7 +30,7 @@ def make_map(name: str, cells: dict[tuple[int, int], tuple[float, float]]) -> Fe
     return FeatureMap(
         name=name,
         cells={
-            cell: MapCell(tests=2, failures=None, probability=probability, quality=quality)
+            cell: MapCell(tests=2, failures=None, probability=probability, quality_loss=quality)
             for cell, (probability, quality) in cells.items()
         },
     )
@@ -77,10 +77,10 @@ def test_a_cell_stands_where_its_features_say_and_an_empty_one_is_not_zero() -> 
 def test_each_value_is_drawn_and_numbers_are_written() -> None:
     both = make_map("union_a", {(3, 16): (0.0, 1.0)})
     probability = draw_map(both, "probability", bounds=BOUNDS)
-    quality = draw_map(both, "quality", bounds=BOUNDS)
+    quality = draw_map(both, "quality_loss", bounds=BOUNDS)
     assert len(pixels_of(probability, COLOURS[0])) > 500 and len(pixels_of(quality, COLOURS[2])) > 500
     near = draw_map(make_map("union_a", {(3, 16): (0.004, 0.0)}), "probability", bounds=BOUNDS)
-    many = FeatureMap(name="union_a", cells={(3, 16): MapCell(tests=7, failures=0, probability=0.0, quality=0.0)})
+    many = FeatureMap(name="union_a", cells={(3, 16): MapCell(tests=7, failures=0, probability=0.0, quality_loss=0.0)})
     assert near.shape == probability.shape
     assert not np.array_equal(draw_map(many, "probability", bounds=BOUNDS), probability)
 
@@ -90,7 +90,7 @@ def test_bounds_hold_every_map_and_make_pictures_of_one_size() -> None:
     assert bounds_of(maps) == BOUNDS
     assert list(BOUNDS.columns) == [2, 3, 4] and list(BOUNDS.rows) == [17, 16, 15]
     assert len({draw_map(m, "probability", bounds=BOUNDS).shape for m in maps}) == 1
-    empty = draw_map(make_map("merged", {}), "quality", bounds=bounds_of([make_map("merged", {})]))
+    empty = draw_map(make_map("merged", {}), "quality_loss", bounds=bounds_of([make_map("merged", {})]))
     assert len(pixels_of(empty, EMPTY)) > 500
 
 
@@ -116,5 +116,5 @@ def test_write_maps_writes_every_map_and_the_overview_with_equal_bytes(tmp_path:
     # Two unions, the merge and the twin in two rows.
     assert overview.shape[0] == 2 * single.shape[0] and overview.shape[1] >= 4 * single.shape[1] - 100
     bounds = bounds_of(maps.values())
-    drawn = cv2.cvtColor(draw_map(maps["merged"], "quality", bounds=bounds), cv2.COLOR_RGB2BGR)
+    drawn = cv2.cvtColor(draw_map(maps["merged"], "quality_loss", bounds=bounds), cv2.COLOR_RGB2BGR)
     np.testing.assert_array_equal(single, drawn)

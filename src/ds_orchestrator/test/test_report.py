@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 from report_campaigns import EVIL, make_campaign, make_execution, make_tests, results, road
 
-from ds_orchestrator.config import CampaignConfig
-from ds_orchestrator.evaluation import Correlation, Gain, evaluate, gains
-from ds_orchestrator.features import Cell
-from ds_orchestrator.findings import summarise
-from ds_orchestrator.maps import FeatureMap, MapCell, campaign_maps
-from ds_orchestrator.report import duration, write_report
-from ds_orchestrator.report_data import page_data
-from ds_orchestrator.store import Store, Test
-from ds_orchestrator.tables import Column, Table
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference, evaluate, paired_differences
+from ds_orchestrator.evaluation.table import Column, Table
+from ds_orchestrator.maps.campaign_maps import build_maps
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
+from ds_orchestrator.report.findings import summarise
+from ds_orchestrator.report.html_report import duration, write_report
+from ds_orchestrator.report.page_data import page_data
+from ds_orchestrator.search.features import Cell
+from ds_orchestrator.store.store import Store, Test
 from ds_sim.simulator import Outcome
 
 
@@ -111,7 +112,7 @@ def test_every_map_and_every_test_is_inside(campaign: tuple[Page, str, Store, Ca
             tests, failures, probability, interval, quality = cells[cell]
             assert [tests, failures] == [value.tests, value.failures]
             assert value.interval is not None
-            expected = [value.probability, *value.interval, value.quality]
+            expected = [value.probability, *value.interval, value.quality_loss]
             assert [probability, *interval, quality] == pytest.approx(expected, abs=1e-4)
             for k, axis in enumerate(data["axes"]):
                 assert 0 <= cell[k] - axis["low"] < len(axis["begins"]) - 1
@@ -258,7 +259,7 @@ def test_three_features_make_places_of_three_bins(tmp_path: Path) -> None:
     features = ["turns_count", "curvature", "direction_coverage:10"]
     config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin=None, features=features)
     store = make_campaign(tmp_path, config, 4)
-    maps = campaign_maps(config.siblings, None, store.tests(), store.executions(), config.map_plan())
+    maps = build_maps(config.siblings, None, store.tests(), store.executions(), config.map_plan())
     data = Page(write_report(tmp_path, store, config, maps, []).read_text()).data
     assert [len(place) for place, _ in data["places"]] == [3] * len(data["places"])
     assert {tuple(c[:3]) for c in data["maps"]["merged"]["cells"]} == set(maps["merged"].cells)
@@ -270,7 +271,7 @@ def test_a_thousand_tests_stay_small() -> None:
     config = CampaignConfig()
     made = make_tests(config, 500, roads=40)
     tests, executions = [test for test, _ in made], [execution for _, driven in made for execution in driven]
-    maps = campaign_maps(config.siblings, config.twin, tests, executions)
+    maps = build_maps(config.siblings, config.twin, tests, executions)
     data = page_data(config, maps, tests, executions)
     assert len(data["tests"]) == 1000
     # Plotly takes 5 MB and pictures 2, so that 5,000 tests stay below 20 MB.
@@ -290,7 +291,7 @@ TWIN = (1.0, 0.0, 0.0, 0.5)
 
 def hand_made(name: str, values: tuple[float, ...]) -> FeatureMap:
     cells: dict[Cell, MapCell] = {
-        (k, 10): MapCell(tests=2, failures=None, probability=v, quality=v) for k, v in enumerate(values)
+        (k, 10): MapCell(tests=2, failures=None, probability=v, quality_loss=v) for k, v in enumerate(values)
     }
     return FeatureMap(name=name, cells=cells)
 
@@ -302,8 +303,8 @@ def said(siblings: list[str], merged: tuple[float, ...], twin: tuple[float, ...]
     maps = {name: hand_made(name, of) for name, of in values.items()}
     test = Test(test_id="t", sibling="bullet", run=0, number=0, road=road(0), seed=1)
     driven = [make_execution(test, name, 0.5) for name in config.simulators]
-    correlations, added = evaluate(maps, siblings, "donkey"), gains(maps, siblings, "donkey")
-    found = summarise(config, maps, correlations, driven, tests=1, gains=added)
+    correlations, added = evaluate(maps, siblings, "donkey"), paired_differences(maps, siblings, "donkey")
+    found = summarise(config, maps, correlations, driven, tests=1, paired_differences=added)
     return " ".join((found.headline, *found.details))
 
 
@@ -324,11 +325,13 @@ def test_findings_say_what_the_numbers_say() -> None:
 def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
     config = CampaignConfig(siblings=["bullet", "softbody", "third:Simulator"])
     added = [
-        Gain(over=f"union_{name}", value="quality", cells=9, r=(low + high) / 2, r_interval=(low, high))
+        PairedDifference(
+            over=f"union_{name}", value="quality_loss", cells=9, r=(low + high) / 2, r_interval=(low, high)
+        )
         for name, low, high in zip(config.siblings, (0.01, -0.2, -0.3), (0.2, 0.3, -0.1), strict=True)
     ]
     correlations = [
-        Correlation(name=name, value="quality", cells=9, r=0.5, p=0.001)
+        Correlation(name=name, value="quality_loss", cells=9, r=0.5, p=0.001)
         for name in (*(f"union_{sibling}" for sibling in config.siblings), "merged")
     ]
     maps = {f"union_{name}": hand_made(name, MERGED) for name in config.siblings} | {
@@ -336,7 +339,7 @@ def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
     }  # fmt: skip
     test = Test(test_id="t", sibling="bullet", run=0, number=0, road=road(0), seed=1)
     driven = [make_execution(test, name, 0.5) for name in config.simulators]
-    *_, sentence = summarise(config, maps, correlations, driven, tests=1, gains=added).details
+    *_, sentence = summarise(config, maps, correlations, driven, tests=1, paired_differences=added).details
     assert sentence.endswith(
         ": better than bullet alone, worse than third:Simulator alone and not to be told apart from softbody alone."
     )

@@ -11,10 +11,11 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 from report_campaigns import make_campaign, results
 
-from ds_orchestrator.config import CampaignConfig
-from ds_orchestrator.maps import FeatureMap, campaign_maps
-from ds_orchestrator.report import write_report
-from ds_orchestrator.store import Store
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.maps.campaign_maps import build_maps
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.report.html_report import write_report
+from ds_orchestrator.store.store import Store
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium")
@@ -86,7 +87,7 @@ class Campaign:
         self.config = config
         self.store: Store = make_campaign(folder, config, per_sibling)
         _, correlations = results(self.store, config)
-        self.maps: dict[str, FeatureMap] = campaign_maps(
+        self.maps: dict[str, FeatureMap] = build_maps(
             config.siblings, config.twin, self.store.tests(), self.store.executions(), config.map_plan()
         )
         self.path = write_report(folder, self.store, config, self.maps, correlations)
@@ -113,7 +114,7 @@ def test_it_opens_without_a_complaint_and_fits_the_screen(browser: Browser, camp
 
 
 def test_maps_draw_their_values_and_nothing_where_nothing_is_known(opened: Opened, campaign: Campaign) -> None:
-    for value in ("quality", "tests", "probability"):
+    for value in ("quality_loss", "tests", "probability"):
         opened.page.click(f"[data-value={value}]")
         for name in ("union_bullet", "merged", "twin_nowhere:C"):
             expected = {cell: getattr(content, value) for cell, content in campaign.maps[name].cells.items()}

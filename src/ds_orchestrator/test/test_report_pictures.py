@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from report_campaigns import make_execution, road
 
-from ds_driver.control import Autopilot
-from ds_orchestrator.campaign import execution_of
-from ds_orchestrator.report_pictures import SIZE, camera_pictures, drive_pictures, moments, telling_tests
-from ds_orchestrator.store import Test
+from ds_driver.control.autopilot import Autopilot
+from ds_orchestrator.campaign.runner import execution_of
+from ds_orchestrator.report.camera_pictures import SIZE, camera_pictures, drive_pictures, moments, telling_tests
+from ds_orchestrator.store.store import Test
 from ds_sim.registry import make_simulator
 from ds_sim.session import Session
 

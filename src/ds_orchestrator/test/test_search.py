@@ -5,16 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_orchestrator.features import Cell
-from ds_orchestrator.search import (
-    SEARCHES,
-    Archive,
-    DeepHyperion,
-    DeepHyperionCS,
-    RandomSearch,
-    Search,
-    SearchSettings,
-)
+from ds_orchestrator.search.algorithms import SEARCHES, DeepHyperion, DeepHyperionCS, RandomSearch
+from ds_orchestrator.search.archive import Archive
+from ds_orchestrator.search.base import Search, SearchSettings
+from ds_orchestrator.search.features import Cell
 from ds_road import Road, generate
 
 SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=120)
@@ -146,15 +140,15 @@ def test_random_search_mutates_nothing() -> None:
         assert min(differences) > 2
 
 
-def test_published_is_one_iteration_more_and_mutants_without_their_first_control_point() -> None:
-    settings = SearchSettings(population=3, iterations=4, min_angle=60, max_angle=120, published=True)
+def test_maxitwo_compatible_is_one_iteration_more_and_mutants_without_their_first_control_point() -> None:
+    settings = SearchSettings(population=3, iterations=4, min_angle=60, max_angle=120, maxitwo_compatible=True)
     search, roads = replayed(DeepHyperion, settings, 2)
     assert len(roads) == 3 + 4 + 1
-    assert [road.published for road in roads] == [False] * 3 + [True] * 5
+    assert [road.maxitwo_compatible for road in roads] == [False] * 3 + [True] * 5
     for mutant in roads[3:]:
         assert len(mutant.control_points) == 9 and len(mutant.points) == 96
         np.testing.assert_array_equal(mutant.points[0], mutant.control_points[2])
-    assert set(search.archive) == {(road.turns_count_published, road.curvature_bin) for road in archived(search)}
+    assert set(search.archive) == {(road.turns_count_maxitwo, road.curvature_bin) for road in archived(search)}
 
 
 def archived(search: Search) -> list[Road]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ds_orchestrator.stage_times import StageClock, seconds_of
-from ds_orchestrator.store import Execution, Store, Test
+from ds_orchestrator.campaign.stage_timer import StageTimer, seconds_of
+from ds_orchestrator.store.store import Execution, Store, Test
 
 
 class Silent:
-    """A watcher that remembers what it was told."""
+    """A listener that remembers what it was told."""
 
     def __init__(self) -> None:
         self.told: list[object] = []
@@ -26,9 +26,9 @@ class Silent:
 
 
 def test_stages_add_up_over_sessions(tmp_path: Path) -> None:
-    store, watcher = Store(tmp_path / "campaign.sqlite", config="{}"), Silent()
+    store, listener = Store(tmp_path / "campaign.sqlite", config="{}"), Silent()
     times = iter([10.0, 12.5, 12.5, 20.0])
-    first = StageClock(watcher, store, lambda: next(times))
+    first = StageTimer(listener, store, lambda: next(times))
     first.end()  # nothing began yet
     first.expect([{"a": 7}])
     first.stage("search")
@@ -36,9 +36,9 @@ def test_stages_add_up_over_sessions(tmp_path: Path) -> None:
     first.end()
     first.end()
     again = iter([100.0, 101.0])
-    second = StageClock(watcher, store, lambda: next(again))
+    second = StageTimer(listener, store, lambda: next(again))
     second.stage("search")
     second.end()
-    assert watcher.told == [[{"a": 7}], "search", "twin", "search"]
+    assert listener.told == [[{"a": 7}], "search", "twin", "search"]
     store.note("another fact", "3")
     assert seconds_of(store.notes()) == {"twin": 7.5, "search": 3.5}

@@ -10,9 +10,15 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from ds_orchestrator.evaluation import Correlation, Gain, Variant
-from ds_orchestrator.paper_tables import correlation_tables, gain_table, role_of, variant_table
-from ds_orchestrator.tables import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
+from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference
+from ds_orchestrator.evaluation.paper_tables import (
+    correlation_tables,
+    paired_difference_table,
+    robustness_table,
+    role_of,
+)
+from ds_orchestrator.evaluation.robustness_checks import RobustnessCheck
+from ds_orchestrator.evaluation.table import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
 
 TABLE = Table(
     name="t",
@@ -91,7 +97,7 @@ def found(name: str, value: str, r: float | None) -> Correlation:
 
 def test_the_papers_rows_stand_beside_ours() -> None:
     names = ["union_softbody", "union_bullet", "merged"]
-    rows = [found(n, v, None if n == "merged" else 0.4) for v in ("probability", "quality") for n in names]
+    rows = [found(n, v, None if n == "merged" else 0.4) for v in ("probability", "quality_loss") for n in names]
     rq2, rq3 = correlation_tables(rows, ["softbody", "bullet"], "donkey", ("epoch", "real"))
     at = {c.name: k for k, c in enumerate(rq2.columns)}
     assert [row[0] for row in rq2.rows] == ["DS1", "DS2", "DSS"]
@@ -105,10 +111,14 @@ def test_the_papers_rows_stand_beside_ours() -> None:
 
 
 def test_what_merging_adds_names_the_sibling() -> None:
-    gain = Gain(over="union_y", value="quality", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17)
-    assert gain_table([gain], ["x", "y"]).texts() == [["RQ3", "DS2 y", "9", "-0.100", "[-0.300, 0.100]", "0.000", ""]]
+    gain = PairedDifference(over="union_y", value="quality_loss", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17)
+    assert paired_difference_table([gain], ["x", "y"]).texts() == [
+        ["RQ3", "DS2 y", "9", "-0.100", "[-0.300, 0.100]", "0.000", ""]
+    ]
 
 
 def test_variants_are_one_row_each() -> None:
-    table = variant_table([Variant(what="w", name="merged", against="twin_d", value="quality", cells=4, r=0.5)])
-    assert table.rows == [["w", "merged", "twin_d", "quality", 4, 0.5, None, None]]
+    table = robustness_table(
+        [RobustnessCheck(what="w", name="merged", against="twin_d", value="quality_loss", cells=4, r=0.5)]
+    )
+    assert table.rows == [["w", "merged", "twin_d", "quality_loss", 4, 0.5, None, None]]

@@ -6,7 +6,7 @@ import heapq
 
 import pytest
 
-from ds_orchestrator.time_left import TimeLeft
+from ds_orchestrator.cli.eta import Eta
 
 TOOK = {"fast": 2.0, "slow": 5.0, "twin": 3.0}
 STAGES = [{"fast": 40, "slow": 40}, {"fast": 40, "slow": 40, "twin": 80}]
@@ -19,7 +19,7 @@ def estimates(known: int = 0) -> list[tuple[float, float]]:
     Args:
         known: executions of the first stage on each simulator that were done before.
     """
-    left, now, said = TimeLeft(), 0.0, []
+    left, now, said = Eta(), 0.0, []
     left.expect(STAGES)
     for number, stage in enumerate(STAGES):
         left.begin(now)
@@ -51,7 +51,7 @@ def test_it_is_right_in_every_stage_and_after_a_resume(known: int) -> None:
 
 
 def test_it_follows_a_machine_that_becomes_slower_and_says_nothing_at_first() -> None:
-    left = TimeLeft()
+    left = Eta()
     left.expect([{"a": 200}])
     left.begin(0.0)
     left.finished(0, "a", 0.0, fresh=False)

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from ds_orchestrator.redriving import RedriveError, redrive
-from ds_orchestrator.video import VideoError, check_path, write_video
 from ds_road import Road
 from ds_sim.registry import make_simulator
+from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command
+from ds_sim.video import VideoError, check_path, write_video
 
 ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
 
@@ -32,7 +32,7 @@ def run() -> RunRecord:
 
 
 def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRecord) -> None:
-    write_video(tmp_path / "run.mp4", "donkey", ROAD, redrive("donkey", run), run.commands)
+    write_video(tmp_path / "run.mp4", "donkey", ROAD, resimulate("donkey", run), run.commands)
     assert [p.name for p in tmp_path.iterdir()] == ["run.mp4"]
     video = cv2.VideoCapture(str(tmp_path / "run.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == 20.0
@@ -41,7 +41,7 @@ def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRec
         frames.append(got[1][..., ::-1].astype(float))
     assert len(frames) == 41 + 20 and frames[0].shape == (480, 1260, 3)
     # The camera's last image, as the simulator gave it.
-    image = [o.image for o in redrive("donkey", run)][-1]
+    image = [o.image for o in resimulate("donkey", run)][-1]
     shown = cv2.resize(frames[40][:, :960], (320, 160), interpolation=cv2.INTER_AREA)
     assert np.abs(shown - image).mean() < 6.0
     # The trail, orange on the map, grows.
@@ -52,10 +52,10 @@ def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRec
 def test_a_run_that_was_recorded_elsewhere_is_noticed(run: RunRecord) -> None:
     moved = replace(run.observations[7], vehicle=replace(run.observations[7].vehicle, x=0.0))
     changed = replace(run, observations=[*run.observations[:7], moved, *run.observations[8:]])
-    with pytest.raises(RedriveError, match=r"at step 7, 1\d\d m away"):
-        list(redrive("donkey", changed))
-    with pytest.raises(RedriveError, match="leaves the recorded run at step"):
-        list(redrive("softbody", run))
+    with pytest.raises(ResimulationError, match=r"at step 7, 1\d\d m away"):
+        list(resimulate("donkey", changed))
+    with pytest.raises(ResimulationError, match="leaves the recorded run at step"):
+        list(resimulate("softbody", run))
 
 
 def test_a_bad_place_for_a_video_is_named(tmp_path: Path) -> None:

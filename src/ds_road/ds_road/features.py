@@ -38,18 +38,18 @@ def curvature(points: NDArray[np.float64]) -> float:
     return float(np.max(2.0 * twice_the_area[bent] / sides[bent], initial=0.0))
 
 
-def turns_count(points: NDArray[np.float64], *, published: bool = False) -> int:
+def turns_count(points: NDArray[np.float64], *, maxitwo_compatible: bool = False) -> int:
     """Number of turns.
 
     Args:
         points: (n, 2) samples of the centre line.
-        published: wrap heading changes as maxitwo does, with degree constants on radians, so that a jump of a full
-            turn stays in and counts as a bend; the default wraps at pi.
+        maxitwo_compatible: wrap heading changes as maxitwo does, with degree constants on radians, so that a jump of
+            a full turn stays in and counts as a bend; the default wraps at pi.
     """
     steps = np.diff(points, axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     change = np.concatenate(([0.0], np.diff(heading)))
-    half = 180.0 if published else math.pi
+    half = 180.0 if maxitwo_compatible else math.pi
     change = (change + half) % (2 * half) - half
     labels = ["s" if abs(d) <= STRAIGHT else "l" if d > 0 else "r" for d in change]
     runs = [(label, len(list(group))) for label, group in groupby(labels)]

@@ -2,7 +2,7 @@
 
 A file is a list of roads, or one road. A road is a list of [x, y] control points in metres, in driving order, or an
 object with either `control_points` or `road_points` (the centre line itself, as other tools exchange it), and where
-they are not the usual ones `lane_width` and `published`; what else the object holds is not looked at.
+they are not the usual ones `lane_width` and `maxitwo_compatible`; what else the object holds is not looked at.
 """
 
 from __future__ import annotations
@@ -26,24 +26,27 @@ def road_from_json(raw: Any) -> Road:
     if len(kinds) != 1:
         found = "both" if kinds else "neither"
         raise RoadError(f"a road has {found} of control_points and road_points, expected one of them")
-    lane_width, published = raw.get("lane_width", LANE_WIDTH), raw.get("published", False)
-    if not isinstance(published, bool):
-        raise RoadError(f"published is {shown(published)}, expected true or false")
+    lane_width, maxitwo_compatible = (
+        raw.get("lane_width", LANE_WIDTH),
+        raw.get("maxitwo_compatible", raw.get("published", False)),
+    )
+    if not isinstance(maxitwo_compatible, bool):
+        raise RoadError(f"maxitwo_compatible is {shown(maxitwo_compatible)}, expected true or false")
     if kinds == ["control_points"]:
-        return Road(raw["control_points"], lane_width=lane_width, published=published)
-    if published:
-        raise RoadError("a road of road_points is published, expected control_points")
+        return Road(raw["control_points"], lane_width=lane_width, maxitwo_compatible=maxitwo_compatible)
+    if maxitwo_compatible:
+        raise RoadError("a maxitwo_compatible road has road_points, expected control_points")
     return Road.from_road_points(raw["road_points"], lane_width=lane_width)
 
 
 def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
     """What `road_from_json` takes: a plain list of control points where that says all."""
     points = [list(point) for point in road.control_points]
-    if not road.sampled and not road.published and road.lane_width == LANE_WIDTH:
+    if not road.sampled and not road.maxitwo_compatible and road.lane_width == LANE_WIDTH:
         return points
     raw: dict[str, Any] = {"road_points" if road.sampled else "control_points": points}
-    if road.published:
-        raw["published"] = True
+    if road.maxitwo_compatible:
+        raw["maxitwo_compatible"] = True
     if road.lane_width != LANE_WIDTH:
         raw["lane_width"] = road.lane_width
     return raw
@@ -103,10 +106,10 @@ def check(raw: Any) -> dict[str, Any]:
     """What can be said of any JSON value as a road; never raises, and takes less than a second.
 
     Returns:
-        valid, reason, length (m), curvature (1/m), turns_count, turns_count_published; the measures are None when
+        valid, reason, length (m), curvature (1/m), turns_count, turns_count_maxitwo; the measures are None when
         the value makes no road at all.
     """
-    measures = dict.fromkeys(("length", "curvature", "turns_count", "turns_count_published"))
+    measures = dict.fromkeys(("length", "curvature", "turns_count", "turns_count_maxitwo"))
     try:
         road = road_from_json(raw)
     except RoadError as error:

@@ -53,15 +53,15 @@ def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX
     raise RoadError(f"no valid road found in {MAX_RESTARTS} attempts: choose another maximum angle or a larger box")
 
 
-def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, published: bool = False) -> Road:
+def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, maxitwo_compatible: bool = False) -> Road:
     """A valid road that differs in one coordinate of one of the control points 4, 5 and 6.
 
     Args:
         road: of at least seven control points; it stays as it is.
         rng: source of every choice.
         extent: m, largest move, at least 1; moves are whole metres.
-        published: the mutant's spline ignores its first control point, as in maxitwo; the default uses all of them,
-            also when `road` is a `published` one.
+        maxitwo_compatible: the mutant's spline ignores its first control point, as in maxitwo; the default uses all
+            of them, also when `road` is maxitwo-compatible.
 
     Raises:
         RoadError: the extent is out of range.
@@ -79,7 +79,7 @@ def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, published: 
             points = [list(point) for point in road.control_points]
             points[gene][axis] += delta
             try:
-                mutant = Road(points, lane_width=road.lane_width, published=published)
+                mutant = Road(points, lane_width=road.lane_width, maxitwo_compatible=maxitwo_compatible)
             except RoadError:
                 continue
             if mutant.validity.valid:

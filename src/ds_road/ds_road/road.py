@@ -40,9 +40,9 @@ class Road:
     Args:
         control_points: (n, 2) numbers, m, 4 <= n <= 1000.
         lane_width: m, of each of the two lanes.
-        published: the centre line as maxitwo has it for mutants: the spline ignores the first control point, so
-            that the road starts at the third (n >= 5). It does not touch the way turns are counted:
-            `turns_count_published` exists for every road.
+        maxitwo_compatible: the centre line as maxitwo has it for mutants: the spline ignores the first control point,
+            so that the road starts at the third (n >= 5). It does not touch the way turns are counted:
+            `turns_count_maxitwo` exists for every road.
 
     Raises:
         RoadError: not such numbers, or two neighbours less than a millimetre apart.
@@ -50,7 +50,7 @@ class Road:
 
     control_points: tuple[tuple[float, float], ...]
     lane_width: float
-    published: bool
+    maxitwo_compatible: bool
     sampled: bool
     """The control points are the centre line itself; see `from_road_points`."""
 
@@ -59,9 +59,14 @@ class Road:
         control_points: Iterable[Sequence[float]] | NDArray[np.float64],
         *,
         lane_width: float = LANE_WIDTH,
-        published: bool = False,
+        maxitwo_compatible: bool = False,
     ) -> None:
-        self._set(_checked(control_points, "control point", least=5 if published else 4), lane_width, published, False)
+        self._set(
+            _checked(control_points, "control point", least=5 if maxitwo_compatible else 4),
+            lane_width,
+            maxitwo_compatible,
+            False,
+        )
 
     @classmethod
     def from_road_points(
@@ -83,12 +88,16 @@ class Road:
         return road
 
     def _set(
-        self, control_points: tuple[tuple[float, float], ...], lane_width: float, published: bool, sampled: bool
+        self,
+        control_points: tuple[tuple[float, float], ...],
+        lane_width: float,
+        maxitwo_compatible: bool,
+        sampled: bool,
     ) -> None:
         """Fill in the fields, which nobody can change afterwards."""
         if isinstance(lane_width, str | bool) or not isinstance(lane_width, int | float) or not 1 <= lane_width <= 20:
             raise RoadError(f"lane width is {shown(lane_width)}, expected 1 to 20 metres")
-        values = (control_points, float(lane_width), bool(published), sampled)
+        values = (control_points, float(lane_width), bool(maxitwo_compatible), sampled)
         for field, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, field.name, value)
 
@@ -98,23 +107,27 @@ class Road:
 
     def __repr__(self) -> str:
         kind = "road points" if self.sampled else "control points"
-        return f"Road({self.road_id}, {len(self.control_points)} {kind}{', published' if self.published else ''})"
+        quirk = ", maxitwo-compatible" if self.maxitwo_compatible else ""
+        return f"Road({self.road_id}, {len(self.control_points)} {kind}{quirk})"
 
     @cached_property
     def road_id(self) -> str:
         """Twelve hexadecimal digits that stand for the control points, and for how the road is made of them."""
         content = hashlib.sha256(np.asarray(self.control_points, dtype="<f8").tobytes())
-        if self.sampled or self.published or self.lane_width != LANE_WIDTH:
-            content.update(f"{self.lane_width} {self.published} {self.sampled}".encode())
+        if self.sampled or self.maxitwo_compatible or self.lane_width != LANE_WIDTH:
+            content.update(f"{self.lane_width} {self.maxitwo_compatible} {self.sampled}".encode())
         return content.hexdigest()[:12]
 
     @cached_property
     def points(self) -> NDArray[np.float64]:
-        """Samples of the centre line, (20 + 19 (n - 4), 2), m; of n points, less the one a published road ignores."""
+        """Samples of the centre line, (20 + 19 (n - 4), 2), m.
+
+        n is the number of control points, minus one on a maxitwo-compatible road, whose spline ignores the first.
+        """
         given = np.array(self.control_points)
         if self.sampled:
             return _frozen(given)
-        return _frozen(catmull_rom(given[1:] if self.published else given))
+        return _frozen(catmull_rom(given[1:] if self.maxitwo_compatible else given))
 
     @cached_property
     def _across(self) -> NDArray[np.float64]:
@@ -160,9 +173,9 @@ class Road:
         return turns_count(self.points)
 
     @cached_property
-    def turns_count_published(self) -> int:
+    def turns_count_maxitwo(self) -> int:
         """Number of turns as the authors' package counts them."""
-        return turns_count(self.points, published=True)
+        return turns_count(self.points, maxitwo_compatible=True)
 
     @cached_property
     def validity(self) -> Validity:
@@ -170,10 +183,13 @@ class Road:
         return check_surface(self.left_edge, self.right_edge)
 
     def reversed(self) -> Road:
-        """The same centre line driven the other way; of a published road without the point that its spline ignores."""
+        """The same centre line driven the other way.
+
+        The first control point of a maxitwo-compatible road, which its spline ignores, is dropped.
+        """
         if self.sampled:
             return Road.from_road_points(self.control_points[::-1], lane_width=self.lane_width)
-        used = self.control_points[1:] if self.published else self.control_points
+        used = self.control_points[1:] if self.maxitwo_compatible else self.control_points
         return Road(used[::-1], lane_width=self.lane_width)
 
 

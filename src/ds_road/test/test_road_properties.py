@@ -122,7 +122,7 @@ def test_the_last_window_does_not_count() -> None:
     straight = [(10.0 + i, 10.0) for i in range(6)]
     bent = Road.from_road_points([*straight, (16.0, 10.5)])
     assert bent.curvature == 0.0
-    # Seen from the other end it is in the first window: points (16, 10.5), (14, 10), (12, 10).
+    # Frame from the other end it is in the first window: points (16, 10.5), (14, 10), (12, 10).
     circumradius = math.sqrt(4.25) * 2.0 * math.sqrt(16.25) / (4 * 0.5)
     assert bent.reversed().curvature == pytest.approx(1 / circumradius)
 
@@ -160,18 +160,20 @@ def test_road_points_are_the_centre_line_itself() -> None:
         mutate(same, np.random.default_rng(0))
 
 
-variants = st.sampled_from(["plain", "published", "wide", "sampled"])
+kinds = st.sampled_from(["plain", "maxitwo_compatible", "wide", "sampled"])
 
 
 def variant_of(seed: int, kind: str) -> Road:
     road = random_road(seed)
     if kind == "sampled":
         return Road.from_road_points(road.points, lane_width=3.5)
-    return Road(road.control_points, published=kind == "published", lane_width=5.0 if kind == "wide" else 4.0)
+    return Road(
+        road.control_points, maxitwo_compatible=kind == "maxitwo_compatible", lane_width=5.0 if kind == "wide" else 4.0
+    )
 
 
 @settings(max_examples=30, deadline=None)
-@given(seeds, variants)
+@given(seeds, kinds)
 def test_json_round_trip_is_exact(seed: int, kind: str) -> None:
     road = variant_of(seed, kind)
     text = json.dumps(road_to_json(road))
@@ -182,7 +184,7 @@ def test_json_round_trip_is_exact(seed: int, kind: str) -> None:
 
 
 def test_files_hold_several_roads_or_one(tmp_path: Path) -> None:
-    roads = [variant_of(seed, kind) for seed, kind in enumerate(("plain", "published", "wide", "sampled"))]
+    roads = [variant_of(seed, kind) for seed, kind in enumerate(("plain", "maxitwo_compatible", "wide", "sampled"))]
     write_roads(roads, tmp_path / "roads.json")
     assert read_roads(tmp_path / "roads.json") == read_roads(str(tmp_path / "roads.json")) == roads
     (tmp_path / "one.json").write_text(json.dumps(roads[0].control_points))
@@ -208,9 +210,12 @@ BAD: dict[str, Any] = {
     "no points": {"control_points": None},
     "both kinds": {"control_points": [[0, 0]] * 4, "road_points": [[0, 0]] * 4},
     "one road point": {"road_points": [[1, 1]]},
-    "a published road of road points": {"road_points": [[1, 1], [2, 2]], "published": True},
-    "a published road too short": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "published": True},
-    "published as text": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "published": "no"},
+    "a maxitwo_compatible road of road points": {"road_points": [[1, 1], [2, 2]], "maxitwo_compatible": True},
+    "a maxitwo_compatible road too short": {
+        "control_points": [[0, 0], [9, 9], [20, 20], [30, 30]],
+        "maxitwo_compatible": True,
+    },
+    "maxitwo_compatible as text": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "maxitwo_compatible": "no"},
     "no lane width": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": None},
     "lane width nan": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": math.nan},
     "neighbours too near": [[0, 0], [10, 10], [10, 10 + 1e-14], [40, 40]],
@@ -268,7 +273,7 @@ values = st.recursive(
     lambda inner: (
         st.lists(inner, max_size=8)
         | st.dictionaries(
-            st.sampled_from(["control_points", "road_points", "lane_width", "published"]), inner, max_size=3
+            st.sampled_from(["control_points", "road_points", "lane_width", "maxitwo_compatible"]), inner, max_size=3
         )
     ),
     max_leaves=30,
@@ -281,7 +286,7 @@ near_roads = st.lists(st.lists(numbers, min_size=2, max_size=2), min_size=2, max
 @given(values | near_roads | near_roads.map(lambda points: {"road_points": points}))
 def test_any_json_value_can_be_checked(raw: Any) -> None:
     answer = check(raw)
-    assert list(answer) == ["valid", "reason", "length", "curvature", "turns_count", "turns_count_published"]
+    assert list(answer) == ["valid", "reason", "length", "curvature", "turns_count", "turns_count_maxitwo"]
     assert answer["valid"] is not bool(answer["reason"])
     json.dumps(answer, allow_nan=False)
 

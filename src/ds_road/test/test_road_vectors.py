@@ -50,7 +50,7 @@ def test_road_equals_the_published_one(vector: dict[str, Any]) -> None:
     np.testing.assert_allclose(road.points, vector["road_points"], rtol=0, atol=1e-6)
     assert road.curvature == pytest.approx(vector["curvature"], rel=1e-9)
     assert road.turns_count == vector["turns_count"]
-    assert road.turns_count_published == vector["turns_count_published"]
+    assert road.turns_count_maxitwo == vector["turns_count_published"]
     theirs = in_box(np.array(road.control_points[1:-1])) and surface_is_valid(road)
     assert theirs == vector["valid"]
     assert road.validity.valid == vector["valid"], road.validity.reason
@@ -75,8 +75,8 @@ def test_the_fast_check_of_the_surface_equals_the_slow_one() -> None:
 def test_a_published_road_starts_one_control_point_later() -> None:
     """maxitwo lays a mutant's spline through all but the first control point: 96 samples instead of 115."""
     points = generate(np.random.default_rng(4)).control_points
-    road = Road(points, published=True)
-    assert road.published and road.control_points == points
+    road = Road(points, maxitwo_compatible=True)
+    assert road.maxitwo_compatible and road.control_points == points
     np.testing.assert_array_equal(road.points, Road(points[1:]).points)
     assert road.points.shape == (96, 2)
     np.testing.assert_allclose(road.points, Road(points).points[19:], atol=1e-9)

@@ -1,1 +1,8 @@
-"""What a simulator is: its contract, the parts that all simulators share, and the node that hosts any of them."""
+"""What a simulator is: its contract, the parts that all simulators share, and the node that hosts any of them.
+
+Public names are imported when they are first used; `__init__.pyi` lists them.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

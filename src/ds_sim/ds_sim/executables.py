@@ -14,4 +14,4 @@ def start(module: str, *arguments: str) -> None:
 
 def simulator() -> None:
     """Host the simulator that the parameter `simulator` names."""
-    start("ds_sim.node")
+    start("ds_sim.ros.simulator_node")

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ds_road import Road, RoadError
-from ds_sim.camera import Camera, Sensor
-from ds_sim.ground import Ground, paint_ground
-from ds_sim.lane import LaneTracker
+from ds_sim.camera.ground import Ground, paint_ground
+from ds_sim.camera.renderer import Camera, Sensor
+from ds_sim.lane_tracker import LaneTracker
 from ds_sim.oracle import Oracle, OracleLimits
 from ds_sim.simulator import (
     FRAME_TIME,

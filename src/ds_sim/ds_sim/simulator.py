@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera_spec import CameraSpec
-from ds_sim.look import Look
+from ds_sim.camera.look import Look
+from ds_sim.camera.spec import CameraSpec
 
 FRAME_RATE = 20.0
 """Camera frames per simulated second (paper 3.2.1: all simulators aligned at 20 fps)."""

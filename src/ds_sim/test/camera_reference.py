@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from ds_sim.camera_spec import CameraSpec
-from ds_sim.ground import Ground
+from ds_sim.camera.ground import Ground
+from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
 
 

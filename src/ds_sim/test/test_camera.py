@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ds_road import Road
-from ds_sim.camera import Camera, Sensor
-from ds_sim.camera_spec import CameraSpec
-from ds_sim.ground import Ground, paint_ground
-from ds_sim.look import Look
+from ds_sim.camera.ground import Ground, paint_ground
+from ds_sim.camera.look import Look
+from ds_sim.camera.renderer import Camera, Sensor
+from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
 
 Lens = Literal["pinhole", "equidistant"]

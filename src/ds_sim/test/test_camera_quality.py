@@ -11,10 +11,10 @@ import pytest
 from camera_reference import below_horizon, brute_force, directions, psnr
 
 from ds_road import Road, generate
-from ds_sim.camera import Camera
-from ds_sim.camera_spec import CameraSpec
-from ds_sim.ground import Ground, paint_ground
-from ds_sim.look import Look
+from ds_sim.camera.ground import Ground, paint_ground
+from ds_sim.camera.look import Look
+from ds_sim.camera.renderer import Camera
+from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
 
 LOOK = Look(asphalt=(90, 90, 95), grass=(90, 140, 70), hills=5.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_sim.image_statistics import image_statistics
+from ds_sim.camera.image_statistics import image_statistics
 
 
 def test_white_noise_has_its_known_contrast_and_sharpness() -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from ds_sim.metronome import Metronome
+from ds_sim.ros.frame_jitter import FrameJitter
 
 
 def test_lateness_and_missed_beats() -> None:
     """1, 2, 3 and 1 ms late; two points of the grid went by between the second beat and the third."""
-    metronome = Metronome(0.05, 100.0)
+    metronome = FrameJitter(0.05, 100.0)
     for now in (100.051, 100.102, 100.253, 100.301):
         metronome.beat(now)
     assert metronome.beats == 4 and metronome.missed == 2
@@ -20,4 +20,4 @@ def test_lateness_and_missed_beats() -> None:
 
 
 def test_nothing_to_tell_before_the_first_beat() -> None:
-    assert Metronome(0.05, 0.0).lateness(1.0) == 0.0
+    assert FrameJitter(0.05, 0.0).lateness(1.0) == 0.0

@@ -7,4 +7,4 @@ from ds_sim.executables import start
 
 def main() -> None:
     """Host `softbody` unless the parameter `simulator` says otherwise."""
-    start("ds_sim.node", "softbody")
+    start("ds_sim.ros.simulator_node", "softbody")

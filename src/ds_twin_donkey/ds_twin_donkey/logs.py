@@ -12,9 +12,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from ds_bags.donkey_tub import TubError, is_tub, number, read_tub
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME
-from ds_sim.tub import TubError, is_tub, number, read_tub
 from ds_twin_donkey.parameters import SCALE
 
 Array = NDArray[np.float64]

@@ -1,0 +1,233 @@
+"""Plain types as messages of a bag, without ROS: the objects that `rosbags` serialises.
+
+They say the same as `ds_sim.ros.conversions`, which makes the graph's; a test compares the bytes of both.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+from scipy.spatial.transform import Rotation
+
+from ds_road import Road
+from ds_sim.camera.look import Look
+from ds_sim.camera.spec import CameraSpec
+from ds_sim.simulator import Command, Observation, VehicleState
+
+ROAD_FRAME = "road"
+_OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
+_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Axes of an optical frame (right, down, forward) as columns in its body's frame (forward, left, up): REP-103."""
+
+
+class TypesError(ValueError):
+    """Message definitions that cannot be found."""
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """Jazzy's standard messages and ours, the latter from their installed definitions.
+
+    Raises:
+        TypesError: the workspace's messages are not on AMENT_PREFIX_PATH.
+    """
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        folder = Path(prefix) / "share" / "ds_interfaces" / "msg"
+        if (folder / "Road.msg").exists():
+            types: dict[str, Any] = {}
+            for name in _OWN_MESSAGES:
+                types.update(get_types_from_msg((folder / f"{name}.msg").read_text(), f"ds_interfaces/msg/{name}"))
+            store.register(types)
+            return store
+    raise TypesError("ds_interfaces is not on AMENT_PREFIX_PATH: build the workspace and source its setup file")
+
+
+class MessageFactory:
+    """Makes the messages of one simulator's bag.
+
+    Args:
+        namespace: of the simulator; its frames are called after it.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        self._types: Any = typestore().types
+        prefix = namespace.strip("/")
+        self.camera_frame = f"{prefix}/camera".strip("/")
+        self.base_frame = f"{prefix}/base_link".strip("/")
+
+    def _make(self, name: str, **fields: Any) -> Any:
+        package, kind = name.split("/")
+        return self._types[f"{package}/msg/{kind}"](**fields)
+
+    def _header(self, nanoseconds: int, frame: str) -> Any:
+        stamp = self._make("builtin_interfaces/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        return self._make("std_msgs/Header", stamp=stamp, frame_id=frame)
+
+    def _vector(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
+        return self._make("geometry_msgs/Vector3", x=x, y=y, z=z)
+
+    def _point(self, x: float, y: float) -> Any:
+        return self._make("geometry_msgs/Point", x=float(x), y=float(y), z=0.0)
+
+    def _quaternion(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> Any:
+        return self._make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
+
+    def road(self, road: Road) -> Any:
+        """A road as its control points."""
+        points = [self._point(x, y) for x, y in road.control_points]
+        return self._make("ds_interfaces/Road", road_id=road.road_id, control_points=points)
+
+    def outcome(self, value: int) -> Any:
+        """How a run stands or ended."""
+        return self._make("ds_interfaces/Outcome", value=value)
+
+    def state(self, seen: Observation, road_id: str, nanoseconds: int) -> Any:
+        """Vehicle and lane state of one frame."""
+        vehicle, lane = seen.vehicle, seen.lane
+        return self._make(
+            "ds_interfaces/VehicleState",
+            header=self._header(nanoseconds, ROAD_FRAME),
+            step=seen.step,
+            simulated_time=seen.time,
+            **{name: getattr(vehicle, name) for name in vehicle.__dataclass_fields__},
+            **{name: getattr(lane, name) for name in lane.__dataclass_fields__},
+            outcome=self.outcome(int(seen.outcome)),
+            road_id=road_id,
+        )
+
+    def command(self, command: Command, nanoseconds: int) -> Any:
+        """The answer to the frame of this time."""
+        header = self._header(nanoseconds, ROAD_FRAME)
+        return self._make(
+            "ds_interfaces/DriveCommand", header=header, steering=command.steering, throttle=command.throttle
+        )
+
+    def odometry(self, vehicle: VehicleState, nanoseconds: int) -> Any:
+        """Planar pose in the road frame, twist in the vehicle's (REP-105)."""
+        unknown = np.zeros(36)
+        pose = self._make(
+            "geometry_msgs/Pose",
+            position=self._point(vehicle.x, vehicle.y),
+            orientation=self._quaternion(z=float(np.sin(vehicle.yaw / 2)), w=float(np.cos(vehicle.yaw / 2))),
+        )
+        twist = self._make(
+            "geometry_msgs/Twist",
+            linear=self._vector(vehicle.speed, vehicle.lateral_speed),
+            angular=self._vector(z=vehicle.yaw_rate),
+        )
+        return self._make(
+            "nav_msgs/Odometry",
+            header=self._header(nanoseconds, ROAD_FRAME),
+            child_frame_id=self.base_frame,
+            pose=self._make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=unknown),
+            twist=self._make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=unknown),
+        )
+
+    def _transform(self, nanoseconds: int, parent: str, child: str, place: Any, turn: Rotation) -> Any:
+        x, y, z, w = (float(v) for v in turn.as_quat())
+        transform = self._make("geometry_msgs/Transform", translation=place, rotation=self._quaternion(x, y, z, w))
+        stamped = self._make(
+            "geometry_msgs/TransformStamped",
+            header=self._header(nanoseconds, parent),
+            child_frame_id=child,
+            transform=transform,
+        )
+        return self._make("tf2_msgs/TFMessage", transforms=[stamped])
+
+    def body_transform(self, vehicle: VehicleState, nanoseconds: int) -> Any:
+        """From the road to the body, which is at rest on the ground below its centre; roll, pitch, heave included."""
+        turn = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
+        place = self._vector(vehicle.x, vehicle.y, vehicle.heave)
+        return self._transform(nanoseconds, ROAD_FRAME, self.base_frame, place, turn)
+
+    def camera_transform(self, camera: CameraSpec, nanoseconds: int) -> Any:
+        """From the body to the camera's optical frame (REP-103: x right, y down, z forward)."""
+        turn = Rotation.from_matrix(Rotation.from_euler("Y", camera.pitch).as_matrix() @ _OPTICAL)
+        place = self._vector(camera.forward, 0.0, camera.height)
+        return self._transform(nanoseconds, self.base_frame, self.camera_frame, place, turn)
+
+    def camera_info(self, camera: CameraSpec, nanoseconds: int) -> Any:
+        """Intrinsics and distortion of the delivered image; equals `ds_sim.ros.conversions.camera_info_message`."""
+        k = camera.intrinsics
+        nothing = self._make(
+            "sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        return self._make(
+            "sensor_msgs/CameraInfo",
+            header=self._header(nanoseconds, self.camera_frame),
+            height=camera.height_px,
+            width=camera.width,
+            distortion_model="plumb_bob" if camera.lens == "pinhole" else "rational_polynomial",
+            d=np.array(camera.distortion),
+            k=k.ravel(),
+            r=np.eye(3).ravel(),
+            p=np.column_stack((k, np.zeros(3))).ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=nothing,
+        )
+
+    def image(self, seen: Observation, nanoseconds: int) -> Any:
+        """The image as it is, rgb8."""
+        rows, columns, channels = seen.image.shape
+        return self._make(
+            "sensor_msgs/Image",
+            header=self._header(nanoseconds, self.camera_frame),
+            height=rows,
+            width=columns,
+            encoding="rgb8",
+            is_bigendian=0,
+            step=columns * channels,
+            data=seen.image.reshape(-1),
+        )
+
+    def compressed_image(self, seen: Observation, nanoseconds: int) -> Any:
+        """The image as JPEG, of the quality of our training data."""
+        from ds_sim.camera.jpeg import encode
+
+        return self._make(
+            "sensor_msgs/CompressedImage",
+            header=self._header(nanoseconds, self.camera_frame),
+            format="rgb8; jpeg compressed bgr8",  # as image_transport has it: the source, the codec, what OpenCV gives
+            data=np.frombuffer(encode(seen.image), np.uint8),
+        )
+
+    def road_markers(self, road: Road, look: Look, nanoseconds: int) -> Any:
+        """The road as RViz and Foxglove draw it: surface edges in white, centre line in yellow."""
+        lines = ((road.left_edge, look.edge_line), (road.points, look.centre_line), (road.right_edge, look.edge_line))
+        markers = [self._line(i, line, look.line_width, c, nanoseconds) for i, (line, c) in enumerate(lines)]
+        return self._make("visualization_msgs/MarkerArray", markers=markers)
+
+    def _line(self, number: int, points: Any, width: float, colour: tuple[int, int, int], nanoseconds: int) -> Any:
+        red, green, blue = (float(v) / 255.0 for v in colour)
+        header = self._header(0, "")
+        nothing = self._make("sensor_msgs/CompressedImage", header=header, format="", data=np.zeros(0, np.uint8))
+        return self._make(
+            "visualization_msgs/Marker",
+            header=self._header(nanoseconds, ROAD_FRAME),
+            ns="road",
+            id=number,
+            type=4,  # LINE_STRIP
+            action=0,
+            pose=self._make("geometry_msgs/Pose", position=self._point(0.0, 0.0), orientation=self._quaternion()),
+            scale=self._vector(width),
+            color=self._make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=1.0),
+            lifetime=self._make("builtin_interfaces/Duration", sec=0, nanosec=0),
+            frame_locked=False,
+            points=[self._point(x, y) for x, y in points],
+            colors=[],
+            texture_resource="",
+            texture=nothing,
+            uv_coordinates=[],
+            text="",
+            mesh_resource="",
+            mesh_file=self._make("visualization_msgs/MeshFile", filename="", data=np.zeros(0, np.uint8)),
+            mesh_use_embedded_materials=False,
+        )

@@ -1,0 +1,1 @@
+"""Bags on a live graph: images recorded from it, and bags published to it."""

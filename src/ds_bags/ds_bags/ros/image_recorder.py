@@ -1,0 +1,135 @@
+"""Records a run's images from the graph, for simulators that cannot be driven again in this process to see them."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from ds_interfaces.msg import DriveCommand, VehicleState
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Image
+
+from ds_bags.message_factory import typestore
+from ds_bags.reader import STATE, BagReader, stamp_of
+from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_bags.verification import IMAGE
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Observation
+
+QUEUE = 50
+"""Messages that wait here for the disk; chosen: some seconds of a run."""
+_KINDS: dict[str, tuple[Any, str]] = {
+    "state": (VehicleState, STATE),
+    "drive": (DriveCommand, "ds_interfaces/msg/DriveCommand"),
+    "camera/image_raw": (Image, IMAGE),
+}
+
+
+class ImageRecorder:
+    """Writes what comes from one simulator into a bag as it comes; use it around a run.
+
+    Args:
+        folder: of the bag; must not exist.
+        namespace: of the simulator.
+        facts: for the bag, such as `ds_bags.run_writer.facts_of` has them; a killed recorder leaves them too.
+        context: in whose domain the simulator is.
+    """
+
+    def __init__(self, folder: Path, namespace: str, facts: dict[str, str], context: Context) -> None:
+        self.folder = folder
+        self.images = 0
+        self._facts = facts
+        self._writer = Rosbag2Writer(folder, facts)
+        self._node = Node("bag_recorder", start_parameter_services=False, context=context)
+        self._camera = f"{namespace}/camera/image_raw"
+        self._last: dict[int, int] = {}
+        for topic, (kind, name) in _KINDS.items():
+            channel = self._writer.channel(topic_of(typestore(), f"{namespace}/{topic}", name, depth=QUEUE))
+            self._node.create_subscription(
+                kind,
+                f"{namespace}/{topic}",
+                lambda raw, channel=channel, topic=topic: self._keep(channel, topic, raw),  # type: ignore[misc]
+                QoSProfile(depth=QUEUE),
+                raw=True,
+            )
+        self._stop = threading.Event()
+        self._spinner = threading.Thread(target=self._spin, name="recorder", daemon=True)
+        self._spinner.start()
+
+    def wait_for_camera(self, limit: float = 10.0) -> bool:
+        """Wait until the camera is found; False when the time is up."""
+        return self._until(lambda: self._node.count_publishers(self._camera) > 0, limit)
+
+    def wait_for_images(self, count: int, limit: float = 3.0) -> bool:
+        """Wait until so many images have come; False when the time is up."""
+        return self._until(lambda: self.images >= count, limit)
+
+    def _until(self, done: Any, limit: float) -> bool:
+        deadline = time.monotonic() + limit
+        while not done():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.02)
+        return True
+
+    def _keep(self, channel: int, topic: str, raw: bytes) -> None:
+        # A header comes first in all of them, and its stamp first in it, behind four bytes of CDR.
+        seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
+        stamp = seconds * 10**9 + nanoseconds
+        if self._last.get(channel) == stamp:
+            return  # the first frame is sent again until it is answered
+        self._last[channel] = stamp
+        self._writer.write(channel, stamp, bytes(raw))
+        self.images += topic == "camera/image_raw"
+
+    def _spin(self) -> None:
+        executor = SingleThreadedExecutor(context=self._node.context)
+        executor.add_node(self._node)
+        try:
+            while not self._stop.is_set():
+                executor.spin_once(timeout_sec=0.05)
+        except ExternalShutdownException:
+            pass
+
+    def __enter__(self) -> ImageRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._spinner.join(2.0)
+        self._node.destroy_node()
+        self._writer.close(self._facts)
+
+
+def with_images(run: RunRecord, folder: Path) -> Iterator[Observation]:
+    """A run's observations with the images that a `ImageRecorder` kept; without one where it did not arrive."""
+    with BagReader(folder) as bag:
+        begin: int | None = None
+        # The stamps of a node do not begin at 0; a run's first state says where it begins.
+        for connection, _, raw in bag.messages(bag.of_type(STATE)):
+            state = bag.message(connection, raw)
+            if state.step == 0:
+                begin = stamp_of(state)
+                break
+        kept: Iterator[Any] = (bag.message(c, raw) for c, _, raw in bag.messages(bag.of_type(IMAGE)))
+        image = next(kept, None)
+        for seen in run.observations:
+            wanted = None if begin is None else begin + round(seen.time * 1e9)
+            while image is not None and wanted is not None and stamp_of(image) < wanted:
+                image = next(kept, None)
+            pixels = np.empty((0, 0, 3), np.uint8)
+            if image is not None and stamp_of(image) == wanted and image.encoding == "rgb8":
+                pixels = image.data.reshape(image.height, image.width, 3)
+            yield replace(seen, image=pixels)

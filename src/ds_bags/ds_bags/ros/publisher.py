@@ -1,0 +1,141 @@
+"""Publishes a bag's messages to the graph as they were recorded: same bytes, topics and QoS, and /clock with them."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterable
+from importlib import import_module
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, QosDurability, QosReliability
+from rosgraph_msgs.msg import Clock
+
+QUEUE = 5000
+"""Messages that a publisher keeps for slow readers; chosen: more than the longest run of ours has on a topic."""
+IN_FLIGHT = 8 * 2**20
+"""Bytes on a topic after which a replay without pauses waits for its readers; chosen: some fifty images. Asking after
+every message would cost seconds: Fast DDS lets small ones be acknowledged only by its heartbeat, every 3 s."""
+GRACE = 0.2
+"""s between the first reader that is seen and the first message: readers of one node come one after the other."""
+ARRIVAL = 5.0
+"""s that the last messages get to arrive."""
+
+
+class GraphOutput:
+    """Publishers for the topics of a bag; satisfies `ds_bags.player.Output`.
+
+    Args:
+        connections: topics to publish.
+        patient: wait for reliable readers before a queue overflows.
+
+    Attributes:
+        skipped: topic -> why it is not published.
+    """
+
+    def __init__(self, connections: Iterable[Connection], *, patient: bool) -> None:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("bag_replay", start_parameter_services=False)
+        self._patient = patient
+        self._publishers: dict[int, Publisher] = {}
+        self._in_flight: dict[int, tuple[int, int]] = {}
+        self.skipped: dict[str, str] = {}
+        self._clock = self._node.create_publisher(Clock, "/clock", 10)
+        for connection in connections:
+            kind, reason = _message_class(connection)
+            if reason:
+                self.skipped[connection.topic] = reason
+            else:
+                self._publishers[connection.id] = self._node.create_publisher(kind, connection.topic, _qos(connection))
+
+    def wait_for_readers(self, seconds: float) -> bool:
+        """Wait at most so long until somebody listens; whether somebody does."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            if any(publisher.get_subscription_count() for publisher in self._publishers.values()):
+                time.sleep(GRACE)
+                return True
+            time.sleep(0.02)
+        return False
+
+    def publish(self, connection: Connection, raw: bytes) -> None:
+        """Send a message as it was recorded; nothing for a topic that is skipped."""
+        publisher = self._publishers.get(connection.id)
+        if publisher is None:
+            return
+        publisher.publish(raw)
+        count, size = self._in_flight.get(connection.id, (0, 0))
+        count, size = count + 1, size + len(raw)
+        if self._patient and (count >= QUEUE or size >= IN_FLIGHT):
+            publisher.wait_for_all_acked(Duration(seconds=ARRIVAL))
+            count = size = 0
+        self._in_flight[connection.id] = count, size
+
+    def clock(self, nanoseconds: int) -> None:
+        """Tell the time of the bag."""
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = nanoseconds // 10**9, nanoseconds % 10**9
+        self._clock.publish(message)
+
+    def _arrived(self) -> None:
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=ARRIVAL))
+
+    def __enter__(self) -> GraphOutput:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self._arrived()
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _message_class(connection: Connection) -> tuple[Any, str]:
+    """The class of a topic's messages, and why there is none."""
+    package, _, kind = connection.msgtype.partition("/msg/")
+    try:
+        found = getattr(import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        return None, f"{connection.msgtype} is not installed here"
+    installed = _installed_digest(package, kind)
+    if installed and connection.digest and installed != connection.digest:
+        return None, f"{connection.msgtype} is another version here than in the bag"
+    return found, ""
+
+
+def _installed_digest(package: str, kind: str) -> str:
+    """RIHS01 hash of a type as it is installed, or "" if nothing tells it."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        file = Path(prefix) / "share" / package / "msg" / f"{kind}.json"
+        if file.is_file():
+            hashes = json.loads(file.read_text()).get("type_hashes", [])
+            name = f"{package}/msg/{kind}"
+            return next((str(entry["hash_string"]) for entry in hashes if entry["type_name"] == name), "")
+    return ""
+
+
+def _qos(connection: Connection) -> QoSProfile:
+    """As the recorded publisher offered it, with a queue that holds for a while."""
+    ext = connection.ext
+    offered = (
+        ext.offered_qos_profiles[0] if isinstance(ext, ConnectionExtRosbag2) and ext.offered_qos_profiles else None
+    )
+    latched = offered is not None and offered.durability == QosDurability.TRANSIENT_LOCAL
+    best_effort = offered is not None and offered.reliability == QosReliability.BEST_EFFORT
+    return QoSProfile(
+        depth=offered.depth if offered is not None and latched and offered.depth else QUEUE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
+    )

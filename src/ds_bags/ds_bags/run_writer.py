@@ -1,0 +1,190 @@
+"""One rosbag2 folder per run: metadata version 9, MCAP storage, as ROS 2 Jazzy writes it, and without a ROS install."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ds_bags.layout import BagError, Level, partial_path
+from ds_bags.message_factory import MessageFactory, typestore
+from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_sim.registry import spec_of
+from ds_sim.resimulation import resimulate
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Observation, SimulatorSpec
+from ds_sim.software_versions import versions
+
+_TOPICS = {
+    "road": ("ds_interfaces/msg/Road", 1, True),
+    "road_markers": ("visualization_msgs/msg/MarkerArray", 1, True),
+    "/tf_static": ("tf2_msgs/msg/TFMessage", 1, True),
+    "/tf": ("tf2_msgs/msg/TFMessage", 100, False),
+    "state": ("ds_interfaces/msg/VehicleState", 50, False),
+    "odom": ("nav_msgs/msg/Odometry", 50, False),
+    "drive": ("ds_interfaces/msg/DriveCommand", 10, False),
+    "camera/camera_info": ("sensor_msgs/msg/CameraInfo", 5, False),
+    "camera/image_raw": ("sensor_msgs/msg/Image", 5, False),
+    "camera/image_raw/compressed": ("sensor_msgs/msg/CompressedImage", 5, False),
+    "outcome": ("ds_interfaces/msg/Outcome", 1, True),
+}
+"""Topic in the simulator's namespace, or with a slash in everybody's -> type, depth of its queue, latched or not."""
+_IMAGE_TOPIC = {"compressed": "camera/image_raw/compressed", "raw": "camera/image_raw"}
+
+
+def facts_of(simulator: str, run: RunRecord, level: Level) -> dict[str, str]:
+    """What a bag's custom data says of a run before it has ended."""
+    return {
+        "simulator": simulator,
+        "engine": spec_of(simulator).engine,
+        "level": level,
+        "road": json.dumps(run.road.control_points),
+        "road_id": run.road.road_id,
+        "seed": str(run.seed),
+        **{f"version.{name}": version for name, version in versions().items()},
+    }
+
+
+def results_of(run: RunRecord) -> dict[str, str]:
+    """What a bag's custom data says of an ended run."""
+    return {
+        "outcome": run.outcome.name,
+        "message": run.message,
+        "steps": str(run.steps),
+        "fitness": repr(run.fitness),
+        "max_lateral_position": repr(run.max_lateral_position),
+    }
+
+
+def write_bag(
+    folder: Path,
+    namespace: str,
+    simulator: str,
+    run: RunRecord,
+    about: Mapping[str, str],
+    level: Level = "telemetry",
+    seen: Iterable[Observation] | None = None,
+) -> None:
+    """Write one run; stamps count from the start of the run.
+
+    Images are not in a record of a run: a level that has them drives the recorded commands again in this process,
+    which shows the same images bit by bit, and costs the run itself nothing.
+
+    Args:
+        folder: the bag; it appears whole or not at all, and replaces one that is there.
+        namespace: of the simulator, such as `/ds1`.
+        simulator: as the registry knows it.
+        run: what happened.
+        about: facts for the bag's custom data, beside road, seed, versions and outcome, which are always there.
+        level: what the bag holds.
+        seen: the run's observations with their images, if somebody has them; empty images are left out.
+
+    Raises:
+        BagError: the folder cannot be written.
+        ds_sim.resimulation.ResimulationError: the images cannot be had, as the run does not come out the same.
+    """
+    # The files inside are named after their folder, so the unfinished one has that name too, a level deeper.
+    hidden = partial_path(folder)
+    if seen is None:
+        seen = run.observations if level == "telemetry" else resimulate(simulator, run)
+    try:
+        shutil.rmtree(hidden, ignore_errors=True)
+        _write(hidden / folder.name, namespace, simulator, run, about, level, seen)
+        shutil.rmtree(folder, ignore_errors=True)
+        (hidden / folder.name).rename(folder)
+        hidden.rmdir()
+    except OSError as error:
+        raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
+
+
+class RunWriter:
+    """Writes one run's messages in their order, frame by frame.
+
+    Args:
+        writer: of the bag.
+        namespace: of the simulator.
+        spec: of the simulator.
+        run: gives road and, by and by, outcome.
+        level: what the bag holds.
+    """
+
+    def __init__(
+        self, writer: Rosbag2Writer, namespace: str, spec: SimulatorSpec, run: RunRecord, level: Level
+    ) -> None:
+        self._writer = writer
+        self._spec = spec
+        self._run = run
+        self._image = _IMAGE_TOPIC.get(level, "")
+        self.images = 0
+        self._make = MessageFactory(namespace)
+        self._store = typestore()
+        skipped = {topic for topic in _TOPICS if topic.startswith("camera/") and topic != self._image}
+        if self._image:
+            skipped.discard("camera/camera_info")
+        self._channels = {
+            topic: writer.channel(
+                topic_of(
+                    self._store,
+                    topic if topic[0] == "/" else f"{namespace}/{topic}",
+                    kind,
+                    depth=depth,
+                    latched=latched,
+                )
+            )
+            for topic, (kind, depth, latched) in _TOPICS.items()
+            if topic not in skipped
+        }
+
+    def begin(self) -> None:
+        """What holds for the whole run: the road, and where the camera sits."""
+        self._put("road", 0, self._make.road(self._run.road))
+        self._put("road_markers", 0, self._make.road_markers(self._run.road, self._spec.look, 0))
+        self._put("/tf_static", 0, self._make.camera_transform(self._spec.camera, 0))
+
+    def frame(self, index: int, seen: Observation) -> None:
+        """A frame and the command that answers it, if there is one."""
+        time, make = round(seen.time * 1e9), self._make
+        self._put("state", time, make.state(seen, self._run.road.road_id, time))
+        self._put("odom", time, make.odometry(seen.vehicle, time))
+        self._put("/tf", time, make.body_transform(seen.vehicle, time))
+        if self._image and seen.image.size:
+            self.images += 1
+            image = make.image if self._image == "camera/image_raw" else make.compressed_image
+            self._put(self._image, time, image(seen, time))
+            self._put("camera/camera_info", time, make.camera_info(self._spec.camera, time))
+        if index < len(self._run.commands):
+            self._put("drive", time, make.command(self._run.commands[index], time))
+
+    def end(self) -> None:
+        """The outcome."""
+        self._put("outcome", round(self._run.simulated_seconds * 1e9), self._make.outcome(int(self._run.outcome)))
+
+    def _put(self, topic: str, nanoseconds: int, message: Any) -> None:
+        data = bytes(self._store.serialize_cdr(message, _TOPICS[topic][0]))
+        self._writer.write(self._channels[topic], nanoseconds, data)
+
+
+def _write(
+    path: Path,
+    namespace: str,
+    simulator: str,
+    run: RunRecord,
+    about: Mapping[str, str],
+    level: Level,
+    observations: Iterable[Observation],
+) -> None:
+    facts = facts_of(simulator, run, level) | dict(about)
+    writer = Rosbag2Writer(path, facts)
+    try:
+        messages = RunWriter(writer, namespace, spec_of(simulator), run, level)
+        messages.begin()
+        for index, seen in enumerate(observations):
+            messages.frame(index, seen)
+        messages.end()
+        images = {"images": str(messages.images)} if level != "telemetry" else {}
+        writer.close(facts | results_of(run) | images)
+    except BaseException:
+        writer.abort()
+        raise

@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "ds_bags"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Reads, writes, verifies and packs rosbag2 folders, with and without ROS.",
+    license="Apache-2.0",
+    maintainer="Digital Siblings maintainers",
+    maintainer_email="maintainers@digital-siblings.invalid",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "*.pyi"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    zip_safe=False,
+)

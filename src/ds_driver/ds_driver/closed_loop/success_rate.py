@@ -1,0 +1,64 @@
+"""How well a driver drives: its success on roads that it has not seen (paper 4.2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ds_driver.closed_loop.simulation import Drive, drive_all
+from ds_driver.data.collection import DIRECTIONS
+from ds_driver.networks.pilot import DriverError
+from ds_road import Road, generate
+from ds_sim.simulator import Outcome
+
+Progress = Callable[[int, int, str], None]
+"""Called with drives done, drives in all, and a line about the last one."""
+
+
+def unseen_roads(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
+    """Random roads as in the paper's test set (4.2.2: 25 roads, maximum angle 270)."""
+    rng = np.random.default_rng(seed)
+    return [generate(rng, max_angle=max_angle) for _ in range(count)]
+
+
+def success_rates(
+    driver: str, simulators: list[str], roads: list[Road], seed: int, progress: Progress
+) -> dict[str, dict[str, float]]:
+    """Share of the roads that a driver completes on each simulator, by direction, without ROS.
+
+    Args:
+        driver: `autopilot`, a shipped network, or a weights file.
+        simulators: names.
+        roads: to drive, each in both directions.
+        seed: of the first road's runs; those of the next one have one more.
+        progress: told after every drive.
+
+    Returns:
+        Simulator -> `forward` and `reverse` -> share in [0, 1].
+
+    Raises:
+        DriverError: a drive ended without a verdict, so that there is no share.
+    """
+    drives = [
+        Drive(name, driver, road if way == "forward" else road.reversed(), seed + i)
+        for name in simulators
+        for way in DIRECTIONS
+        for i, road in enumerate(roads)
+    ]
+    completed: dict[str, dict[str, int]] = {name: dict.fromkeys(DIRECTIONS, 0) for name in simulators}
+    for done, (drive, run) in enumerate(zip(drives, drive_all(drives), strict=True), start=1):
+        way = DIRECTIONS[(done - 1) // len(roads) % 2]
+        if not run.outcome.is_verdict:
+            raise DriverError(
+                f"{drive.simulator}, road {drive.road.road_id}, seed {drive.seed}: {run.outcome.name.lower()}"
+                f"{': ' if run.message else ''}{run.message}: "
+                f"an error says nothing of how {driver} drives, mend it first"
+            )
+        completed[drive.simulator][way] += run.outcome is Outcome.COMPLETED
+        progress(
+            done,
+            len(drives),
+            f"{drive.simulator} {roads[(done - 1) % len(roads)].road_id} {way}: {run.outcome.name.lower()}",
+        )
+    return {name: {way: n / len(roads) for way, n in counts.items()} for name, counts in completed.items()}

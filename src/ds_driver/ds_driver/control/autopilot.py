@@ -1,0 +1,68 @@
+"""The two control laws of the paper (section 3.2.1): the autopilot's steering, and everybody's throttle."""
+
+from __future__ import annotations
+
+from ds_sim.simulator import AutopilotGains, Command
+
+START_THROTTLE = 0.5
+"""Throttle when a vehicle must start with the wheels at full lock, where equation 2 gives none (maxitwo)."""
+_STANDSTILL = 0.1
+"""m/s below which a vehicle counts as standing."""
+
+
+def throttle(steering: float, speed: float, *, max_speed: float = 30.0, min_speed: float = 15.0) -> float:
+    """The paper's equation 2.
+
+    Args:
+        steering: -1 to 1.
+        speed: m/s.
+        max_speed: threshold, and K = H below it, km/h (paper 4.2.4: 30).
+        min_speed: K = L above the threshold, km/h (maxitwo: 15).
+
+    Returns:
+        Throttle in [0, 1].
+    """
+    kmh = speed * 3.6
+    k = min_speed if kmh > max_speed else max_speed
+    value = 1.0 - steering**2 - (kmh / k) ** 2
+    if abs(steering) >= 1.0 and speed < _STANDSTILL:
+        value = START_THROTTLE
+    return min(max(value, 0.0), 1.0)
+
+
+class Autopilot:
+    """The paper's equation 1: a PID controller on the lateral position, for one run.
+
+    The lateral position is taken at a point ahead of the vehicle (`preview_lateral_position`), as a driver does who
+    looks where the car will be; the authors' simulators send the autopilot an error of its own as well (`cte_pid`).
+
+    Args:
+        gains: of the vehicle.
+    """
+
+    def __init__(self, gains: AutopilotGains) -> None:
+        self._gains = gains
+        self._previous: float | None = None
+        self._total = 0.0
+
+    def command(self, lateral_position: float, speed: float) -> Command:
+        """Steer back to the middle of the lane.
+
+        Args:
+            lateral_position: m, right positive.
+            speed: m/s.
+        """
+        gains = self._gains
+        previous = lateral_position if self._previous is None else self._previous
+        self._previous = lateral_position
+        self._total += lateral_position
+        steering = -(
+            gains.proportional * lateral_position
+            + gains.derivative * (lateral_position - previous)
+            + gains.integral * self._total
+        )
+        steering = min(max(steering, -1.0), 1.0)
+        return Command(
+            steering,
+            throttle(steering, speed, max_speed=gains.max_speed, min_speed=gains.min_speed),
+        )

@@ -1,0 +1,154 @@
+"""Labelled driving data from the autopilot (paper 3.2.1, 4.2.2): every road in both directions on every simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+
+from ds_driver.control.autopilot import Autopilot
+from ds_driver.data.dataset import drive_path, keep_plan, write_drive
+from ds_driver.process_pool import map_in_processes
+from ds_road import Road, generate
+from ds_sim.camera.jpeg import encode
+from ds_sim.registry import make_simulator
+from ds_sim.simulator import Command, Outcome, Simulator
+
+Progress = Callable[[int, int, str], None]
+"""Called with drives done, drives in all, and a line about the last one."""
+
+DIRECTIONS = ("forward", "reverse")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollectionPlan:
+    """What to collect.
+
+    Attributes:
+        roads: random roads, each driven in both directions (paper 4.2.2: 25).
+        seed: of the roads and of the disturbances.
+        max_angle: degrees, of the roads (paper 4.2.2: 270).
+        disturbance: largest steering added to the autopilot's while its own stays the label, in [0, 1]; the paper has
+            none. With 0.5 a network learns to come back to its lane and hardly ever fails.
+        every: keep one frame of so many.
+    """
+
+    roads: int = 25
+    seed: int = 1
+    max_angle: int = 270
+    disturbance: float = 0.0
+    every: int = 1
+
+
+def training_roads(plan: CollectionPlan) -> list[Road]:
+    """The roads of a plan, valid in both directions; the same seed gives the same roads."""
+    return roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)
+
+
+def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
+    """Random roads that are valid in both directions; the same seed gives the same roads."""
+    rng = np.random.default_rng(seed)
+    roads: list[Road] = []
+    while len(roads) < count:
+        road = generate(rng, max_angle=max_angle)
+        # The edge of a sharp bend may fold in one direction only, since it is drawn sample by sample.
+        if road.reversed().validity.valid:
+            roads.append(road)
+    return roads
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    plan: CollectionPlan
+    folder: Path
+    simulator: str
+    road: Road
+    road_id: str
+    direction: str
+    index: int
+
+    @property
+    def path(self) -> Path:
+        return drive_path(self.folder, self.simulator, self.road_id, self.direction)
+
+
+def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
+    """Drive every road; a drive whose file exists is not driven again, so that a stopped collection goes on.
+
+    Raises:
+        ds_driver.data.dataset.DatasetError: the folder holds drives of another plan.
+    """
+    keep_plan(folder, asdict(plan))
+    jobs = [
+        _Job(
+            plan=plan,
+            folder=folder,
+            simulator=name,
+            road=road if direction == "forward" else road.reversed(),
+            road_id=road.road_id,
+            direction=direction,
+            index=index,
+        )
+        for index, road in enumerate(training_roads(plan))
+        for direction in DIRECTIONS
+        for name in simulators
+    ]
+    missing = [job for job in jobs if not job.path.exists()]
+    known = len(jobs) - len(missing)
+    if known:
+        progress(known, len(jobs), f"{known} drives are there already")
+    for done, line in enumerate(map_in_processes(_collect, missing), start=known + 1):
+        progress(done, len(jobs), line)
+
+
+@cache
+def _simulator(name: str) -> Simulator:
+    """One per worker: they take a while to make."""
+    return make_simulator(name)
+
+
+def _collect(job: _Job) -> str:
+    """Drive one road and write its file; what a person wants to read of it."""
+    simulator = _simulator(job.simulator)
+    rng = np.random.default_rng([job.plan.seed, job.index, job.direction == "reverse", crc32(job.simulator.encode())])
+    rows, outcome = _drive(simulator, job.road, rng, job.plan)
+    for row in rows:
+        row.update(simulator=job.simulator, road_id=job.road_id, direction=job.direction)
+    write_drive(job.path, rows)
+    return f"{job.simulator} {job.road_id} {job.direction}: {outcome.name.lower()}, {len(rows)} images"
+
+
+def _drive(
+    simulator: Simulator, road: Road, rng: np.random.Generator, plan: CollectionPlan
+) -> tuple[list[dict[str, object]], Outcome]:
+    """One drive: the autopilot's answer to every frame as label, its disturbed answer to the vehicle."""
+    gains = simulator.spec.autopilot
+    autopilot = Autopilot(gains)
+    observation = simulator.load(road, seed=int(rng.integers(2**31)))
+    push, rows = 0.0, []
+    while observation.outcome is Outcome.RUNNING:
+        label = autopilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
+        if observation.step % plan.every == 0:
+            rows.append(
+                {
+                    "image": encode(observation.image),
+                    "steering": label.steering,
+                    "throttle": label.throttle,
+                    "speed": observation.vehicle.speed,
+                    "lateral_position": observation.lane.lateral_position,
+                    "step": observation.step,
+                }
+            )
+        # A push of random strength that comes about every second second and lasts about half of one.
+        if rng.random() < 0.025:
+            push = float(rng.uniform(-plan.disturbance, plan.disturbance))
+        elif rng.random() < 0.1:
+            push = 0.0
+        near_edge = observation.lane.lateral_distance < 0.8
+        steering = label.steering + (0.0 if near_edge else push)
+        observation = simulator.step(Command(min(max(steering, -1.0), 1.0), label.throttle))
+    return rows, observation.outcome

@@ -1,0 +1,92 @@
+"""Anybody's camera images as the (160, 320, 3) RGB that our networks take."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.networks.preprocessing import ImageError
+from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+
+Pixels = NDArray[np.uint8]
+_TO_RGB = {
+    "rgb8": (3, None),
+    "8UC3": (3, cv2.COLOR_BGR2RGB),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (1, cv2.COLOR_GRAY2RGB),
+    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
+}
+"""sensor_msgs/image_encodings -> bytes per pixel and OpenCV's conversion; yuv422 is UYVY there."""
+
+
+def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int) -> Pixels:
+    """The image of a `sensor_msgs/Image`, (height, width, 3) uint8 RGB.
+
+    Args:
+        data: (n,) bytes.
+        encoding: as `sensor_msgs/image_encodings` names it.
+        height: rows.
+        width: columns.
+        step: bytes from one row to the next.
+
+    Raises:
+        ImageError: an encoding that is not known here, or a size that does not fit.
+    """
+    if encoding not in _TO_RGB:
+        raise ImageError(f"image of encoding {encoding!r}, expected one of {', '.join(_TO_RGB)}")
+    channels, conversion = _TO_RGB[encoding]
+    step = step or width * channels
+    if height < 1 or width < 1 or step < width * channels or data.size < height * step:
+        raise ImageError(f"image of {width} x {height} px, {step} bytes a row and {data.size} bytes: does not fit")
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, : width * channels])
+    image = rows.reshape(height, width, channels) if channels > 1 else rows
+    return image if conversion is None else np.asarray(cv2.cvtColor(image, conversion), np.uint8)
+
+
+def rgb_of_file(data: bytes) -> Pixels:
+    """The image of the bytes of a JPEG or PNG, (height, width, 3) uint8 RGB.
+
+    Raises:
+        ImageError: the bytes are damaged.
+    """
+    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if found is None:
+        raise ImageError("an image is damaged")
+    return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels:
+    """Cut and resize an image to (160, 320, 3).
+
+    Without `rows` the shape of things is kept: of an image that is taller than 1:2 the lower part is taken, as the
+    road is there, of a wider one the middle.
+
+    Args:
+        image: (rows, columns, 3) uint8 RGB.
+        rows: first row to keep, and the one after the last; counted from the top.
+
+    Raises:
+        ImageError: there are no such rows.
+    """
+    height, width = image.shape[:2]
+    if rows is not None:
+        if not 0 <= rows[0] < rows[1] <= height:
+            raise ImageError(f"rows {rows[0]} to {rows[1]} of an image of {height}: expected 0 to {height} at most")
+        image = image[rows[0] : rows[1]]
+    elif height * IMAGE_WIDTH > width * IMAGE_HEIGHT:
+        image = image[height - max(1, width * IMAGE_HEIGHT // IMAGE_WIDTH) :]
+    elif height * IMAGE_WIDTH < width * IMAGE_HEIGHT:
+        kept = max(1, height * IMAGE_WIDTH // IMAGE_HEIGHT)
+        image = image[:, (width - kept) // 2 : (width - kept) // 2 + kept]
+    if image.shape[:2] == (IMAGE_HEIGHT, IMAGE_WIDTH):
+        return image
+    shrinks = image.shape[0] > IMAGE_HEIGHT
+    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, (IMAGE_WIDTH, IMAGE_HEIGHT), interpolation=method), np.uint8)

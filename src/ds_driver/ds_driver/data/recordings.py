@@ -1,0 +1,234 @@
+"""Recorded camera images with the steering that went with them: our bags, a real car's, Donkey Car tubs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_bags.donkey_tub import is_tub, read_tub
+from ds_bags.layout import BagError
+from ds_bags.reader import STATE, BagReader, read_run, stamp_of
+from ds_bags.verification import COMPRESSED, IMAGE
+from ds_driver.control.autopilot import Autopilot
+from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
+from ds_driver.networks.preprocessing import Crop, ImageError
+from ds_sim.registry import spec_of
+
+NEAR = 0.1
+"""s that an image and a steering value may be apart in someone else's bag; chosen: two frames at 20 Hz."""
+Truth = Literal["recorded", "autopilot"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """How a recording is to be read.
+
+    Attributes:
+        camera: topic of the images; None if there is only one.
+        steering: topic and field of the steering, such as `/cmd:drive.steering_angle`; None for our own commands.
+        factor: that makes of it a steering from -1 full left to +1 full right.
+        rows: of the images that are kept, see `ds_driver.data.pixels.fit_to_network`.
+        truth: what a driver is compared with: the recorded steering, or what the autopilot would have done (our bags).
+    """
+
+    camera: str | None = None
+    steering: str | None = None
+    factor: float = 1.0
+    rows: tuple[int, int] | None = None
+    truth: Truth = "recorded"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedFrame:
+    """One recorded image.
+
+    Attributes:
+        index: of the image in its recording.
+        seconds: since the first image.
+        image: (160, 320, 3) uint8 RGB; None if it cannot be read.
+        steering: to compare with, -1 full left to +1 full right, or None.
+        speed: m/s, 0 where the recording does not say.
+        trouble: why there is no image.
+    """
+
+    index: int
+    seconds: float
+    image: NDArray[np.uint8] | None
+    steering: float | None
+    speed: float = 0.0
+    trouble: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A bag or tub whose images can be read, again and again.
+
+    Attributes:
+        path: of it.
+        group: recordings of one group are pooled: the simulator of a bag of ours, else the recording's own name.
+        kind: `bag of ours`, `bag` or `tub`.
+        crop: what a network need not see.
+        reading: how it is read.
+    """
+
+    path: Path
+    group: str
+    kind: str
+    crop: Crop
+    reading: Reading
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """Every image in its order.
+
+        Raises:
+            ds_bags.layout.BagError: it is damaged, or has no such topic.
+        """
+        return _tub_frames(self) if self.kind == "tub" else _bag_frames(self)
+
+
+def open_recording(path: Path, reading: Reading) -> Recording:
+    """Find out what a folder is.
+
+    Raises:
+        ds_bags.layout.BagError: neither a bag nor a tub, or it has no images.
+    """
+    if is_tub(path):
+        if reading.truth == "autopilot":
+            raise BagError(f"{path} is a tub: what the autopilot would do is known for bags of ours alone")
+        return Recording(path=path, group=path.resolve().name, kind="tub", crop=Crop(), reading=reading)
+    with BagReader(path) as bag:
+        _camera(bag, reading)
+        ours = "simulator" in bag.facts and bool(bag.of_type(STATE))
+        if not ours and reading.truth == "autopilot":
+            raise BagError(f"{path} is no bag of ours: what the autopilot would do is known for those alone")
+        if not ours:
+            return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
+        spec = spec_of(bag.facts["simulator"])
+        crop = Crop(spec.crop_top, spec.crop_bottom)
+        return Recording(path=path, group=bag.facts["simulator"], kind="bag of ours", crop=crop, reading=reading)
+
+
+def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
+    records = [record for record in read_tub(recording.path).records if record.image is not None]
+    for record in records:
+        image, trouble = None, ""
+        try:
+            assert record.image is not None
+            image = fit_to_network(rgb_of_file(record.image.read_bytes()), recording.reading.rows)
+        except (OSError, ImageError) as error:
+            trouble = f"{record.image}: {getattr(error, 'strerror', None) or error}"
+        yield RecordedFrame(
+            index=record.index,
+            seconds=record.seconds - records[0].seconds,
+            image=image,
+            steering=record.steering,
+            trouble=trouble,
+        )
+
+
+def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
+    reading = recording.reading
+    with BagReader(recording.path) as bag:
+        labels = _labels(bag, recording)
+        first: int | None = None
+        for index, (connection, logged, raw) in enumerate(bag.messages([_camera(bag, reading)])):
+            message = bag.message(connection, raw)
+            time = stamp_of(message) or logged
+            first = time if first is None else first
+            image, trouble = None, ""
+            try:
+                image = fit_to_network(_pixels(message), reading.rows)
+            except ImageError as error:
+                trouble = f"{recording.path}, image {index}: {error}"
+            steering, speed = labels.at(time)
+            yield RecordedFrame(
+                index=index, seconds=(time - first) / 1e9, image=image, steering=steering, speed=speed, trouble=trouble
+            )
+
+
+def _camera(bag: BagReader, reading: Reading) -> Any:
+    cameras = [c for c in bag.connections if c.msgtype in (IMAGE, COMPRESSED)]
+    if reading.camera is not None:
+        cameras = [c for c in cameras if c.topic == reading.camera]
+    names = ", ".join(c.topic for c in cameras)
+    if not cameras:
+        wanted = f"of topic {reading.camera}" if reading.camera else "at all"
+        raise BagError(f"{bag.path} has no images {wanted}: record with --level compressed or raw, or choose --camera")
+    if len(cameras) > 1:
+        raise BagError(f"{bag.path} has several cameras: choose one of {names} with --camera")
+    return cameras[0]
+
+
+def _pixels(message: Any) -> NDArray[np.uint8]:
+    data = np.frombuffer(message.data, np.uint8)
+    if hasattr(message, "format"):
+        return rgb_of_file(data.tobytes())
+    return rgb_of(data, encoding=message.encoding, height=message.height, width=message.width, step=message.step)
+
+
+class _Labels:
+    """Steering and speed over time.
+
+    Args:
+        steering: time in ns -> value.
+        speed: time in ns -> m/s.
+        exact: only the value of the very time counts.
+    """
+
+    def __init__(self, steering: dict[int, float], speed: dict[int, float], *, exact: bool) -> None:
+        self._steering = steering
+        self._speed = speed
+        self._exact = exact
+        self._times = np.array(sorted(steering), dtype=np.int64)
+
+    def at(self, time: int) -> tuple[float | None, float]:
+        """Steering, or None, and speed at a time."""
+        if self._exact or not self._times.size:
+            return self._steering.get(time), self._speed.get(time, 0.0)
+        after = int(np.searchsorted(self._times, time))
+        near = min(self._times[max(0, after - 1) : after + 1], key=lambda t: abs(int(t) - time))
+        return (self._steering[int(near)] if abs(int(near) - time) <= NEAR * 1e9 else None), 0.0
+
+
+def _labels(bag: BagReader, recording: Recording) -> _Labels:
+    if recording.reading.steering is not None:
+        return _Labels(_field(bag, recording.reading), {}, exact=False)
+    if recording.kind != "bag of ours":
+        return _Labels({}, {}, exact=True)
+    recorded = read_run(bag)
+    speed = {t: seen.vehicle.speed for t, seen in zip(recorded.stamps, recorded.run.observations, strict=True)}
+    if recording.reading.truth == "autopilot":
+        pilot = Autopilot(spec_of(recorded.simulator).autopilot)
+        told = [
+            pilot.command(seen.lane.preview_lateral_position, seen.vehicle.speed).steering
+            for seen in recorded.run.observations
+        ]
+    else:
+        told = [command.steering for command in recorded.run.commands]
+    # The last frame of a run is not answered any more.
+    return _Labels(dict(zip(recorded.stamps, told, strict=False)), speed, exact=True)
+
+
+def _field(bag: BagReader, reading: Reading) -> dict[int, float]:
+    topic, _, path = (reading.steering or "").partition(":")
+    found = [connection for connection in bag.connections if connection.topic == topic]
+    if not found or not path:
+        names = ", ".join(sorted({c.topic for c in bag.connections}))
+        raise BagError(f"{bag.path}: steering {reading.steering!r}: expected TOPIC:FIELD with one of {names}")
+    values = {}
+    for connection, logged, raw in bag.messages(found):
+        message = bag.message(connection, raw)
+        try:
+            value = reading.factor * float(reduce(getattr, path.split("."), message))
+        except (AttributeError, TypeError, ValueError):
+            raise BagError(f"{bag.path}: {connection.msgtype} has no number {path!r}: see `ds bag info`") from None
+        if math.isfinite(value):
+            values[stamp_of(message) if hasattr(message, "header") else logged] = min(max(value, -1.0), 1.0)
+    return values

@@ -1,0 +1,23 @@
+from .architectures import UnknownNetworkError, make_network
+from .backends import BackendError
+from .network_driver import NetworkDriver, load_pilot
+from .pilot import DriverError, Frame, Pilot, Prediction
+from .preprocessing import Crop, ImageError, prepare
+from .weights import WeightsError, shipped_networks
+
+__all__ = [
+    "BackendError",
+    "Crop",
+    "DriverError",
+    "Frame",
+    "ImageError",
+    "NetworkDriver",
+    "Pilot",
+    "Prediction",
+    "UnknownNetworkError",
+    "WeightsError",
+    "load_pilot",
+    "make_network",
+    "prepare",
+    "shipped_networks",
+]

@@ -1,0 +1,235 @@
+"""What computes a network: PyTorch, ONNX Runtime or OpenVINO, with one thread and in single precision.
+
+A driver's name may end in `@torch`, `@onnx`, `@openvino`, or `@cuda` (PyTorch on a GPU): `dave2@openvino`.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ds_driver.networks.pilot import DriverError
+
+BACKENDS = ("auto", "torch", "onnx", "openvino")
+"""auto takes `network_driver.OWN_BACKEND` for our networks, and for a file what its kind was made for."""
+DEVICES = ("cpu", "cuda")
+OPENVINO_INSTALL = ".venv/bin/python -m pip install --no-deps -r requirements/openvino.txt"
+
+Compute = Callable[[NDArray[Any]], list[NDArray[np.float32]]]
+
+
+class BackendError(DriverError):
+    """A backend or device that is unknown, not installed, or cannot compute this network."""
+
+
+@dataclass(frozen=True)
+class Runner:
+    """A network that is ready to compute.
+
+    Attributes:
+        compute: from an input with a batch of one to every output.
+        outputs: their names, where the file has any.
+        shape: of the input, None where a size is free; None as a whole if the file does not say.
+        type: of the input's numbers, as NumPy names it; "" if the file does not say.
+    """
+
+    compute: Compute
+    outputs: tuple[str, ...] = ()
+    shape: tuple[int | None, ...] | None = None
+    type: str = ""
+
+
+def split_backend(driver: str) -> tuple[str, str, str]:
+    """A driver's name without its ending, the backend, and the device."""
+    name, at, ending = driver.rpartition("@")
+    if at and ending == "cuda":
+        return name, "torch", "cuda"
+    return (name, ending, "cpu") if at and ending in BACKENDS else (driver, "auto", "cpu")
+
+
+def with_backend(driver: str, backend: str = "auto", device: str = "cpu") -> str:
+    """A driver's name that also says what computes it.
+
+    Raises:
+        BackendError: the backend or the device is unknown, or they do not go together.
+    """
+    if backend not in BACKENDS:
+        raise BackendError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
+    if device not in DEVICES:
+        raise BackendError(f"unknown device {device!r}: expected one of {', '.join(DEVICES)}")
+    if device == "cuda" and backend not in ("auto", "torch"):
+        raise BackendError(f"the backend {backend} computes on the processor here: leave out --device cuda")
+    if device == "cpu" and backend == "auto":
+        return driver
+    return f"{split_backend(driver)[0]}@{'cuda' if device == 'cuda' else backend}"
+
+
+def torch_device(name: str) -> torch.device:
+    """The device that PyTorch computes on.
+
+    Raises:
+        BackendError: a GPU is asked for and there is none.
+    """
+    if name == "cuda" and not torch.cuda.is_available():
+        raise BackendError("no GPU that PyTorch can use is here: leave out --device cuda, or install PyTorch for CUDA")
+    return torch.device(name)
+
+
+def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -> Runner:
+    """Compute with PyTorch.
+
+    Args:
+        network: from one tensor to a tensor or a sequence of them; on the device already.
+        device: of the network.
+    """
+    torch.set_num_threads(1)
+
+    @torch.inference_mode()
+    def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+        try:
+            found = network(torch.from_numpy(batch).to(device))
+        except RuntimeError as error:
+            raise BackendError(f"the network cannot compute {_words(batch)}: {last_line(error)}") from None
+        parts: Sequence[Any] = found if isinstance(found, (tuple, list)) else [found]
+        if not parts or not all(isinstance(part, torch.Tensor) for part in parts):
+            raise BackendError(f"the network answers with {type(found).__name__}: expected a tensor or a tuple of them")
+        return [part.float().cpu().numpy() for part in parts]
+
+    return Runner(compute)
+
+
+def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runner:
+    """Compute a TorchScript file with PyTorch.
+
+    Raises:
+        BackendError: it is none.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # PyTorch deprecates TorchScript, but reads it
+        try:
+            network = torch.jit.load(BytesIO(content), map_location=device).eval()
+        except (RuntimeError, ValueError) as error:
+            raise BackendError(
+                f"{where} is not TorchScript ({last_line(error)}): save it with torch.jit.trace(network, image).save"
+            ) from None
+    return torch_runner(network, device)
+
+
+def onnx_runner(content: bytes, where: str) -> Runner:
+    """Compute an ONNX graph with ONNX Runtime.
+
+    Raises:
+        BackendError: it is damaged, keeps its weights in other files, or has more than one input.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what it has to say comes as an exception too
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its exceptions have no common base but this
+        raise BackendError(
+            f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
+        ) from None
+    taken = session.get_inputs()
+    if len(taken) != 1:
+        names = ", ".join(i.name for i in taken)
+        raise BackendError(f"{where} has {len(taken)} inputs ({names}): expected one, the image")
+    name = taken[0].name
+    kinds = {"tensor(float)": "float32", "tensor(uint8)": "uint8", "tensor(float16)": "float16"}
+
+    def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+        try:
+            found = session.run(None, {name: np.ascontiguousarray(batch)})
+        except Exception as error:
+            raise BackendError(f"the network cannot compute {_words(batch)}: {last_line(error)}") from None
+        return [np.asarray(part, np.float32) for part in found]
+
+    return Runner(
+        compute,
+        tuple(o.name for o in session.get_outputs()),
+        tuple(size if isinstance(size, int) else None for size in taken[0].shape),
+        kinds.get(taken[0].type, taken[0].type),
+    )
+
+
+def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner:
+    """Compute an ONNX, TensorFlow Lite or TorchScript file with OpenVINO.
+
+    Args:
+        content: of the file.
+        where: its name, for messages.
+        kind: `onnx`, `tflite` or `torchscript`.
+
+    Raises:
+        BackendError: OpenVINO is not installed, or cannot read the file.
+    """
+    try:
+        import openvino
+    except ImportError:
+        raise BackendError(f"OpenVINO is not installed (60 MB): type {OPENVINO_INSTALL}") from None
+    core = openvino.Core()
+    settings = {
+        "INFERENCE_NUM_THREADS": 1,
+        "NUM_STREAMS": 1,
+        # Left alone it takes bfloat16 where the processor has it, and other numbers with it.
+        "INFERENCE_PRECISION_HINT": "f32",
+        # Pinned, the drivers of several workers would share one core.
+        "ENABLE_CPU_PINNING": False,
+    }
+    try:
+        if kind == "torchscript":
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                model = openvino.convert_model(torch.jit.load(BytesIO(content)).eval())
+            compiled = core.compile_model(model, "CPU", settings)
+        elif kind == "tflite":
+            # OpenVINO reads these from a file only, which it may still need until the model is compiled.
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / "network.tflite"
+                file.write_bytes(content)
+                compiled = core.compile_model(core.read_model(file), "CPU", settings)
+        else:
+            compiled = core.compile_model(core.read_model(BytesIO(content)), "CPU", settings)
+    except Exception as error:  # its exceptions have no common base but this
+        raise BackendError(f"{where} cannot be loaded by OpenVINO ({last_line(error)}): is the file whole?") from None
+    if len(compiled.inputs) != 1:
+        raise BackendError(f"{where} has {len(compiled.inputs)} inputs: expected one, the image")
+    request = compiled.create_infer_request()
+    taken = compiled.inputs[0]
+
+    def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+        try:
+            found = request.infer([np.ascontiguousarray(batch)], share_inputs=True)
+        except Exception as error:
+            raise BackendError(f"the network cannot compute {_words(batch)}: {last_line(error)}") from None
+        return [np.array(found[output], np.float32) for output in compiled.outputs]
+
+    return Runner(
+        compute,
+        tuple(next(iter(sorted(o.get_names())), "") for o in compiled.outputs),
+        tuple(d.get_length() if d.is_static else None for d in taken.get_partial_shape())
+        if taken.get_partial_shape().rank.is_static
+        else None,
+        taken.get_element_type().to_dtype().name,
+    )
+
+
+def last_line(error: BaseException) -> str:
+    """What an exception says, the last line of it, and not too much."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[-1] if lines else type(error).__name__)[:200]
+
+
+def _words(batch: NDArray[Any]) -> str:
+    return f"an input of shape {'x'.join(map(str, batch.shape))} and type {batch.dtype}"

@@ -1,0 +1,134 @@
+"""A driver that steers by a network, ours or anybody's, and keeps its speed by the paper's equation 2."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ds_driver.control.autopilot import throttle
+from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
+from ds_driver.networks.backends import Runner, onnx_runner, openvino_runner, split_backend, torch_device, torch_runner
+from ds_driver.networks.described_network import KINDS, DescribedNetworkPilot, file_of, read_description
+from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
+from ds_driver.networks.preprocessing import Crop, prepare
+from ds_driver.networks.user_class import UserClassPilot, source_of
+from ds_driver.networks.weights import load_network, shipped_networks, weights_sha256
+from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.simulator import Command
+
+OWN_BACKEND = "onnx"
+"""Computes our networks unless another one is named; chosen by measurement (docs/bring_your_own_network.md)."""
+DESCRIPTIONS = (".yaml", ".yml")
+
+
+class BuiltInPilot:
+    """Drives by one of the paper's networks.
+
+    Args:
+        network: a shipped network's name or a weights file.
+        backend: `auto` or any other.
+        device: `cpu`, or `cuda` with PyTorch.
+
+    Raises:
+        ds_driver.networks.weights.WeightsError: the weights cannot be used.
+        ds_driver.networks.architectures.UnknownNetworkError: the name stands for nothing.
+        ds_driver.networks.backends.BackendError: the backend or the device is not there.
+    """
+
+    def __init__(self, network: str, backend: str = "auto", device: str = "cpu") -> None:
+        self._compute = _runner(network, OWN_BACKEND if backend == "auto" else backend, device).compute
+
+    def start(self) -> None:
+        """A network keeps nothing of a run."""
+
+    def predict(self, seen: Frame) -> Prediction:
+        """See `ds_driver.networks.pilot.Pilot`."""
+        return Prediction(float(self._compute(prepare(seen.image, seen.crop)[None])[0].reshape(-1)[0]))
+
+
+class NetworkDriver:
+    """Images and speed in, commands out; the same bits for the same frames in any process.
+
+    Args:
+        driver: a shipped network, a weights file, the YAML description of a network file, or `module:Class`; what
+            computes it may follow, as in `dave2@onnx`.
+
+    Raises:
+        ValueError: it cannot be had; see `BuiltInPilot`, `DescribedNetworkPilot` and `UserClassPilot`.
+    """
+
+    def __init__(self, driver: str) -> None:
+        self._pilot = load_pilot(driver)
+        # The first image takes longest: memory is taken and kernels are chosen.
+        self.command(np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), 0.0, Crop())
+        self._pilot.start()
+
+    def steering(self, image: NDArray[np.uint8], crop: Crop) -> float:
+        """Steering in [-1, 1] for one camera image, (160, 320, 3) uint8 RGB.
+
+        Raises:
+            ds_driver.networks.preprocessing.ImageError: an image of another size or type.
+            ds_driver.networks.pilot.DriverError: there is no answer to drive by.
+        """
+        return _within(self._pilot.predict(Frame(image=image, speed=0.0, crop=crop)).steering, -1.0)
+
+    def command(self, image: NDArray[np.uint8], speed: float, crop: Crop, step: int = 1) -> Command:
+        """What to do on seeing an image at a speed in m/s; step 0 begins a run."""
+        if step == 0:
+            self._pilot.start()
+        said = self._pilot.predict(Frame(image=image, speed=speed, crop=crop, step=step))
+        steering = _within(said.steering, -1.0)
+        return Command(steering, throttle(steering, speed) if said.throttle is None else _within(said.throttle, 0.0))
+
+
+def load_pilot(driver: str) -> Pilot:
+    """Load what a driver's name stands for; see `NetworkDriver`."""
+    name, backend, device = split_backend(driver)
+    suffix = Path(name).suffix.lower()
+    if suffix in DESCRIPTIONS:
+        return DescribedNetworkPilot(Path(name), backend, device)
+    if suffix in KINDS:
+        raise DriverError(f"{name} says nothing of its input: describe it in a .yaml (docs/bring_your_own_network.md)")
+    if ":" in name and suffix != ".safetensors":
+        if (backend, device) != ("auto", "cpu"):
+            raise DriverError(f"driver {name} computes what it likes: leave out the backend and the device")
+        return UserClassPilot(name)
+    names = {**NETWORKS, **shipped_networks()}
+    if name not in names and suffix != ".safetensors":
+        raise UnknownNetworkError(
+            f"unknown driver {name!r}: expected one of {', '.join(names)}, a .safetensors or .yaml file, or "
+            "module:Class"
+        )
+    return BuiltInPilot(name, backend, device)
+
+
+def driver_sha256(driver: str) -> str:
+    """Hash of the files that a driver is made of: weights, description and network file, or a class's module."""
+    name = split_backend(driver)[0]
+    if Path(name).suffix.lower() in DESCRIPTIONS:
+        path = Path(name)
+        parts = [path, file_of(path, read_description(path))]
+    elif ":" in name and not name.endswith(".safetensors"):
+        parts = [source_of(name)]
+    else:
+        return weights_sha256(name)
+    return hashlib.sha256(b"".join(hashlib.sha256(part.read_bytes()).digest() for part in parts)).hexdigest()
+
+
+def _runner(name: str, backend: str, device: str) -> Runner:
+    where = torch_device(device)
+    network = load_network(name)
+    if backend != "torch":
+        from ds_driver.networks.onnx_export import to_onnx
+
+        return (onnx_runner if backend == "onnx" else openvino_runner)(to_onnx(network), name)
+    network = network.to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
+    return torch_runner(lambda batch: network(batch.permute(0, 3, 1, 2).float()), where)
+
+
+def _within(value: float, low: float) -> float:
+    return min(max(value, low), 1.0)

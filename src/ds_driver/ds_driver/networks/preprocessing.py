@@ -1,0 +1,69 @@
+"""From a camera image to a network's input: one piece of code for training and for driving (paper 3.2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+
+
+class ImageError(ValueError):
+    """An image that no network here can take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """Image rows that a network does not see: those above the horizon, and the vehicle's own front.
+
+    Attributes:
+        top: rows cut off at the top.
+        bottom: rows cut off at the bottom.
+    """
+
+    top: int = 0
+    bottom: int = 0
+
+    def __post_init__(self) -> None:
+        if self.top < 0 or self.bottom < 0 or self.top + self.bottom > IMAGE_HEIGHT - 8:
+            raise ImageError(
+                f"crop of {self.top} rows at the top and {self.bottom} at the bottom leaves nothing to see: "
+                f"expected at most {IMAGE_HEIGHT - 8} rows together"
+            )
+
+
+def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
+    """Crop, resize to 160 x 320 and turn to YUV (order and colour space as in maxitwo).
+
+    Args:
+        image: (160, 320, 3) uint8 RGB.
+        crop: rows to cut off.
+
+    Returns:
+        (160, 320, 3) uint8 YUV.
+
+    Raises:
+        ImageError: another size or type.
+    """
+    checked(image)
+    part = image[crop.top : IMAGE_HEIGHT - crop.bottom]
+    if part.shape[0] != IMAGE_HEIGHT:
+        part = cv2.resize(part, (IMAGE_WIDTH, IMAGE_HEIGHT), interpolation=cv2.INTER_LINEAR)
+    return cv2.cvtColor(part, cv2.COLOR_RGB2YUV)
+
+
+def checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A camera image that every network here can take.
+
+    Raises:
+        ImageError: another size or type.
+    """
+    if image.shape != (IMAGE_HEIGHT, IMAGE_WIDTH, 3) or image.dtype != np.uint8:
+        raise ImageError(
+            f"image of shape {image.shape} and type {image.dtype}, "
+            f"expected ({IMAGE_HEIGHT}, {IMAGE_WIDTH}, 3) uint8 RGB: set the camera to 320 x 160"
+        )
+    return image

@@ -1,0 +1,110 @@
+"""Lets a driver that knows only standard messages drive a simulator: turns its commands into `DriveCommand`s."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+from ds_interfaces.msg import DriveCommand, VehicleState
+from ds_interfaces.srv import GetSimulatorInfo
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from std_msgs.msg import Header
+
+from ds_driver.control.command_conversions import KINDS, Geometry, Motion, MotionError, part
+from ds_driver.control.speed_controller import SpeedController
+from ds_driver.control.stamp_matching import StampMatcher
+from ds_driver.ros.command_publisher import message_type
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.runtime import run_node
+
+ASK_AGAIN = 1.0
+"""Seconds between two questions for the vehicle's geometry; chosen."""
+
+
+class CmdVelAdapter(Node):
+    """Subscribes to the commands of another stack, and answers each frame of the simulator in its namespace.
+
+    The simulator's `state` brings stamp and speed of each frame; `get_info` the vehicle's geometry.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("cmd_vel_adapter")
+        name = declare(self, "message", "twist_stamped", "Message by which the driver drives.", choices=tuple(KINDS))
+        about = "copied: a command's stamp is that of the image it answers; ignored: it answers the newest image."
+        self._ignore = declare(self, "stamps", "copied", about, choices=("copied", "ignored")) == "ignored"
+        wheelbase = declare(self, "wheelbase", 0.0, "m; 0 asks the simulator.", low=0.0, high=100.0)
+        about = "At the wheels for full steering, rad; 0 asks the simulator."
+        angle = declare(self, "max_steering_angle", 0.0, about, low=0.0, high=1.5)
+        self._kind = KINDS[name]
+        self._geometry = Geometry(wheelbase, angle) if wheelbase and angle else None
+        self._speed_control = SpeedController()
+        self._matching: StampMatcher[VehicleState, Motion | MotionError] = StampMatcher()
+        self._drive = self.create_publisher(DriveCommand, "drive", 1)
+        self.create_subscription(VehicleState, "state", self._on_state, 5)
+        self.create_subscription(message_type(self._kind), self._kind.topic, self._on_command, 5)
+        if self._geometry is None:
+            self._info = self.create_client(GetSimulatorInfo, "get_info")
+            self._asking = self.create_timer(ASK_AGAIN, self._ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"{self._kind.type_name} on {self._kind.topic} drives")
+
+    def _ask(self) -> None:
+        if self._info.service_is_ready():
+            self._info.call_async(GetSimulatorInfo.Request()).add_done_callback(self._on_info)
+
+    def _on_info(self, answer: Future) -> None:
+        info = answer.result()
+        if info is not None and self._geometry is None:
+            self._asking.cancel()
+            self._geometry = Geometry(info.wheelbase, info.max_steering_angle)
+            self.get_logger().info(f"{info.name}: wheelbase {info.wheelbase:.3f} m, {info.max_steering_angle:.3f} rad")
+
+    def _on_state(self, state: VehicleState) -> None:
+        if state.step == 0:
+            self._speed_control.reset()
+        self._answer(self._matching.frame(_nanoseconds(state.header.stamp), state))
+
+    def _on_command(self, message: Any) -> None:
+        if self._geometry is None:
+            return
+        try:
+            motion: Motion | MotionError = self._kind.read(part(message, self._kind.body), self._geometry)
+        except MotionError as error:
+            motion = error
+        stamp = 0 if self._ignore or not self._kind.stamp else _nanoseconds(part(message, self._kind.stamp))
+        try:
+            self._answer(self._matching.command(stamp, motion))
+        except KeyError:
+            text = "command without effect: its stamp is of no open image; copy the image's, or set stamps:=ignored"
+            self.get_logger().warning(text, throttle_duration_sec=5.0)
+
+    def _answer(self, pair: tuple[VehicleState, Motion | MotionError] | None) -> None:
+        if pair is None:
+            return
+        state, motion = pair
+        header = Header(stamp=state.header.stamp, frame_id=state.header.frame_id)
+        if isinstance(motion, MotionError):
+            self.get_logger().warning(f"command refused: {motion}", throttle_duration_sec=1.0)
+            # So that the simulator, too, knows of it, and the run's result says why it ended.
+            self._drive.publish(DriveCommand(header=header, steering=math.nan, throttle=math.nan))
+            return
+        if motion.throttle is not None:
+            throttle = min(motion.throttle, 1.0)
+        else:
+            throttle = self._speed_control.throttle(motion.speed or 0.0, state.speed)
+        self._drive.publish(DriveCommand(header=header, steering=motion.steering, throttle=throttle))
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def main() -> None:
+    """Run the adapter until it is told to stop."""
+    sys.exit(run_node(CmdVelAdapter))
+
+
+if __name__ == "__main__":
+    main()

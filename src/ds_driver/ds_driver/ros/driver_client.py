@@ -1,0 +1,91 @@
+"""Shows recorded images to a driver node of the graph, one at a time, and waits for the answer with the same stamp."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+import rclpy
+from ds_interfaces.msg import DriveCommand, VehicleState
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from ds_driver.data.recordings import RecordedFrame
+from ds_driver.networks.preprocessing import Crop
+from ds_sim.ros import conversions as messages
+from ds_sim.simulator import FRAME_TIME
+
+PATIENCE = 10.0
+"""s that a driver gets for one image; the default of a simulator that `ds drive` starts."""
+REPEAT = 0.5
+"""s after which an unanswered image is sent again, as a simulator's node does."""
+
+
+class NoDriverError(RuntimeError):
+    """No driver node takes images in the namespace."""
+
+
+class DriverClient:
+    """A driver node as a function of frames; publishes what a simulator in its namespace would.
+
+    Args:
+        namespace: where the driver looks for a simulator.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self._namespace = namespace
+        self._node = Node("bag_questions", start_parameter_services=False)
+        self._image = self._node.create_publisher(Image, f"{namespace}/camera/image_raw", 5)
+        self._state = self._node.create_publisher(VehicleState, f"{namespace}/state", 50)
+        self._node.create_subscription(DriveCommand, f"{namespace}/drive", self._on_command, 10)
+        self._asked = Header()
+        self._answer: float | None = None
+        self._count = 0
+
+    def wait_for_driver(self, limit: float = 20.0) -> None:
+        """Wait until somebody takes images and gives commands.
+
+        Raises:
+            NoDriverError: nobody does.
+        """
+        deadline = time.monotonic() + limit
+        while not (self._image.get_subscription_count() and self._node.count_publishers(f"{self._namespace}/drive")):
+            if time.monotonic() > deadline:
+                raise NoDriverError(f"after {limit:.0f} s there is no driver for {self._namespace}: start one first")
+            rclpy.spin_once(self._node, timeout_sec=0.05)
+
+    def __call__(self, frame: RecordedFrame, _crop: Crop) -> float | None:
+        """The node's steering for one image, (160, 320, 3), or None if it does not answer in time."""
+        assert frame.image is not None
+        # Stamps never repeat, so a late answer to one image is none to the next.
+        self._count += 1
+        self._asked = Header(stamp=messages.to_time(1.0 + self._count * FRAME_TIME), frame_id="camera")
+        self._answer = None
+        rows, columns, channels = frame.image.shape
+        image = Image(header=self._asked, height=rows, width=columns, encoding="rgb8", step=columns * channels)
+        image.data = frame.image.tobytes()
+        state = VehicleState(header=self._asked, step=self._count - 1, speed=frame.speed)
+        deadline, again = time.monotonic() + PATIENCE, 0.0
+        while self._answer is None and time.monotonic() < deadline:
+            if time.monotonic() >= again:
+                self._state.publish(state)
+                self._image.publish(image)
+                again = time.monotonic() + REPEAT
+            rclpy.spin_once(self._node, timeout_sec=0.05)
+        return self._answer
+
+    def _on_command(self, message: DriveCommand) -> None:
+        if message.header.stamp == self._asked.stamp and -1.0 <= message.steering <= 1.0:
+            self._answer = float(message.steering)
+
+    def __enter__(self) -> DriverClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._node.destroy_node()
+        rclpy.try_shutdown()

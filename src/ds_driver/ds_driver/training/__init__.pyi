@@ -1,0 +1,3 @@
+from .trainer import TrainingError, TrainingPlan, train
+
+__all__ = ["TrainingError", "TrainingPlan", "train"]

@@ -1,0 +1,54 @@
+"""How long the stages of a campaign took by the wall clock, over all sessions: told to people, it decides nothing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from ds_orchestrator.campaign.runner import Listener
+from ds_orchestrator.store.store import Execution, Store, Test
+
+_PREFIX = "seconds "
+
+
+class StageTimer:
+    """Hands everything on to another listener, and adds up in the store how long each stage takes.
+
+    Args:
+        listener: is told everything.
+        store: keeps the seconds.
+        clock: seconds since some moment.
+    """
+
+    def __init__(self, listener: Listener, store: Store, clock: Callable[[], float] = time.monotonic) -> None:
+        self._listener = listener
+        self._store = store
+        self._clock = clock
+        self._name = ""
+        self._began = 0.0
+
+    def stage(self, name: str) -> None:
+        """See `Listener.stage`."""
+        self.end()
+        self._name, self._began = name, self._clock()
+        self._listener.stage(name)
+
+    def end(self) -> None:
+        """The stage under way ends; without one nothing happens."""
+        if self._name:
+            self._store.add_seconds(self._name, self._clock() - self._began)
+        self._name = ""
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """See `Listener.expect`."""
+        self._listener.expect(stages)
+
+    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+        """See `Listener.finished`."""
+        self._listener.finished(test, simulator, execution, fresh)
+
+
+def seconds_of(notes: Mapping[str, str]) -> dict[str, float]:
+    """Stage -> seconds, from what a store notes; longest first."""
+    found = {key.removeprefix(_PREFIX): float(value) for key, value in notes.items() if key.startswith(_PREFIX)}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))

@@ -1,0 +1,199 @@
+"""`ds collect`, `ds train`, `ds assess`, `ds models`: driving networks, from data to what is shipped."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ds_orchestrator.cli.options import (
+    Backend,
+    Camera,
+    Device,
+    ImageRows,
+    JsonFlag,
+    RecordedSteering,
+    Seed,
+    Simulators,
+    SteeringFactor,
+    driver_named,
+    rows_of,
+    simulators_of,
+)
+from ds_orchestrator.cli.output import Result, answer, countdown, say
+from ds_sim.software_versions import versions
+
+if TYPE_CHECKING:
+    from ds_driver.data.recordings import Reading
+
+app = typer.Typer()
+
+
+def collect(out: Path, simulators: list[str], **settings: Any) -> None:
+    """Collect a data set; the settings are those of `ds_driver.data.collection.CollectionPlan`."""
+    from ds_driver.data.collection import CollectionPlan
+    from ds_driver.data.collection import collect as collect_drives
+    from ds_driver.data.dataset import write_manifest
+
+    plan = CollectionPlan(**settings)
+    collect_drives(plan, simulators, out, countdown())
+    write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
+
+
+def import_drives(folders: list[Path], out: Path, name: str, reading: Reading) -> Result:
+    """Recordings as a part of a data set."""
+    from ds_driver.data.import_recordings import import_recordings
+    from ds_driver.data.recordings import open_recording
+
+    found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, countdown())
+
+    def show() -> None:
+        left = f"; {found.unlabelled} images have no steering beside them" if found.unlabelled else ""
+        print(f"{found.images} images are in {out / name}, in {found.files} files{left}")
+
+    return Result(document=asdict(found), show=show)
+
+
+def train(data: Path, out: Path, **settings: Any) -> None:
+    """Train a network; the settings are those of `ds_driver.training.trainer.TrainingPlan`."""
+    from ds_driver.training.trainer import TrainingPlan
+    from ds_driver.training.trainer import train as train_network
+
+    plan = TrainingPlan(**settings)
+    train_network(data, out, plan, say)
+    print(out / f"{plan.network}.safetensors")
+
+
+def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Result:
+    """Drive unseen roads with a network, without ROS."""
+    from ds_driver.closed_loop.success_rate import success_rates
+    from ds_driver.data.collection import roads_both_ways
+    from ds_orchestrator.graph.process_specs import check_driver
+
+    check_driver(network)
+    document: dict[str, Any] = {
+        "network": network,
+        "roads": roads,
+        "seed": seed,
+        "success": success_rates(network, simulators, roads_both_ways(roads, seed), seed, countdown()),
+    }
+
+    def show() -> None:
+        table = Table("simulator", "forward", "reverse")
+        for name, rates in document["success"].items():
+            table.add_row(name, *(f"{rate:.2f}" for rate in rates.values()))
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def models() -> Result:
+    """The shipped networks with their cards."""
+    from ds_driver.networks.architectures import count_parameters
+    from ds_driver.networks.weights import load_network, shipped_networks
+
+    document = [
+        {
+            "name": name,
+            "parameters": count_parameters(load_network(name)),
+            "bytes": path.stat().st_size,
+            "input": [160, 320, 3],
+            "card": json.loads(path.with_suffix(".json").read_text()),
+        }
+        for name, path in shipped_networks().items()
+    ]
+
+    def show() -> None:
+        table = Table("name", "parameters", "bytes", "success on unseen roads")
+        for row in document:
+            success = ", ".join(f"{k} {_mean(v):.2f}" for k, v in row["card"]["success"].items())
+            table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def _mean(rates: dict[str, float]) -> float:
+    return sum(rates.values()) / len(rates)
+
+
+@app.command("collect")
+def collect_command(
+    out: Annotated[Path, typer.Option(help="Folder of the data set; a collection that was stopped goes on.")],
+    roads: Annotated[int, typer.Option(min=1, help="Random roads, each driven both ways.")] = 25,
+    seed: Seed = 1,
+    every: Annotated[int, typer.Option(min=1, help="Keep one frame of so many.")] = 1,
+    disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Steering pushes while driving.")] = 0.0,
+    sims: Simulators = "bullet,softbody,donkey",
+) -> None:
+    """Labelled driving data from the autopilot."""
+    collect(out, simulators_of(sims), roads=roads, seed=seed, every=every, disturbance=disturbance)
+
+
+@app.command("import")
+def import_command(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Donkey Car tubs, bags with images.")],
+    out: Annotated[Path, typer.Option(help="Folder of a data set, new or not.")],
+    name: Annotated[str, typer.Option(help="Of the car; stands where a simulator's name does.")] = "car",
+    camera: Camera = None,
+    steering: RecordedSteering = None,
+    factor: SteeringFactor = 1.0,
+    rows: ImageRows = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Recorded drives of a real car into a data set, to train or compare networks on."""
+    from ds_driver.data.recordings import Reading
+
+    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows))
+    answer(import_drives(folders, out, name, reading), as_json)
+
+
+@app.command("train")
+def train_command(
+    data: Annotated[Path, typer.Option(help="Folder of a data set.")],
+    out: Annotated[Path, typer.Option(help="Folder for weights; a training that was stopped there goes on.")],
+    network: Annotated[str, typer.Option(help="Architecture.")] = "dave2",
+    seed: Seed = 1,
+    schedule: Annotated[str, typer.Option(help="laptop, or the paper's, which wants a GPU.")] = "laptop",
+    epochs: Annotated[int | None, typer.Option(min=1, help="At most; the schedule's if left out.")] = None,
+    images: Annotated[int | None, typer.Option(min=1, help="Per simulator; all if left out.")] = None,
+    learning_rate: Annotated[float, typer.Option(min=1e-7, max=1.0, help="Of Adam.")] = 1e-4,
+    threads: Annotated[int, typer.Option(min=1, help="Of the mathematics.")] = 2,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+) -> None:
+    """Train one network for all simulators of a data set."""
+    from ds_driver.training.trainer import schedule_of
+
+    chosen = schedule_of(schedule, network)
+    train(
+        data, out, network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs,
+        patience=chosen.patience, images_per_simulator=images, learning_rate=learning_rate, threads=threads,
+        device=device,
+    )  # fmt: skip
+
+
+@app.command("assess")
+def assess_command(
+    network: Annotated[str, typer.Argument(help="dave2, a .safetensors or .yaml file, or module:Class.")] = "dave2",
+    backend: Backend = "auto",
+    device: Device = "cpu",
+    roads: Annotated[int, typer.Option(min=1, help="Random roads that no training has seen.")] = 25,
+    seed: Seed = 424242,
+    sims: Simulators = "bullet,softbody,donkey",
+    as_json: JsonFlag = False,
+) -> None:
+    """Share of unseen roads that a network completes on each simulator, in both directions."""
+    answer(
+        assess(driver_named(network, backend, device), roads=roads, seed=seed, simulators=simulators_of(sims)), as_json
+    )
+
+
+@app.command("models")
+def models_command(as_json: JsonFlag = False) -> None:
+    """The networks that are shipped, and how good they are."""
+    answer(models(), as_json)

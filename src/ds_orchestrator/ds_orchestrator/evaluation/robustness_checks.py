@@ -1,0 +1,111 @@
+"""The questions of RQ2 and RQ3 asked in other ways: those of the authors' package and other reasonable ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+
+from ds_orchestrator.evaluation.correlation import QUESTIONS
+from ds_orchestrator.evaluation.statistics import (
+    Array,
+    _ap,
+    _decided,
+    _paired,
+    _pearson,
+    _roc,
+    _trapezoids,
+)
+from ds_orchestrator.maps.algebra import merge
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.merge_operators import OPERATORS
+
+EMPTY = -2.0
+"""What maxitwo puts into empty cells before it correlates over all of them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustnessCheck:
+    """The same question asked in another way.
+
+    Attributes:
+        what: how it differs from the main number.
+        name: of the map.
+        against: of the map that it is compared with.
+        value: of the first map.
+        cells: number of cells compared.
+        r: Pearson correlation, or None.
+        p: its two-sided p-value, or None.
+        auc: area under a curve, as `what` says, or None.
+    """
+
+    what: str
+    name: str
+    against: str
+    value: str
+    cells: int
+    r: float | None = None
+    p: float | None = None
+    auc: float | None = None
+
+
+def check_robustness(maps: Mapping[str, FeatureMap], siblings: Sequence[str], twin: str) -> list[RobustnessCheck]:
+    """The same questions in other ways, those of the authors' package first (its compute_mapelites_correlation)."""
+    unions = [maps[f"union_{sibling}"] for sibling in siblings]
+    compared, truth = [*unions, maps["merged"]], maps[f"twin_{twin}"]
+    found = []
+    for value, m in product(QUESTIONS, compared):
+        found.append(_check("all cells of the bounds, empty ones as -2 (maxitwo)", *_filled(m, truth, value)))
+    for value, m in product(QUESTIONS, compared):
+        ours, against = _paired(m, truth, value)
+        both = (ours > 0) & (against > 0)
+        found.append(_check("only cells above 0 in both (maxitwo)", m, truth, value, ours[both], against[both]))
+    for value, m in product(QUESTIONS, compared):
+        found.append(_check("AUC of ROC (maxitwo)", m, truth, value, *_paired(m, truth, value), curve=_roc))
+    for value, m in product(QUESTIONS, compared):
+        what = "AUC-PRC by trapezoids"
+        found.append(_check(what, m, truth, value, *_paired(m, truth, value), curve=_trapezoids))
+    for m in compared:
+        ours, against = _paired(m, truth, "pooled_quality_loss")
+        what = "quality as mean over a union's tests (maxitwo)"
+        found.append(_check(what, m, truth, "quality_loss", ours, against, curve=_ap))
+    for value, sibling in product(QUESTIONS, siblings):
+        m, against_own = maps[f"search_{sibling}"], maps[f"migration_{sibling}_to_{twin}"]
+        what = "a sibling's own search, without migration (maxitwo)"
+        found.append(_check(what, m, against_own, value, *_paired(m, against_own, value), curve=_ap))
+    if len(unions) > 1:
+        for value, operator in product(QUESTIONS, OPERATORS):
+            m = merge("merged", unions, probability=operator, quality_loss=operator)
+            what = f"merged by {operator.replace('_', ' ')}"
+            found.append(_check(what, m, truth, value, *_paired(m, truth, value), curve=_ap))
+    for one, other in combinations(unions, 2):
+        found.append(_check("sibling against sibling (maxitwo)", one, other, "probability", *_paired(one, other)))
+    return found
+
+
+def _filled(m: FeatureMap, truth: FeatureMap, value: str) -> tuple[FeatureMap, FeatureMap, str, Array, Array]:
+    """Both maps over their common bounds, with a number that means nothing where nothing is known."""
+    filled = set(m.cells) | set(truth.cells)
+    axes = [range(min(axis), max(axis) + 1) for axis in zip(*filled, strict=True)]
+    cells = list(product(*axes)) if filled else []
+    ours = [EMPTY if cell not in m.cells else float(getattr(m.cells[cell], value)) for cell in cells]
+    against = [EMPTY if cell not in truth.cells else truth.cells[cell].probability for cell in cells]
+    return m, truth, value, np.array(ours, np.float64), np.array(against, np.float64)
+
+
+def _check(
+    what: str,
+    m: FeatureMap,
+    against: FeatureMap,
+    value: str,
+    ours: Array,
+    truth: Array,
+    *,
+    curve: Callable[[Array, Array], float] | None = None,
+) -> RobustnessCheck:
+    r, p, _ = _pearson(ours, truth, value)
+    auc = curve(ours, truth) if curve is not None and _decided(truth) else None
+    found = {"cells": len(ours), "r": r, "p": p, "auc": auc}
+    return RobustnessCheck(what=what, name=m.name, against=against.name, value=value, **found)  # type: ignore[arg-type]

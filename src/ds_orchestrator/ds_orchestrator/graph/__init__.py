@@ -1,0 +1,1 @@
+"""The orchestrator's ROS side: processes, domains, and the client that drives roads on them."""

@@ -1,0 +1,123 @@
+"""Pool, unite and merge feature maps (paper 3.3 to 3.5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
+from ds_orchestrator.maps.merge_operators import apply, jeffreys_interval, merged_interval
+from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
+from ds_orchestrator.store.store import Execution
+
+
+def pool(
+    name: str,
+    runs: Iterable[tuple[Cell, Execution]],
+    normalise: Normalise,
+    *,
+    features: tuple[str, ...] = DEFAULT_FEATURES,
+) -> FeatureMap:
+    """Place every executed test in its cell; of several runs of a search this is their combined map (paper 3.3)."""
+    groups: dict[Cell, list[Execution]] = {}
+    for cell, execution in runs:
+        groups.setdefault(cell, []).append(execution)
+    cells = {}
+    for cell in sorted(groups):
+        group = groups[cell]
+        failures = sum(e.outcome.is_failure for e in group)
+        quality_loss = math.fsum(normalise(e.max_lateral_position) for e in group) / len(group)
+        cells[cell] = MapCell(
+            tests=len(group),
+            failures=failures,
+            probability=failures / len(group),
+            quality_loss=quality_loss,
+            pooled_quality_loss=quality_loss,
+            interval=jeffreys_interval(failures, len(group)),
+        )
+    return FeatureMap(name=name, cells=cells, features=features)
+
+
+def union(name: str, maps: Sequence[FeatureMap], *, pooled_quality_loss: bool = False) -> FeatureMap:
+    """Unite maps of different tests on the same simulator (paper 3.4).
+
+    Failures and tests are summed over the maps. Quality is the mean of the maps' values, so that a map of one test
+    counts like one of ten; a map that leaves the cell empty says nothing and does not count as 0.
+
+    Args:
+        name: of the union.
+        maps: whose cells hold counted tests, at least one.
+        pooled_quality_loss: take the mean over all tests instead, as maxitwo does.
+
+    Raises:
+        ValueError: no maps, or one without counts.
+    """
+    _check_axes(maps, "unite")
+    cells = {}
+    for cell in sorted(set().union(*(m.cells for m in maps))):
+        parts = [m.cells[cell] for m in maps if cell in m.cells]
+        if any(p.failures is None for p in parts):
+            raise ValueError(f"a map of {name} has no counts: expected maps of tests, not merged ones")
+        tests, failures = sum(p.tests for p in parts), sum(p.failures or 0 for p in parts)
+        pooled = math.fsum(
+            p.tests * (p.quality_loss if p.pooled_quality_loss is None else p.pooled_quality_loss) for p in parts
+        )
+        of_maps = math.fsum(p.quality_loss for p in parts) / len(parts)
+        cells[cell] = MapCell(
+            tests=tests,
+            failures=failures,
+            probability=failures / tests,
+            quality_loss=pooled / tests if pooled_quality_loss else of_maps,
+            pooled_quality_loss=pooled / tests,
+            interval=jeffreys_interval(failures, tests),
+        )
+    return FeatureMap(name=name, cells=cells, features=maps[0].features)
+
+
+def merge(
+    name: str, maps: Sequence[FeatureMap], *, probability: str = "product", quality_loss: str = "minimum"
+) -> FeatureMap:
+    """Merge the union maps of all siblings: only agreement counts (paper 3.5).
+
+    A cell that one of the maps leaves empty is empty: nobody knows whether that sibling agrees. One sibling gives its
+    own map back.
+
+    Args:
+        name: of the merged map.
+        maps: one per sibling, in any order.
+        probability: operator of the failure probabilities; see `ds_orchestrator.maps.merge_operators`.
+        quality_loss: operator of the lack of quality.
+
+    Raises:
+        ValueError: no maps.
+    """
+    _check_axes(maps, "merge")
+    if len(maps) == 1:
+        return FeatureMap(name=name, cells=dict(maps[0].cells), features=maps[0].features)
+    cells = {}
+    for cell in sorted(set(maps[0].cells).intersection(*(m.cells for m in maps[1:]))):
+        parts = [m.cells[cell] for m in maps]
+        tests = [p.tests for p in parts]
+        counts = [(p.failures, p.tests) for p in parts if p.failures is not None]
+        pooled = [p.pooled_quality_loss for p in parts if p.pooled_quality_loss is not None]
+        cells[cell] = MapCell(
+            tests=min(tests),
+            failures=None,
+            probability=apply(probability, [p.probability for p in parts], tests),
+            quality_loss=apply(quality_loss, [p.quality_loss for p in parts], tests),
+            pooled_quality_loss=apply(quality_loss, pooled, tests) if len(pooled) == len(parts) else None,
+            interval=merged_interval(probability, counts) if len(counts) == len(parts) else None,
+        )
+    return FeatureMap(name=name, cells=cells, features=maps[0].features)
+
+
+def _check_axes(maps: Sequence[FeatureMap], what: str) -> None:
+    if not maps:
+        raise ValueError(f"no maps to {what}: expected at least one")
+    axes = {m.features for m in maps}
+    if len(axes) > 1:
+        raise ValueError(f"maps of different features to {what}: {' and '.join(map(str, sorted(axes)))}")
+
+
+Normalise = Callable[[float], float]
+"""From a maximum lateral position in m to [0, 1] over the campaign."""

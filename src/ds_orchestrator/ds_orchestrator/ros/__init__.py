@@ -1,0 +1,1 @@
+"""Verbs of `ds` as ROS executables."""

@@ -1,0 +1,163 @@
+"""Runs a campaign from its configuration to its report, and opens one that was run before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from ds_driver.closed_loop.simulation import AUTOPILOT
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
+from ds_orchestrator.campaign.folder import locked, open_store, prepare_folder, store_of
+from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
+from ds_orchestrator.campaign.stage_timer import StageTimer
+from ds_orchestrator.campaign.status import is_driven
+from ds_orchestrator.evaluation.campaign_evaluation import read_correlations
+from ds_orchestrator.evaluation.correlation import Correlation
+from ds_orchestrator.report.build import write_all
+from ds_orchestrator.store.store import Execution, Store, Test
+from ds_sim.software_versions import versions
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignOutcome:
+    """What a campaign ended with.
+
+    Attributes:
+        folder: campaign folder.
+        report: the HTML report in it.
+        executions: number of executions with a verdict.
+        executions_in_error: executions of this session that ended in an error after all attempts.
+        correlations: comparison of every map with the twin's; empty without a twin.
+    """
+
+    folder: Path
+    report: Path
+    executions: int
+    executions_in_error: int
+    correlations: Sequence[Correlation]
+
+
+class SilentListener:
+    """A listener that ignores every event."""
+
+    def stage(self, name: str) -> None:
+        """See `Listener.stage`."""
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """See `Listener.expect`."""
+
+    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+        """See `Listener.finished`."""
+
+
+def run_campaign(
+    config: CampaignConfig,
+    folder: Path,
+    listener: Listener | None = None,
+    *,
+    attach: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> CampaignOutcome:
+    """Run a campaign to its report, or resume the one in the folder.
+
+    Args:
+        config: what to run.
+        folder: campaign folder, created if missing.
+        listener: receives every stage and every finished execution, from several threads.
+        attach: use the nodes that are already running in this environment's ROS domain instead of starting any.
+        say: called with one line for each stage after driving.
+
+    Raises:
+        ConfigError: the driver or a simulator of the configuration has changed since the campaign began.
+        ds_orchestrator.store.sqlite_file.StoreError: the folder cannot be used.
+        ds_orchestrator.campaign.folder.LockError: another process uses the folder.
+        ds_orchestrator.campaign.runner.Stopped: the campaign was interrupted; what was finished is kept.
+    """
+    from ds_orchestrator.graph.process_specs import check_driver
+    from ds_sim.registry import make_simulator
+
+    if attach and config.workers > 1:
+        raise ConfigError(f"workers: {config.workers} with nodes that run already, expected 1: leave out --attach")
+    check_driver(config.driver)
+    for name in config.simulators:
+        make_simulator(name).close()
+    prepare_folder(folder)
+    with locked(folder), closing(store_of(folder, config)) as store:
+        _record_provenance(store, config, folder)
+        (folder / "bags").mkdir(exist_ok=True)
+        in_error = 0
+        if not is_driven(config, store):
+            in_error = _drive(config, folder, store, listener or SilentListener(), attach=attach)
+        report = write_all(folder, store, again=False, say=say)
+        return CampaignOutcome(
+            folder=folder,
+            report=report,
+            executions=store.count_executions(),
+            executions_in_error=in_error,
+            correlations=read_correlations(folder),
+        )
+
+
+def rebuild_report(folder: Path, *, say: Callable[[str], None] = lambda line: None) -> Path:
+    """Write maps, pictures, tables and report of a campaign again.
+
+    Args:
+        folder: campaign folder.
+        say: called with one line for each stage.
+
+    Returns:
+        Path of the report.
+    """
+    with closing(open_store(folder)) as store:
+        return write_all(folder, store, say=say)
+
+
+def _record_provenance(store: Store, config: CampaignConfig, folder: Path) -> None:
+    """Note versions and digests; a campaign does not go on with another network or another car."""
+    from ds_driver.networks.network_driver import driver_sha256
+    from ds_sim.registry import make_simulator
+
+    if config.driver != AUTOPILOT:
+        weights = driver_sha256(config.driver)
+        if store.note("sha256 of the driver's weights", weights) != weights:
+            raise ConfigError(f"the weights of {config.driver} have changed since {folder} began: choose another --out")
+    for name, version in versions().items():
+        if store.note(f"version {name}", version) != version:
+            store.note(f"version {name}, later", version)
+    known = store.notes()
+    for name in config.simulators:
+        if "@" in name:
+            key, content = f"car {name}", str(make_simulator(name).spec.extra.get("car", ""))
+            if known.get(key, content) != content:
+                raise ConfigError(f"{name}: the file has changed since the campaign began: restore it or begin anew")
+            store.note(key, content)
+
+
+def _drive(config: CampaignConfig, folder: Path, store: Store, listener: Listener, *, attach: bool) -> int:
+    """Drive what is not driven yet; the number of executions that ended in an error for good."""
+    from ds_orchestrator.graph.process_specs import namespaces_of
+    from ds_orchestrator.graph.session import running_graph, running_workers
+
+    namespaces, logs = namespaces_of(config.siblings, config.twin), folder / "logs"
+    timeout = config.command_timeout
+    graphs = (
+        running_workers(config.workers, namespaces, config.driver, command_timeout=timeout, logs=logs)
+        if config.workers > 1
+        else running_graph(namespaces, config.driver, command_timeout=timeout, logs=logs, attach=attach)
+    )
+    try:
+        with graphs as executor:
+            timer = StageTimer(listener, store)
+            campaign = Campaign(config, folder, store, executor, timer, namespaces)
+            try:
+                campaign.run()
+            except BaseException:
+                executor.stop()
+                raise
+            finally:
+                timer.end()
+    except KeyboardInterrupt:
+        raise Stopped from None
+    return campaign.failed_executions

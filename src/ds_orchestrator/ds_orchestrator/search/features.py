@@ -1,0 +1,168 @@
+"""Features that span a feature map, by name, and the cell of a test (paper 3.3).
+
+Some belong to the road alone; others to a run on it, and a run differs from one simulator to the next. The union of
+two maps needs the same tests in the same cells (paper 3.4), so a test has one cell wherever it runs: that of its run on
+the sibling whose search made it. A test without that run has no cell yet, and enters no map.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_road.features import direction_coverage, minimum_radius
+
+Cell = tuple[int, ...]
+"""Place in a feature map: one whole number per feature."""
+
+FEET = 3.280839895
+"""Feet in a metre (DeepHyperion counts radii in feet)."""
+
+
+class Drive(Protocol):
+    """What a feature needs to know of a run."""
+
+    @property
+    def steering(self) -> NDArray[np.float64]:
+        """(steps,) commands in [-1, 1]."""
+        ...
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """(steps + 1, 5): x, y, yaw, speed, lateral position."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feature:
+    """One axis of a feature map.
+
+    Attributes:
+        name: in configurations and results.
+        title: on a picture's axis.
+        unit: value of one step of the bin in the unit that the title names.
+        of_road: bin of a road, or None for a feature of the run.
+        of_road_maxitwo: the same as the authors' package counts, where that differs.
+        of_run: bin of a run, or None for a feature of the road.
+        width: so many of these bins are one.
+    """
+
+    name: str
+    title: str
+    unit: float = 1.0
+    of_road: Callable[[Road], int] | None = None
+    of_road_maxitwo: Callable[[Road], int] | None = None
+    of_run: Callable[[Drive], int] | None = None
+    width: int = 1
+
+    def label(self, bin_: int) -> str:
+        """Where a bin begins, in the unit of the title: `0.17` for curvature 17."""
+        begin = bin_ * self.width
+        return str(begin) if self.unit == 1.0 else f"{begin * self.unit:.2f}"
+
+    def bin_of(self, road: Road, drive: Drive | None, *, maxitwo_compatible: bool) -> int | None:
+        """The bin of a test, or None where it needs the run and there is none."""
+        of_road = self.of_road_maxitwo if maxitwo_compatible and self.of_road_maxitwo else self.of_road
+        if of_road is not None:
+            return of_road(road) // self.width
+        return None if drive is None or self.of_run is None else self.of_run(drive) // self.width
+
+
+def _steering_deviation(drive: Drive) -> int:
+    """int(100 x population standard deviation of the steering commands) (maxitwo)."""
+    return int(100 * float(np.std(drive.steering))) if len(drive.steering) else 0
+
+
+def _mean_lateral_position(drive: Drive) -> int:
+    """int(100 x mean absolute lateral position); DeepHyperion takes the distance to the lane's edge, 200 minus this."""
+    lateral = drive.trajectory[:, 4]
+    return int(100 * math.fsum(np.abs(lateral)) / len(lateral)) if len(lateral) else 0
+
+
+_ALL = (
+    Feature(
+        name="turns_count",
+        title="turns count",
+        of_road=lambda road: road.turns_count,
+        of_road_maxitwo=lambda road: road.turns_count_maxitwo,
+    ),
+    Feature(name="curvature", title="curvature, 1/m", unit=0.01, of_road=lambda road: road.curvature_bin),
+    Feature(name="steering_deviation", title="steering deviation", unit=0.01, of_run=_steering_deviation),
+    Feature(name="mean_lateral_position", title="mean lateral position, m", unit=0.01, of_run=_mean_lateral_position),
+    Feature(
+        name="direction_coverage",
+        title="direction coverage, %",
+        of_road=lambda road: int(100 * direction_coverage(road.points)),
+    ),
+    Feature(
+        name="minimum_radius",
+        title="minimum radius, feet",
+        of_road=lambda road: int(FEET * minimum_radius(road.points)),
+    ),
+    # DeepHyperion's segment count is the number of turns: its code returns the runs that are not straight.
+    Feature(
+        name="segment_count",
+        title="segment count",
+        of_road=lambda road: road.turns_count,
+        of_road_maxitwo=lambda road: road.turns_count_maxitwo,
+    ),
+)
+FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in _ALL}
+"""Every feature by name; DeepHyperion's seven (paper 3.3 uses the first two)."""
+DEFAULT_FEATURES = ("turns_count", "curvature")
+"""The paper's (3.3)."""
+
+
+class FeatureError(ValueError):
+    """A name that stands for no feature."""
+
+
+@cache
+def feature_of(name: str) -> Feature:
+    """The feature with a name; `minimum_radius:20` is the one of which twenty bins are one.
+
+    Raises:
+        FeatureError: there is none, or the width is not a whole number from 1 on.
+    """
+    plain, colon, width = name.partition(":")
+    if plain not in FEATURES:
+        raise FeatureError(f"unknown feature {name!r}: expected one of {', '.join(FEATURES)}")
+    if not colon:
+        return FEATURES[plain]
+    if not (width.isdecimal() and int(width) >= 1):
+        raise FeatureError(f"feature {name!r}: expected a whole number of bins from 1 on, as in {plain}:20")
+    return replace(FEATURES[plain], name=name, width=int(width))
+
+
+def cell_of(
+    road: Road,
+    drive: Drive | None = None,
+    *,
+    features: Sequence[str] = DEFAULT_FEATURES,
+    maxitwo_compatible: bool = False,
+) -> Cell | None:
+    """The cell of a test.
+
+    Args:
+        road: of the test.
+        drive: its run on the sibling whose search made it, needed by features of the run alone.
+        features: names; see `feature_of`.
+        maxitwo_compatible: count turns as the authors' package does.
+
+    Returns:
+        One bin per feature, or None where a feature needs the run and there is none.
+    """
+    cell = []
+    for name in features:
+        bin_ = feature_of(name).bin_of(road, drive, maxitwo_compatible=maxitwo_compatible)
+        if bin_ is None:
+            return None
+        cell.append(bin_)
+    return tuple(cell)

@@ -1,0 +1,162 @@
+"""The SQLite file of a campaign: opened without harm to what is not ours, and one clear line for what goes wrong."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+SCHEMA_VERSION = 2
+SCHEMA = """
+CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE tests (
+    test_id TEXT PRIMARY KEY, sibling TEXT NOT NULL, run INTEGER NOT NULL, number INTEGER NOT NULL,
+    road_id TEXT NOT NULL, control_points TEXT NOT NULL, turns_count INTEGER NOT NULL, curvature_bin INTEGER NOT NULL,
+    curvature REAL NOT NULL, seed INTEGER NOT NULL, published INTEGER NOT NULL);
+CREATE TABLE executions (
+    test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, outcome TEXT NOT NULL, message TEXT NOT NULL,
+    fitness REAL NOT NULL, max_lateral_position REAL NOT NULL, steps INTEGER NOT NULL,
+    simulated_seconds REAL NOT NULL, trajectory_sha256 TEXT NOT NULL, trajectory BLOB NOT NULL, steering BLOB NOT NULL,
+    bag TEXT NOT NULL,
+    PRIMARY KEY (test_id, simulator));
+CREATE TABLE errors (
+    test_id TEXT NOT NULL, simulator TEXT NOT NULL, attempt INTEGER NOT NULL, outcome TEXT NOT NULL,
+    message TEXT NOT NULL);
+CREATE TABLE given_up (test_id TEXT PRIMARY KEY);
+CREATE TABLE searches (
+    sibling TEXT NOT NULL, run INTEGER NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
+    PRIMARY KEY (sibling, run));
+CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL);
+"""
+_TABLES = {line.split()[2] for line in SCHEMA.splitlines() if line.startswith("CREATE")}
+Row = tuple[Any, ...]
+
+
+class StoreError(ValueError):
+    """A campaign folder that cannot be used."""
+
+
+class SqliteFile:
+    """Asks one file, from any thread; nothing is written to a file that turns out not to be a campaign's.
+
+    Args:
+        path: of the file.
+        begin: facts to begin a new campaign with where there is none; None to read one only.
+
+    Raises:
+        StoreError: there is no campaign, or it is of another version, damaged, or cannot be written.
+    """
+
+    def __init__(self, path: Path, begin: Mapping[str, str] | None = None) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+        folder = path.parent
+        if begin is None and not path.exists():
+            raise StoreError(f"no campaign in {folder}: run one there first")
+        if path.is_dir():
+            raise StoreError(f"{path} is a folder, expected a campaign's file: choose another --out")
+        self._db = self._connect(reading=begin is None)
+        try:
+            tables = {name for (name,) in self.ask("SELECT name FROM sqlite_master WHERE type='table'")}
+            version = self.ask("PRAGMA user_version")[0][0]
+            if not tables and version == 0:  # made just now, or by a process that was killed before it made the tables
+                if begin is None:
+                    raise StoreError(f"no campaign in {folder}: it was stopped before it began, run it again")
+                self._begin(begin)
+            elif version == 0 or (version == SCHEMA_VERSION and not tables >= _TABLES):
+                raise StoreError(f"{path} is not a campaign's file: choose another --out")
+            elif version != SCHEMA_VERSION:
+                age = "an older" if version < SCHEMA_VERSION else "a newer"
+                raise StoreError(
+                    f"{path} was written by {age} version of ds (schema {version}, expected {SCHEMA_VERSION}): "
+                    "use that version, or choose another --out"
+                )
+            elif begin is not None:
+                self._check_whole()
+        except BaseException:
+            self._db.close()
+            raise
+
+    def _connect(self, *, reading: bool) -> sqlite3.Connection:
+        name = quote(str(self.path.absolute()))
+        folder = self.path.parent
+        flags = ""
+        if not os.access(folder if not self.path.exists() else self.path, os.W_OK) or not os.access(folder, os.W_OK):
+            if not reading:
+                raise StoreError(f"{folder} cannot be written: check its permissions, or choose another --out")
+            journal = self.path.with_name(f"{self.path.name}-wal")
+            if journal.exists() and journal.stat().st_size:
+                raise StoreError(
+                    f"{folder} cannot be written, and its campaign was stopped hard: copy the folder first"
+                )
+            flags = "?mode=ro&immutable=1"
+        try:
+            return sqlite3.connect(f"file:{name}{flags}", uri=True, check_same_thread=False, isolation_level=None)
+        except sqlite3.Error as error:
+            raise self._refusal(error) from None
+
+    def _begin(self, facts: Mapping[str, str]) -> None:
+        """Tables, version and facts, all or nothing."""
+        self.ask("PRAGMA journal_mode=WAL")
+        statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMA.split(";") if s.strip()]
+        statements.append((f"PRAGMA user_version={SCHEMA_VERSION}", ()))
+        self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
+
+    def _check_whole(self) -> None:
+        """Before anything is added, see that what is there is sound."""
+        found = self.ask("PRAGMA quick_check(1)")[0][0]
+        if found != "ok":
+            raise self._refusal(sqlite3.DatabaseError(found))
+
+    def ask(self, statement: str, values: Sequence[object] = ()) -> list[Row]:
+        """The rows that a statement gives, which may write as well.
+
+        Raises:
+            StoreError: the file is damaged, or the disk is full, or it cannot be written.
+        """
+        with self._lock:
+            try:
+                return self._db.execute(statement, values).fetchall()
+            except sqlite3.Error as error:
+                raise self._refusal(error) from None
+
+    def change(self, *statements: tuple[str, Sequence[object]]) -> None:
+        """Several statements, all or nothing.
+
+        Raises:
+            StoreError: the file is damaged, or the disk is full, or it cannot be written.
+        """
+        with self._lock:
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                for statement, values in statements:
+                    self._db.execute(statement, values)
+                self._db.execute("COMMIT")
+            except sqlite3.Error as error:
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+                raise self._refusal(error) from None
+
+    def damaged(self, what: str) -> StoreError:
+        """For content that cannot be what was written."""
+        return StoreError(f"{self.path} is damaged ({what}): restore it from a copy, or choose another --out")
+
+    def _refusal(self, error: sqlite3.Error) -> StoreError:
+        name = getattr(error, "sqlite_errorname", "SQLITE_CORRUPT")
+        if name.startswith("SQLITE_FULL"):
+            return StoreError(f"{self.path} cannot grow, the disk is full: make room, and give the same command again")
+        if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
+            return self.damaged(" ".join(str(error).split()))
+        if name.startswith("SQLITE_BUSY"):
+            return StoreError(f"{self.path} is locked by another process: end it, and give the same command again")
+        return StoreError(
+            f"{self.path} cannot be used ({error}): check the disk and the folder, or choose another --out"
+        )
+
+    def close(self) -> None:
+        """Write everything out."""
+        self._db.close()

@@ -1,0 +1,51 @@
+from .camera.look import Look
+from .camera.spec import CameraSpec
+from .lane_tracker import LaneTracker
+from .oracle import Oracle, OracleLimits
+from .registry import SIMULATORS, UnknownSimulatorError, make_simulator, spec_of
+from .resimulation import ResimulationError, resimulate
+from .road_simulator import RoadSimulator
+from .session import RunRecord, Session
+from .simulator import (
+    AutopilotGains,
+    Command,
+    CommandError,
+    LaneState,
+    Observation,
+    Outcome,
+    Simulator,
+    SimulatorError,
+    SimulatorSpec,
+    VehicleState,
+)
+from .vehicle import Vehicle
+from .video import write_video
+
+__all__ = [
+    "AutopilotGains",
+    "CameraSpec",
+    "Command",
+    "CommandError",
+    "LaneState",
+    "LaneTracker",
+    "Look",
+    "Observation",
+    "Oracle",
+    "OracleLimits",
+    "Outcome",
+    "ResimulationError",
+    "RoadSimulator",
+    "RunRecord",
+    "SIMULATORS",
+    "Session",
+    "Simulator",
+    "SimulatorError",
+    "SimulatorSpec",
+    "UnknownSimulatorError",
+    "Vehicle",
+    "VehicleState",
+    "make_simulator",
+    "resimulate",
+    "spec_of",
+    "write_video",
+]

@@ -1,0 +1,25 @@
+"""JPEG encoding of camera images, one quality for data sets and bags."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+JPEG_QUALITY = 95
+"""Chosen: 20 to 30 kB an image, errors below the cameras' own noise."""
+
+
+def encode(image: NDArray[np.uint8]) -> bytes:
+    """Encode an RGB image as JPEG.
+
+    Args:
+        image: (rows, columns, 3) uint8 RGB.
+
+    Raises:
+        ValueError: OpenCV cannot encode it.
+    """
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise ValueError(f"an image of shape {image.shape} cannot be encoded as JPEG")
+    return bytes(data.tobytes())

@@ -1,0 +1,54 @@
+"""The rays of a camera's pixels."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_sim.camera.spec import CameraSpec
+
+_NEWTON_STEPS = 8
+"""Chosen: the start is within 1e-4 of the root, three steps reach the last digit, more cost nothing."""
+
+
+def rays(spec: CameraSpec, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Directions (right, down, forward) that fall on pixels, (3, ...).
+
+    A pinhole's rays have forward = 1; those of a wide-angle lens have length 1. Either way a pixel is 1 / focal length
+    across at distance 1 along its ray: exactly for the pinhole, and within a few percent for the lens.
+    """
+    k = spec.intrinsics
+    right, down = np.broadcast_arrays((columns - k[0, 2]) / k[0, 0], (rows - k[1, 2]) / k[1, 1])
+    if spec.lens == "pinhole":
+        return np.stack((right, down, np.ones_like(right)))
+    bent = np.hypot(right, down)
+    straight = _straightened(spec, bent)
+    stretch = np.where(bent > 0.0, straight / np.maximum(bent, 1e-12), 1.0)
+    forward = 1.0 / np.sqrt(1.0 + straight**2)
+    return np.stack((right * stretch * forward, down * stretch * forward, forward))
+
+
+def _straightened(spec: CameraSpec, bent: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pinhole radius of a delivered radius: the lens polynomial's inverse by Newton's method from the equidistant."""
+    k1, k2, _, _, k3, k4, k5, k6 = spec.distortion
+    above, below = np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
+    above_slope, below_slope = above.deriv(), below.deriv()
+    radius = np.tan(np.minimum(bent, 1.5))
+    for _ in range(_NEWTON_STEPS):
+        t = radius**2
+        a, b = above(t), below(t)
+        slope = a / b + 2 * t * (above_slope(t) * b - a * below_slope(t)) / b**2
+        radius = radius - (radius * a / b - bent) / slope
+    return np.asarray(radius)
+
+
+@lru_cache(maxsize=32)
+def sample_rays(spec: CameraSpec, samples: int) -> NDArray[np.float32]:
+    """Rays of a whole image with `samples` of them below each other in every pixel, (samples, 3, rows * columns)."""
+    columns = np.arange(spec.width, dtype=np.float64)
+    rows = np.arange(spec.height_px, dtype=np.float64)
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    table = np.stack([rays(spec, columns[None, :], (rows + offset)[:, None]).reshape(3, -1) for offset in offsets])
+    return table.astype(np.float32)

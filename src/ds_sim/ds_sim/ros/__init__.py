@@ -1,0 +1,1 @@
+"""The ROS side of every simulator: one node that hosts any of them."""

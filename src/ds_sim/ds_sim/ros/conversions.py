@@ -1,0 +1,223 @@
+"""Between this package's plain types and ROS messages."""
+
+from __future__ import annotations
+
+import math
+
+from builtin_interfaces.msg import Time
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.msg import DriveCommand, VehicleState
+from ds_interfaces.msg import Outcome as OutcomeMsg
+from ds_interfaces.msg import Road as RoadMsg
+from ds_interfaces.srv import GetSimulatorInfo
+from geometry_msgs.msg import Point, Quaternion
+from nav_msgs.msg import Odometry
+from rclpy.action.server import ServerGoalHandle
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ds_road import Road
+from ds_sim.camera.look import Colour, Look
+from ds_sim.camera.spec import CameraSpec
+from ds_sim.session import RunRecord
+from ds_sim.simulator import FRAME_RATE, MAX_SPEED, Command, LaneState, Observation, Outcome, SimulatorSpec
+from ds_sim.simulator import VehicleState as PlainState
+
+ROAD_FRAME = "road"
+
+BUSY = "a run is under way: wait for its result, cancel it, or call reset"
+"""Why a simulator's node loads no road now."""
+NO_ROAD = "no road is loaded: call load_road first, or give one with the goal"
+"""Why a simulator's node drives nothing now."""
+REFUSED = "the last command was refused"
+"""In the message of a run whose driver talked, but not what a vehicle can execute."""
+FEEDBACK_EVERY = 10
+"""Frames between two feedback messages of a run: twice a simulated second."""
+
+
+def to_time(seconds: float) -> Time:
+    """Seconds as a stamp, rounded to the nanosecond."""
+    nanoseconds = round(seconds * 1e9)
+    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def road_from_message(message: RoadMsg) -> Road:
+    """Raises ds_road.RoadError for control points of which no road can be made."""
+    return Road([(point.x, point.y) for point in message.control_points])
+
+
+def road_to_message(road: Road) -> RoadMsg:
+    """A road as its control points."""
+    return RoadMsg(road_id=road.road_id, control_points=[Point(x=x, y=y) for x, y in road.control_points])
+
+
+def command_to_message(command: Command, header: Header) -> DriveCommand:
+    """A command in answer to the image with this header."""
+    return DriveCommand(header=header, steering=command.steering, throttle=command.throttle)
+
+
+def command_from_message(message: DriveCommand) -> Command:
+    """Raises ds_sim.simulator.CommandError for NaN or values out of range."""
+    return Command(message.steering, message.throttle)
+
+
+def image_to_message(observation: Observation, header: Header) -> Image:
+    """An observation's image; bytes, because arrays and lists are a thousand times slower to assign."""
+    rows, columns, channels = observation.image.shape
+    message = Image(header=header, height=rows, width=columns, encoding="rgb8", step=columns * channels)
+    message.data = observation.image.tobytes()
+    return message
+
+
+def camera_info_message(camera: CameraSpec, header: Header) -> CameraInfo:
+    """Intrinsics and distortion of the delivered image, exact for `cv2.undistort`.
+
+    The wide-angle lens is a `rational_polynomial`, not ROS's `equidistant`, which image_geometry and plain
+    `cv2.undistort` would misread. P is K: an undistorted image shows the middle at the same scale.
+    """
+    k = camera.intrinsics
+    message = CameraInfo(header=header, height=camera.height_px, width=camera.width)
+    message.distortion_model = "plumb_bob" if camera.lens == "pinhole" else "rational_polynomial"
+    message.d = list(camera.distortion)
+    message.k = k.ravel().tolist()
+    message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    message.p = [*k[0].tolist(), 0.0, *k[1].tolist(), 0.0, *k[2].tolist(), 0.0]
+    return message
+
+
+def state_to_message(observation: Observation, header: Header, road_id: str) -> VehicleState:
+    """Vehicle and lane state of one frame."""
+    vehicle, lane = observation.vehicle, observation.lane
+    return VehicleState(
+        header=header,
+        road_id=road_id,
+        step=observation.step,
+        simulated_time=observation.time,
+        x=vehicle.x,
+        y=vehicle.y,
+        yaw=vehicle.yaw,
+        speed=vehicle.speed,
+        lateral_speed=vehicle.lateral_speed,
+        yaw_rate=vehicle.yaw_rate,
+        steering_angle=vehicle.steering_angle,
+        roll=vehicle.roll,
+        pitch=vehicle.pitch,
+        heave=vehicle.heave,
+        lateral_position=lane.lateral_position,
+        lateral_distance=lane.lateral_distance,
+        preview_lateral_position=lane.preview_lateral_position,
+        arc_length=lane.arc_length,
+        outcome=OutcomeMsg(value=int(observation.outcome)),
+    )
+
+
+def state_from_message(message: VehicleState) -> tuple[PlainState, LaneState, Outcome]:
+    """Vehicle state, lane state and outcome of one frame."""
+    vehicle = PlainState(
+        x=message.x,
+        y=message.y,
+        yaw=message.yaw,
+        speed=message.speed,
+        lateral_speed=message.lateral_speed,
+        yaw_rate=message.yaw_rate,
+        steering_angle=message.steering_angle,
+        roll=message.roll,
+        pitch=message.pitch,
+        heave=message.heave,
+    )
+    lane = LaneState(
+        lateral_position=message.lateral_position,
+        lateral_distance=message.lateral_distance,
+        preview_lateral_position=message.preview_lateral_position,
+        arc_length=message.arc_length,
+    )
+    return vehicle, lane, Outcome(message.outcome.value)
+
+
+def odometry_message(vehicle: PlainState, header: Header, child_frame: str) -> Odometry:
+    """Pose in the road frame, twist in the vehicle's (REP-105); the small angles of the body are kept in the state."""
+    message = Odometry(header=Header(stamp=header.stamp, frame_id=ROAD_FRAME), child_frame_id=child_frame)
+    message.pose.pose.position = Point(x=vehicle.x, y=vehicle.y)
+    message.pose.pose.orientation = Quaternion(z=math.sin(vehicle.yaw / 2), w=math.cos(vehicle.yaw / 2))
+    message.twist.twist.linear.x = vehicle.speed
+    message.twist.twist.linear.y = vehicle.lateral_speed
+    message.twist.twist.angular.z = vehicle.yaw_rate
+    return message
+
+
+def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> GetSimulatorInfo.Response:
+    """Fill in what a simulator tells about itself."""
+    response.name = spec.name
+    response.physics = spec.physics
+    response.version = spec.engine
+    response.frame_rate = FRAME_RATE
+    response.max_speed = MAX_SPEED
+    response.image_width = spec.camera.width
+    response.image_height = spec.camera.height_px
+    response.vehicle_length = spec.vehicle_length
+    response.vehicle_width = spec.vehicle_width
+    response.wheelbase = spec.wheelbase
+    response.max_steering_angle = spec.max_steering_angle
+    response.parameters = [f"crop_top={spec.crop_top}", f"crop_bottom={spec.crop_bottom}"]
+    response.parameters += [f"{key}={value}" for key, value in spec.extra.items()]
+    return response
+
+
+def drive_feedback(observation: Observation, road: Road) -> DriveRoad.Feedback:
+    """How far a run is."""
+    return DriveRoad.Feedback(
+        step=observation.step,
+        progress=min(max(observation.lane.arc_length / road.length, 0.0), 1.0),
+        lateral_position=observation.lane.lateral_position,
+    )
+
+
+def drive_result(run: RunRecord) -> DriveRoad.Result:
+    """A whole run: outcome, measures, and every state and command with stamps that count from the run's start."""
+    result = DriveRoad.Result(
+        outcome=OutcomeMsg(value=int(run.outcome)),
+        message=run.message,
+        fitness=run.fitness,
+        max_lateral_position=run.max_lateral_position,
+        steps=run.steps,
+        simulated_seconds=run.simulated_seconds,
+    )
+    headers = [Header(stamp=to_time(o.time), frame_id=ROAD_FRAME) for o in run.observations]
+    result.states = [
+        state_to_message(observation, header, run.road.road_id)
+        for observation, header in zip(run.observations, headers, strict=True)
+    ]
+    result.commands = [
+        command_to_message(command, header) for command, header in zip(run.commands, headers, strict=False)
+    ]
+    return result
+
+
+def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:
+    """End a goal in the action's sense: a verdict on the driver, also a bad one, is a success."""
+    if outcome is Outcome.CANCELLED and goal.is_cancel_requested:
+        goal.canceled()
+    elif outcome.is_error:
+        goal.abort()
+    else:
+        goal.succeed()
+
+
+def road_markers(road: Road, look: Look, stamp: Time) -> MarkerArray:
+    """The road as RViz and Foxglove draw it: surface edges in white, centre line in yellow."""
+    lines = ((road.left_edge, look.edge_line), (road.points, look.centre_line), (road.right_edge, look.edge_line))
+    markers = []
+    for index, (line, colour) in enumerate(lines):
+        marker = Marker(header=Header(stamp=stamp, frame_id=ROAD_FRAME), ns="road", id=index, type=Marker.LINE_STRIP)
+        marker.scale.x = look.line_width
+        marker.pose.orientation.w = 1.0
+        marker.color = _colour(colour)
+        marker.points = [Point(x=float(x), y=float(y)) for x, y in line]
+        markers.append(marker)
+    return MarkerArray(markers=markers)
+
+
+def _colour(colour: Colour) -> ColorRGBA:
+    red, green, blue = (float(v) / 255.0 for v in colour)
+    return ColorRGBA(r=red, g=green, b=blue, a=1.0)

@@ -1,0 +1,47 @@
+"""How well a simulator kept real time: its beats against the wall clock's even grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class FrameJitter:
+    """Collects the times of beats that should come every `period`.
+
+    Args:
+        period: s between two beats.
+        start: time of beat 0, s of any steady clock.
+    """
+
+    def __init__(self, period: float, start: float) -> None:
+        self._period = period
+        self._start = start
+        self._late: list[float] = []
+        self._last = 0
+        self.missed = 0
+        """Beats of the grid on which nothing happened, because the one before took too long."""
+
+    def beat(self, now: float) -> None:
+        """A beat at a time of the same clock; it belongs to the last point of the grid that has passed."""
+        elapsed = max(0.0, now - self._start)
+        index = int(elapsed / self._period)
+        self._late.append(elapsed - index * self._period)
+        self.missed += max(0, index - self._last - 1)
+        self._last = index
+
+    @property
+    def beats(self) -> int:
+        """Beats so far."""
+        return len(self._late)
+
+    def lateness(self, quantile: float) -> float:
+        """Seconds that a beat came after its point of the grid, at a quantile in [0, 1]; 0 without beats."""
+        return float(np.quantile(self._late, quantile)) if self._late else 0.0
+
+    def __str__(self) -> str:
+        """One line for a person."""
+        median, most, worst = (1e3 * self.lateness(q) for q in (0.5, 0.99, 1.0))
+        return (
+            f"real time: {self.beats} frames at {1.0 / self._period:g} Hz, late by {median:.1f} ms in the median, "
+            f"{most:.1f} ms at 99 %, {worst:.1f} ms at worst; {self.missed} frames missed"
+        )

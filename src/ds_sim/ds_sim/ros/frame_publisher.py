@@ -1,0 +1,56 @@
+"""Publishes what a simulator shows: image, camera info, vehicle state, odometry and the road."""
+
+from __future__ import annotations
+
+from ds_interfaces.msg import VehicleState
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from ds_road import Road
+from ds_sim.ros import conversions as messages
+from ds_sim.simulator import Observation, SimulatorSpec
+
+
+class FramePublisher:
+    """The publishers of one simulator, all reliable, with names relative to the node's namespace.
+
+    Args:
+        node: that owns the publishers.
+        spec: of the simulator.
+        clock: publish the stamps as time, too.
+    """
+
+    def __init__(self, node: Node, spec: SimulatorSpec, *, clock: bool = False) -> None:
+        self._spec = spec
+        prefix = node.get_namespace().strip("/")
+        self._camera_frame = f"{prefix}/camera".strip("/")
+        self._base_frame = f"{prefix}/base_link".strip("/")
+        self._image = node.create_publisher(Image, "camera/image_raw", 5)
+        self._info = node.create_publisher(CameraInfo, "camera/camera_info", 5)
+        self._state = node.create_publisher(VehicleState, "state", 50)
+        self._odom = node.create_publisher(Odometry, "odom", 50)
+        self._clock = node.create_publisher(Clock, "/clock", 10) if clock else None
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
+
+    def publish(self, observation: Observation, road: Road, stamp: float) -> Header:
+        """Publish one frame, the state before the image that it belongs to; the header that an answer must carry."""
+        header = Header(stamp=messages.to_time(stamp), frame_id=self._camera_frame)
+        if self._clock is not None:
+            self._clock.publish(Clock(clock=header.stamp))
+        self._state.publish(messages.state_to_message(observation, header, road.road_id))
+        self._image.publish(messages.image_to_message(observation, header))
+        if self._info.get_subscription_count():
+            self._info.publish(messages.camera_info_message(self._spec.camera, header))
+        if self._odom.get_subscription_count():
+            self._odom.publish(messages.odometry_message(observation.vehicle, header, self._base_frame))
+        return header
+
+    def publish_road(self, road: Road, stamp: float) -> None:
+        """Publish a road for viewers, which get it even if they come later."""
+        self._markers.publish(messages.road_markers(road, self._spec.look, messages.to_time(stamp)))

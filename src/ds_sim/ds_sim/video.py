@@ -1,0 +1,155 @@
+"""A run as a video: what the camera saw, with the road from above, speed, commands and lateral position beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcome
+
+ENLARGED = 3
+"""Video pixels per camera pixel; chosen: a camera frame fills half of a common screen."""
+PANEL = 300
+"""Width of the panel beside the camera image, pixels."""
+CODEC = "mp4v"
+"""MPEG-4 part 2: OpenCV's wheels write it without a system codec, and desktop players read it."""
+_MAP = 280
+_GRASS, _ASPHALT, _WHITE, _TRAIL = (92, 130, 80), (90, 90, 95), (240, 240, 240), (255, 160, 60)
+_PAPER, _INK, _FAINT, _GOOD, _BAD = (24, 26, 30), (235, 235, 235), (110, 115, 120), (90, 200, 120), (240, 80, 70)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SHIFT = 4
+
+
+class VideoError(ValueError):
+    """A video that cannot be written."""
+
+
+def check_path(path: Path) -> None:
+    """Find out before driving whether a video can be written.
+
+    Raises:
+        VideoError: the name or the folder does not suit.
+    """
+    if path.suffix != ".mp4":
+        raise VideoError(f"video {path.name!r}: expected a name that ends with .mp4")
+    if not path.parent.is_dir():
+        raise VideoError(f"{path.parent} is no folder: make it first, or choose another --video")
+
+
+def write_video(
+    path: Path, title: str, road: Road, observations: Iterable[Observation], commands: list[Command]
+) -> None:
+    """Write a run at the speed of simulated time, its last frame for a second.
+
+    Args:
+        path: ending with `.mp4`; appears whole or not at all.
+        title: shown above the panel, such as simulator and driver.
+        road: that was driven.
+        observations: one per frame, with images.
+        commands: the command that led from frame k to frame k + 1.
+
+    Raises:
+        VideoError: it cannot be written.
+    """
+    check_path(path)
+    partial = path.with_name(f".{path.stem}.partial.mp4")
+    size = (IMAGE_WIDTH * ENLARGED + PANEL, IMAGE_HEIGHT * ENLARGED)
+    writer = cv2.VideoWriter(str(partial), cv2.VideoWriter.fourcc(*CODEC), FRAME_RATE, size)
+    if not writer.isOpened():
+        raise VideoError(f"{path} cannot be written: check the folder and the disk")
+    try:
+        panel = _Panel(title, road)
+        frame: NDArray[np.uint8] | None = None
+        for step, observation in enumerate(observations):
+            command = commands[step] if step < len(commands) else None
+            frame = compose(observation, panel.draw(observation, command))
+            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+        for _ in range(round(FRAME_RATE) if frame is not None else 0):
+            writer.write(cv2.cvtColor(np.asarray(frame), cv2.COLOR_RGB2BGR))
+        writer.release()
+        partial.rename(path)
+    finally:
+        writer.release()
+        partial.unlink(missing_ok=True)
+
+
+def compose(observation: Observation, panel: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Camera image and panel side by side, (480, 1260, 3) uint8 RGB."""
+    size = (IMAGE_WIDTH * ENLARGED, IMAGE_HEIGHT * ENLARGED)
+    return np.hstack((cv2.resize(observation.image, size, interpolation=cv2.INTER_LINEAR), panel)).astype(np.uint8)
+
+
+class _Panel:
+    """The panel beside the camera image: a map that collects the trail, and numbers."""
+
+    def __init__(self, title: str, road: Road) -> None:
+        self._title = title
+        surface = np.vstack((road.left_edge, road.right_edge))
+        low, high = surface.min(axis=0) - 4.0, surface.max(axis=0) + 4.0
+        self._scale = _MAP / float((high - low).max())
+        self._corner = (low + high) / 2 - _MAP / 2 / self._scale
+        self._map = np.full((_MAP, _MAP, 3), _GRASS, np.uint8)
+        for start in range(len(road.left_edge) - 1):
+            pair = slice(start, start + 2)
+            quad = np.vstack((road.left_edge[pair], road.right_edge[pair][::-1]))
+            cv2.fillPoly(self._map, [self._pixels(quad)], _ASPHALT, cv2.LINE_8, _SHIFT)
+        for edge in (road.left_edge, road.right_edge):
+            cv2.polylines(self._map, [self._pixels(edge)], False, _WHITE, 1, cv2.LINE_AA, _SHIFT)
+        self._last: NDArray[np.float64] | None = None
+
+    def draw(self, observation: Observation, command: Command | None) -> NDArray[np.uint8]:
+        """The panel of one frame, (480, 300, 3) uint8 RGB."""
+        panel = np.full((IMAGE_HEIGHT * ENLARGED, PANEL, 3), _PAPER, np.uint8)
+        vehicle, lane = observation.vehicle, observation.lane
+        here = np.array([[vehicle.x, vehicle.y]])
+        if self._last is not None:
+            cv2.polylines(
+                self._map, [self._pixels(np.vstack((self._last, here)))], False, _TRAIL, 2, cv2.LINE_AA, _SHIFT
+            )
+        self._last = here
+        top, left = 28, (PANEL - _MAP) // 2
+        view = panel[top : top + _MAP, left : left + _MAP]
+        view[:] = self._map
+        nose = 6.0 / self._scale * np.array([math.cos(vehicle.yaw), math.sin(vehicle.yaw)])
+        side = 0.6 * np.array([-nose[1], nose[0]])
+        arrow = here + np.array([nose, side - nose, -side - nose])
+        cv2.fillPoly(view, [self._pixels(arrow)], _BAD, cv2.LINE_AA, _SHIFT)
+        _write(panel, self._title, (left, 19))
+        row = top + _MAP + 26
+        _write(panel, f"{observation.time:6.2f} s", (left, row))
+        _write(panel, f"{vehicle.speed * 3.6:4.1f} km/h", (left + 100, row))
+        failed = observation.outcome not in (Outcome.RUNNING, Outcome.COMPLETED)
+        state = "" if observation.outcome is Outcome.RUNNING else observation.outcome.name.lower().replace("_", " ")
+        _write(panel, state, (left + 180, row), _BAD if failed else _GOOD)
+        beyond = lane.lateral_distance < 0.0
+        _gauge(panel, row + 34, "lateral", lane.lateral_position, HALF_LANE, f"{lane.lateral_position:+.2f} m", beyond)
+        steering, throttle = (command.steering, command.throttle) if command else (0.0, 0.0)
+        _gauge(panel, row + 66, "steering", steering, 1.0, f"{steering:+.2f}", False)
+        _gauge(panel, row + 98, "throttle", throttle, 1.0, f"{throttle:.2f}", False)
+        return panel
+
+    def _pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        flipped = (points - self._corner) * self._scale * (1.0, -1.0) + (0.0, _MAP)
+        return np.round((flipped - 0.5) * (1 << _SHIFT)).astype(np.int32)
+
+
+def _gauge(panel: NDArray[np.uint8], row: int, name: str, value: float, limit: float, text: str, bad: bool) -> None:
+    """A value in [-limit, limit] as a bar from the middle: right is positive, as on the road."""
+    left, right, middle = 82, 212, 147
+    _write(panel, name, (10, row + 5))
+    cv2.line(panel, (left, row), (right, row), _FAINT, 1)
+    cv2.line(panel, (middle, row - 8), (middle, row + 8), _FAINT, 1)
+    end = middle + round(max(-1.0, min(1.0, value / limit)) * (right - middle))
+    cv2.line(panel, (middle, row), (end, row), _BAD if bad else _GOOD, 7)
+    _write(panel, text, (222, row + 5))
+
+
+def _write(panel: NDArray[np.uint8], text: str, at: tuple[int, int], ink: tuple[int, int, int] = _INK) -> None:
+    cv2.putText(panel, text, at, _FONT, 0.45, ink, 1, cv2.LINE_AA)
