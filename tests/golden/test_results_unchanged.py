@@ -1,0 +1,117 @@
+"""Today's code gives the results that version 0.1.0 gave: its demo campaign, byte for byte.
+
+`demo_0_1_0.json` holds that campaign: roads, outcomes, digests of its map files, and the first 100 frames of a run on
+each simulator. Floating point differs in the last bits between types of processor; `PROBE` tells whether this one is
+of the type that recorded the runs. On any other, runs are compared within a tolerance.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ds_driver.closed_loop.simulation import make_driver
+from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.preprocessing import Crop
+from ds_orchestrator.campaign.config import parse_config
+from ds_orchestrator.maps.campaign_maps import build_maps
+from ds_orchestrator.report.build import write_json
+from ds_orchestrator.search.algorithms import SEARCHES
+from ds_orchestrator.store.store import Execution, Test
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import Session
+from ds_sim.simulator import Outcome
+
+DEMO: dict[str, Any] = json.loads((Path(__file__).parent / "demo_0_1_0.json").read_text())
+CONFIG = parse_config(DEMO["config"], "demo_0_1_0.json")
+PROBE = "@PROBE@"
+"""Digest of `probe` on the machine that recorded the runs."""
+TOLERANCE = 0.05
+"""m, rad and m/s on other processors; chosen: far below what decides a verdict, far above rounding."""
+
+
+@cache
+def probe() -> str:
+    """Digest of what NumPy, OpenCV and the network's back end compute of fixed inputs on this processor."""
+    grid = np.linspace(-10.0, 10.0, 10_001)
+    image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), np.uint8)
+    steering = NetworkDriver("dave2_short").command(image, 5.0, Crop(), 0).steering
+    across, along = np.meshgrid(np.linspace(0, 300, 320), np.linspace(0, 150, 160))
+    warped = cv2.remap(image, across.astype(np.float32), along.astype(np.float32), cv2.INTER_LINEAR)
+    content = np.sin(grid).tobytes() + np.exp(grid).tobytes() + warped.tobytes() + np.float64(steering).tobytes()
+    return hashlib.sha256(content).hexdigest()
+
+
+def tests() -> list[Test]:
+    keys = ("test_id", "sibling", "run", "number", "seed")
+    return [Test(**dict(zip(keys, row[:5], strict=True)), road=Road(row[5])) for row in DEMO["tests"]]
+
+
+def executions() -> list[Execution]:
+    return [
+        Execution(
+            test_id=test_id,
+            simulator=simulator,
+            outcome=Outcome[outcome],
+            message="",
+            fitness=fitness,
+            max_lateral_position=max_lateral_position,
+            steps=steps,
+            simulated_seconds=steps / 20,
+            trajectory_sha256="",
+            trajectory=np.empty((0, 5)),
+        )
+        for test_id, simulator, outcome, fitness, max_lateral_position, steps in DEMO["executions"]
+    ]
+
+
+def test_the_maps_have_the_same_bytes(tmp_path: Path) -> None:
+    write_json(tmp_path, build_maps(CONFIG.siblings, CONFIG.twin, tests(), executions(), CONFIG.map_plan()))
+    written = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (tmp_path / "maps").iterdir()}
+    assert written == DEMO["maps_sha256"]
+
+
+@pytest.mark.parametrize("sibling", CONFIG.siblings)
+def test_the_search_asks_for_the_same_roads(sibling: str) -> None:
+    (seed,) = [row[3] for row in DEMO["searches"] if row[0] == sibling]
+    search = SEARCHES[CONFIG.search.method](CONFIG.settings, np.random.default_rng(seed))
+    outcome = {e.test_id: e for e in executions() if e.simulator == sibling}
+    for test in (test for test in tests() if test.sibling == sibling):
+        road = search.ask()
+        assert np.allclose(road.control_points, test.road.control_points, atol=1e-9), test.test_id
+        assert probe() != PROBE or road.road_id == test.road.road_id, test.test_id
+        done = outcome[test.test_id]
+        search.tell(done.fitness, failed=done.outcome.is_failure)
+    assert search.done
+
+
+@pytest.mark.parametrize("run", DEMO["runs"], ids=[run["simulator"] for run in DEMO["runs"]])
+def test_a_network_drives_the_same_way(run: dict[str, Any]) -> None:
+    (test,) = [test for test in tests() if test.test_id == run["test_id"]]
+    simulator = make_simulator(run["simulator"])
+    driver, session = make_driver(CONFIG.driver, simulator.spec), Session(simulator)
+    observation = session.start(test.road, test.seed)
+    assert observation is not None
+    first_image = observation.image
+    while observation is not None and observation.step < run["steps"]:
+        observation = session.advance(driver(observation))
+    assert session.run is not None
+    states = np.array([(o.vehicle.x, o.vehicle.y, o.vehicle.yaw, o.vehicle.speed) for o in session.run.observations])
+    assert np.allclose(states[::10], run["every_tenth"], atol=TOLERANCE)
+    if probe() == PROBE:
+        assert digest(first_image) == run["first_image_sha256"]
+        assert digest(states.astype("<f8")) == run["states_sha256"]
+    simulator.close()
+
+
+def digest(array: NDArray[Any]) -> str:
+    return hashlib.sha256(array.tobytes()).hexdigest()
