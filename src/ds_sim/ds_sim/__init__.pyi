@@ -2,7 +2,14 @@ from .camera.look import Look
 from .camera.spec import CameraSpec
 from .lane_tracker import LaneTracker
 from .oracle import Oracle, OracleLimits
-from .registry import SIMULATORS, UnknownSimulatorError, make_simulator, spec_of
+from .registry import (
+    SIMULATORS,
+    UnknownSimulatorError,
+    UntrustedSimulatorError,
+    make_simulator,
+    received_simulator,
+    spec_of,
+)
 from .resimulation import ResimulationError, resimulate
 from .road_simulator import RoadSimulator
 from .session import RunRecord, Session
@@ -42,9 +49,11 @@ __all__ = [
     "SimulatorError",
     "SimulatorSpec",
     "UnknownSimulatorError",
+    "UntrustedSimulatorError",
     "Vehicle",
     "VehicleState",
     "make_simulator",
+    "received_simulator",
     "resimulate",
     "spec_of",
     "write_video",

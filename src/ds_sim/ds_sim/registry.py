@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Collection
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -35,6 +36,41 @@ def label_of(name: str) -> str:
 
 class UnknownSimulatorError(ValueError):
     """A name that stands for no simulator."""
+
+
+class UntrustedSimulatorError(ValueError):
+    """A received file names a simulator whose code is not shipped, and nobody confirmed it."""
+
+
+def received_simulator(name: object, *, confirmed: Collection[str] = (), option: str = "--sim") -> str:
+    """Check a simulator name that was read from a received file, before anything is imported.
+
+    A shipped simulator may be named freely, with a parameter file too: `donkey@FILE` opens one regular file of YAML,
+    of bounded size, in which nothing can run. Any other name imports a Python module, which runs its code, so a file
+    alone never decides it: the user repeats exactly that name in an option.
+
+    Args:
+        name: as the file has it.
+        confirmed: names that the user gave on the command line or in a configuration of their own.
+        option: option that confirms a name, for the message.
+
+    Returns:
+        The name, safe to hand to `make_simulator`.
+
+    Raises:
+        UntrustedSimulatorError: not a string, or neither shipped nor confirmed.
+    """
+    if not isinstance(name, str):
+        raise UntrustedSimulatorError(f"simulator is a {type(name).__name__}, expected one of {', '.join(SIMULATORS)}")
+    if name.partition("@")[0] in SIMULATORS or name in confirmed:
+        return name
+    shown = repr(name) if len(name) <= LONGEST_LABEL else f"{name[:LONGEST_LABEL]!r}..."
+    if ":" not in name:
+        raise UntrustedSimulatorError(f"unknown simulator {shown}: expected one of {', '.join(SIMULATORS)}")
+    raise UntrustedSimulatorError(
+        f"simulator {shown} is Python code that is not shipped, and a received file must not run code: if you trust "
+        f"it, name it yourself with {option} {shown}"
+    )
 
 
 def make_simulator(name: str) -> Simulator:
