@@ -1,8 +1,8 @@
-"""Roads as JSON.
+"""Reads and writes roads as JSON.
 
-A file is a list of roads, or one road. A road is a list of [x, y] control points in metres, in driving order, or an
-object with either `control_points` or `road_points` (the centre line itself, as other tools exchange it), and where
-they are not the usual ones `lane_width` and `maxitwo_compatible`; what else the object holds is not looked at.
+A file holds one road or a list of roads. A road is a list of [x, y] control points in metres, in driving order, or an
+object with either `control_points` or `road_points` (the centre line itself, as other tools exchange it) and, where
+they differ from the defaults, `lane_width` and `maxitwo_compatible`. Other keys of the object are ignored.
 """
 
 from __future__ import annotations
@@ -11,36 +11,36 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ds_road.road import LANE_WIDTH, Road, RoadError, shown
+from ds_road.road import LANE_WIDTH, Road, RoadError, abbreviated
 
 
 def road_from_json(raw: Any) -> Road:
-    """The road that a JSON value stands for.
+    """Convert a JSON value to a road.
 
     Raises:
-        RoadError: one line that says what is wrong and what was expected.
+        RoadError: the value is not a road; one line says what is wrong and what was expected.
     """
     if not isinstance(raw, dict):
         return Road(raw)
-    kinds = [kind for kind in ("control_points", "road_points") if kind in raw]
-    if len(kinds) != 1:
-        found = "both" if kinds else "neither"
-        raise RoadError(f"a road has {found} of control_points and road_points, expected one of them")
+    given = [kind for kind in ("control_points", "road_points") if kind in raw]
+    if len(given) != 1:
+        found = "both" if given else "neither"
+        raise RoadError(f"a road has {found} of control_points and road_points, expected exactly one")
     lane_width, maxitwo_compatible = (
         raw.get("lane_width", LANE_WIDTH),
         raw.get("maxitwo_compatible", raw.get("published", False)),
     )
     if not isinstance(maxitwo_compatible, bool):
-        raise RoadError(f"maxitwo_compatible is {shown(maxitwo_compatible)}, expected true or false")
-    if kinds == ["control_points"]:
+        raise RoadError(f"maxitwo_compatible is {abbreviated(maxitwo_compatible)}, expected true or false")
+    if given == ["control_points"]:
         return Road(raw["control_points"], lane_width=lane_width, maxitwo_compatible=maxitwo_compatible)
     if maxitwo_compatible:
-        raise RoadError("a maxitwo_compatible road has road_points, expected control_points")
+        raise RoadError("maxitwo_compatible is true for a road given by road_points, expected control_points")
     return Road.from_road_points(raw["road_points"], lane_width=lane_width)
 
 
 def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
-    """What `road_from_json` takes: a plain list of control points where that says all."""
+    """Convert a road to JSON for `road_from_json`: a plain list of control points where that suffices."""
     points = [list(point) for point in road.control_points]
     if not road.sampled and not road.maxitwo_compatible and road.lane_width == LANE_WIDTH:
         return points
@@ -53,10 +53,14 @@ def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
 
 
 def parse_roads(text: str, source: str) -> list[Any]:
-    """The raw roads of a JSON text, unchecked; a single road counts as a list of one.
+    """Split a JSON text into its raw roads, unchecked; a single road becomes a list of one.
+
+    Args:
+        text: JSON.
+        source: name of the text in error messages.
 
     Raises:
-        RoadError: not JSON, or not a list.
+        RoadError: the text is not JSON, or not a list.
     """
     try:
         raw = json.loads(text)
@@ -70,7 +74,7 @@ def parse_roads(text: str, source: str) -> list[Any]:
 
 
 def read_raw_roads(path: Path) -> list[Any]:
-    """The raw roads of a file, unchecked; see `parse_roads`."""
+    """Read the raw roads of a file, unchecked; see `parse_roads`."""
     try:
         return parse_roads(path.read_text("utf-8-sig"), str(path))
     except UnicodeDecodeError:
@@ -78,10 +82,13 @@ def read_raw_roads(path: Path) -> list[Any]:
 
 
 def read_roads(path_or_text: Path | str) -> list[Road]:
-    """Every road of a file, or of a JSON text: a string that begins with a bracket or a brace is the text itself.
+    """Read all roads of a file or of a JSON text.
+
+    Args:
+        path_or_text: path of a file; a string that begins with a bracket or a brace is taken as the JSON text itself.
 
     Raises:
-        RoadError: names the road, what is wrong with it and what was expected.
+        RoadError: a road is invalid; the message names it, what is wrong with it and what was expected.
         OSError: the file cannot be read.
     """
     if isinstance(path_or_text, str) and path_or_text.lstrip().startswith(("[", "{")):
@@ -98,28 +105,28 @@ def read_roads(path_or_text: Path | str) -> list[Road]:
 
 
 def write_roads(roads: list[Road], path: Path) -> None:
-    """Write roads as `read_roads` takes them; every number comes back exactly."""
+    """Write roads to a file for `read_roads`; every number survives the round trip exactly."""
     path.write_text(json.dumps([road_to_json(road) for road in roads]) + "\n", "utf-8")
 
 
 def check(raw: Any) -> dict[str, Any]:
-    """What can be said of any JSON value as a road; never raises, and takes less than a second.
+    """Check any JSON value as a road; never raises, and takes less than a second.
 
     Returns:
-        valid, reason, length (m), curvature (1/m), turns_count, turns_count_maxitwo; the measures are None when
-        the value makes no road at all.
+        The keys valid, reason, length (m), curvature (1/m), turns_count and turns_count_maxitwo; the last four are
+        None if the value is not a road at all.
     """
-    measures = dict.fromkeys(("length", "curvature", "turns_count", "turns_count_maxitwo"))
+    features = dict.fromkeys(("length", "curvature", "turns_count", "turns_count_maxitwo"))
     try:
         road = road_from_json(raw)
     except RoadError as error:
-        return {"valid": False, "reason": str(error), **measures}
-    measures = {name: getattr(road, name) for name in measures}
-    return {"valid": road.validity.valid, "reason": road.validity.reason, **measures}
+        return {"valid": False, "reason": str(error), **features}
+    features = {name: getattr(road, name) for name in features}
+    return {"valid": road.validity.valid, "reason": road.validity.reason, **features}
 
 
 def _is_one_road(raw: Any) -> bool:
-    """A list of points is one road, also when a coordinate is no number; a list of lists of points is several."""
+    """True for a list of points, even with non-numeric coordinates; a list of lists of points is several roads."""
     if isinstance(raw, dict):
         return "control_points" in raw or "road_points" in raw
     if not isinstance(raw, list) or not raw:

@@ -1,4 +1,4 @@
-"""Random roads and their mutants (paper 3.3; rules of maxitwo, corrected where its code and its intent differ)."""
+"""Generates and mutates random roads (paper 3.3; maxitwo, corrected where its code differs from its intent)."""
 
 from __future__ import annotations
 
@@ -10,35 +10,36 @@ from ds_road.road import LANE_WIDTH, Road, RoadError
 from ds_road.validity import BOX, check_surface, fits
 
 SEGMENT_LENGTH = 25.0
-"""m between two control points (maxitwo)."""
+"""Distance between two control points, m (maxitwo)."""
 NODES = 8
-"""Control points after the first one (maxitwo)."""
+"""Number of control points after the first one (maxitwo)."""
 SMALLEST_BOX = 100.0
-"""m; chosen: the smallest in which roads with bends of 100 degrees are found at once; straighter ones need more."""
+"""Smallest side of the box, m; chosen: roads with bends of 100 degrees are still found at once; straighter ones need
+more."""
 MAX_ATTEMPTS = 20
-"""Headings tried before a road is begun again (maxitwo)."""
+"""Headings tried before a road is started over (maxitwo)."""
 MAX_RESTARTS = 2000
-"""Roads begun before giving up; chosen: one in about three succeeds at a maximum angle of 270 degrees."""
+"""Roads started before giving up; chosen: about one in three succeeds at a maximum angle of 270 degrees."""
 GENES = (4, 5, 6)
-"""Control points that mutation may move (maxitwo)."""
+"""Indices of the control points that mutation may move (maxitwo)."""
 TRIES_PER_GENE = 11
-"""Moves tried before another control point is taken (maxitwo)."""
+"""Moves tried on a control point before switching to another one (maxitwo)."""
 
 
 class MutationError(RoadError):
-    """A road of which no valid mutant was found."""
+    """No valid mutant of a road was found."""
 
 
 def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX) -> Road:
-    """A random valid road of nine control points, 25 m apart, that starts at (box / 2, 25) and heads north.
+    """Generate a random valid road of nine control points, 25 m apart, that starts at (box / 2, 25) and heads north.
 
     Args:
-        rng: source of every choice.
-        max_angle: degrees by which the heading may change from one segment to the next, 1 to 360.
-        box: side of the square from the origin that holds the road, m, 100 to 250.
+        rng: source of all random numbers.
+        max_angle: largest heading change from one segment to the next, degrees, 1 to 360.
+        box: side of the square with one corner at the origin that contains the road, m, 100 to 250.
 
     Raises:
-        RoadError: angle or box are out of range, or no valid road was found.
+        RoadError: angle or box is out of range, or no valid road was found.
     """
     if not 1 <= max_angle <= 360:
         raise RoadError(f"maximum angle is {max_angle}, expected 1 to 360 degrees")
@@ -54,14 +55,14 @@ def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX
 
 
 def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, maxitwo_compatible: bool = False) -> Road:
-    """A valid road that differs in one coordinate of one of the control points 4, 5 and 6.
+    """Create a valid road that differs in one coordinate of one of the control points 4, 5 and 6.
 
     Args:
-        road: of at least seven control points; it stays as it is.
-        rng: source of every choice.
-        extent: m, largest move, at least 1; moves are whole metres.
-        maxitwo_compatible: the mutant's spline ignores its first control point, as in maxitwo; the default uses all
-            of them, also when `road` is maxitwo-compatible.
+        road: parent with at least seven control points; it is not changed.
+        rng: source of all random numbers.
+        extent: largest move, m, at least 1; moves are whole metres.
+        maxitwo_compatible: let the mutant's spline ignore its first control point, as in maxitwo; by default it uses
+            all of them, even if `road` is maxitwo-compatible.
 
     Raises:
         RoadError: the extent is out of range.
@@ -70,7 +71,7 @@ def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, maxitwo_com
     if extent < 1:
         raise RoadError(f"mutation extent is {extent}, expected at least 1 m")
     if road.sampled:
-        raise MutationError(f"road {road.road_id} is made of road points, expected control points to move")
+        raise MutationError(f"road {road.road_id} is given by road points, expected control points to move")
     genes = [gene for gene in GENES if gene < len(road.control_points)]
     for gene in rng.permutation(genes)[: len(genes) - 1]:
         for _ in range(TRIES_PER_GENE):
@@ -88,7 +89,7 @@ def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, maxitwo_com
 
 
 def _random_nodes(rng: np.random.Generator, max_angle: int, box: float) -> list[tuple[float, float]] | None:
-    """Nodes of a road whose straight pieces are valid, or None when the attempts are used up."""
+    """Nodes of a road whose straight segments are valid, or None if the attempts are used up."""
     nodes = [(box / 2, -SEGMENT_LENGTH), (box / 2, 0.0)]  # the first is behind the first control point (maxitwo)
     attempt = 0
     while len(nodes) - 2 < NODES and attempt <= MAX_ATTEMPTS:
@@ -96,7 +97,7 @@ def _random_nodes(rng: np.random.Generator, max_angle: int, box: float) -> list[
         for proposal in range(1 + NODES - accepted):
             attempt += proposal > 0
             nodes.append(_next_node(rng, nodes, max_angle if accepted not in (0, 1, NODES - 1) else 0))
-            if _piece_is_valid(nodes, box, first=accepted == 0):
+            if _segments_are_valid(nodes, box, first=accepted == 0):
                 break
             nodes.pop()
         else:
@@ -107,14 +108,14 @@ def _random_nodes(rng: np.random.Generator, max_angle: int, box: float) -> list[
 
 
 def _next_node(rng: np.random.Generator, nodes: list[tuple[float, float]], angle: int) -> tuple[float, float]:
-    """One segment on, turned by up to `angle` degrees; the heading is not truncated to whole degrees as in maxitwo."""
+    """Next node, one segment on, turned by up to `angle` degrees; unlike in maxitwo, the heading is not truncated."""
     (x0, y0), (x1, y1) = nodes[-2:]
     heading = math.atan2(y1 - y0, x1 - x0) + math.radians(int(rng.integers(-angle, angle + 1)))
     return x1 + SEGMENT_LENGTH * math.cos(heading), y1 + SEGMENT_LENGTH * math.sin(heading)
 
 
-def _piece_is_valid(nodes: list[tuple[float, float]], box: float, *, first: bool) -> bool:
-    """The straight pieces so far do not meet each other, and the newest one is in the box (the first one enters it)."""
+def _segments_are_valid(nodes: list[tuple[float, float]], box: float, *, first: bool) -> bool:
+    """True if the straight segments do not touch each other and the newest is in the box (the first one enters it)."""
     points = np.array(nodes)
     steps = np.diff(points, axis=0)
     steps = np.vstack((steps, steps[-1:])) / SEGMENT_LENGTH

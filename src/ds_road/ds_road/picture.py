@@ -1,4 +1,4 @@
-"""A road as a picture, seen from above as in the paper's figure 2."""
+"""Draws a road seen from above, as in figure 2 of the paper."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ds_road.road import Road, RoadError
 GRASS, ASPHALT, WHITE, YELLOW = (120, 165, 105), (105, 105, 110), (245, 245, 245), (235, 200, 40)
 RED, BLACK = (215, 40, 40), (20, 20, 20)
 PALETTE = ((31, 119, 180), (255, 127, 14), (214, 39, 140), (148, 103, 189), (0, 190, 190))
-"""Colours of trajectories, in order; told apart by readers who do not see red or green."""
+"""Colours of trajectories, in order; distinguishable with red-green colour blindness."""
 SMALLEST, LARGEST = 320, 4000
-"""Pixels of the longer side; chosen: room for the caption, and at most some hundred megabytes while drawing."""
+"""Limits of the longer side, pixels; chosen: the caption fits, and drawing takes a few hundred megabytes at most."""
 _MARGIN = 10.0
-_STRAY = 30.0
+_TRAJECTORY_MARGIN = 30.0
 _SUPERSAMPLING = 3
 _SHIFT = 4
 _FAR = 2.0**28
@@ -28,7 +28,7 @@ _STRIP = 30
 
 @dataclass(frozen=True)
 class _View:
-    """A large canvas, made smaller in the end so that lines come out smooth, and where it lies in the road frame."""
+    """Supersampled canvas, scaled down at the end for smooth lines, and its place in the road frame."""
 
     canvas: NDArray[np.uint8]
     left: float
@@ -36,7 +36,7 @@ class _View:
     scale: float
 
     def pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Road frame, m, to canvas, in units of 1/16 pixel."""
+        """Convert points in the road frame (m) to canvas coordinates in units of 1/16 pixel."""
         flipped = np.stack((points[:, 0] - self.left, self.top - points[:, 1]), axis=1)
         return np.round(np.clip((flipped * self.scale - 0.5) * (1 << _SHIFT), -_FAR, _FAR)).astype(np.int32)
 
@@ -51,20 +51,20 @@ class _View:
 def draw(
     road: Road, *, trajectories: Mapping[str, NDArray[np.float64]] | None = None, size: int = 640, caption: bool = True
 ) -> NDArray[np.uint8]:
-    """Draw a road: edges white, centre yellow, control points as red stars, start as triangle, end as square.
+    """Draw a road: white edges, yellow centre line, control points as red stars, start as triangle, end as square.
 
     Args:
-        road: to draw, valid or not.
-        trajectories: name -> (n, 2) positions, m, drawn over the road with a legend. Where one strays more than 30 m
-            from what the road covers, it leaves the picture.
-        size: of the longer side of the picture without its caption, pixels, 320 to 4000.
-        caption: write id, length and features below.
+        road: road to draw, valid or not.
+        trajectories: name -> (n, 2) positions, m, drawn over the road with a legend. A trajectory that strays more
+            than 30 m from the area of the road is cut off at the border of the picture.
+        size: longer side of the picture without its caption, pixels, 320 to 4000.
+        caption: whether to write id, length and features below the picture.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
 
     Raises:
-        RoadError: size out of range, or a trajectory that is no array of finite positions.
+        RoadError: the size is out of range, or a trajectory is not an array of finite positions.
     """
     if not SMALLEST <= size <= LARGEST:
         raise RoadError(f"picture size is {size}, expected {SMALLEST} to {LARGEST} pixels")
@@ -97,22 +97,22 @@ def _path(name: str, path: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _view_of(road: Road, paths: list[NDArray[np.float64]], size: int) -> _View:
-    """An empty canvas that shows all of the road, and the trajectories as far as they stay near it."""
+    """Empty canvas that covers the whole road, and the trajectories where they stay near it."""
     surface = np.vstack((road.left_edge, road.right_edge, np.array(road.control_points)))
     low, high = surface.min(axis=0), surface.max(axis=0)
-    near = np.vstack((surface, *(np.clip(path, low - _STRAY, high + _STRAY) for path in paths)))
+    near = np.vstack((surface, *(np.clip(path, low - _TRAJECTORY_MARGIN, high + _TRAJECTORY_MARGIN) for path in paths)))
     low, high = near.min(axis=0) - _MARGIN, near.max(axis=0) + _MARGIN
     width, height = (float(side) for side in high - low)
     scale = min(size / width, (size - _STRIP) / height)
     columns, rows = max(round(width * scale), size * 5 // 8), max(round(height * scale) + _STRIP, size * 5 // 8)
-    middle = (low + high) / 2 - (0.0, _STRIP / 2 / scale)  # room for the scale bar below the road
+    middle = (low + high) / 2 - (0.0, _STRIP / 2 / scale)  # space for the scale bar below the road
     canvas = np.full((rows * _SUPERSAMPLING, columns * _SUPERSAMPLING, 3), GRASS, np.uint8)
     left, top = middle + np.array((-columns, rows)) / (2 * scale)
     return _View(canvas, float(left), float(top), scale * _SUPERSAMPLING)
 
 
 def _star(view: _View, centre: NDArray[np.float64]) -> None:
-    """A red star with five points and a dark rim, the same size in every picture."""
+    """Draw a red five-pointed star with a dark rim, the same size in every picture."""
     angle = np.pi / 2 + np.arange(10) * np.pi / 5
     radius = np.where(np.arange(10) % 2 == 0, 1.0, 0.42)
     shape = np.stack((radius * np.cos(angle), radius * np.sin(angle)), axis=1)
@@ -121,7 +121,7 @@ def _star(view: _View, centre: NDArray[np.float64]) -> None:
 
 
 def _ends(view: _View, road: Road) -> None:
-    """A black triangle where the vehicle starts, pointing ahead, and a black square at the end."""
+    """Mark the start with a black triangle that points ahead, and the end with a black square."""
     lane, half = road.right_lane_centre, 0.4 * road.lane_width
     triangle = np.array(((2.4, 0.0), (0.0, 1.0), (0.0, -1.0)))
     square = np.array(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)))
@@ -132,7 +132,7 @@ def _ends(view: _View, road: Road) -> None:
 
 
 def _legend(image: NDArray[np.uint8], colours: Mapping[str, tuple[int, int, int]]) -> None:
-    """Names of the trajectories at the upper left."""
+    """Write the names of the trajectories at the upper left."""
     for index, (name, colour) in enumerate(colours.items()):
         row = 22 + _ROW * index
         cv2.line(image, (10, row - 5), (34, row - 5), colour, 3, cv2.LINE_AA)
@@ -140,10 +140,10 @@ def _legend(image: NDArray[np.uint8], colours: Mapping[str, tuple[int, int, int]
 
 
 def _scale_bar(image: NDArray[np.uint8], scale: float) -> None:
-    """A round number of metres at the lower right, about a sixth of the picture."""
-    longest = image.shape[1] / 5 / scale
-    power = 10.0 ** np.floor(np.log10(longest))
-    metres = max(factor * power for factor in (1, 2, 5) if factor * power <= longest)
+    """Draw a scale bar at the lower right: a round number of metres, at most a fifth of the picture wide."""
+    max_length = image.shape[1] / 5 / scale
+    power = 10.0 ** np.floor(np.log10(max_length))
+    metres = max(factor * power for factor in (1, 2, 5) if factor * power <= max_length)
     right, row = image.shape[1] - 14, image.shape[0] - 14
     left = round(right - metres * scale)
     cv2.line(image, (left, row), (right, row), BLACK, 2)
@@ -153,7 +153,7 @@ def _scale_bar(image: NDArray[np.uint8], scale: float) -> None:
 
 
 def _caption(road: Road, width: int) -> NDArray[np.uint8]:
-    """Identity, features and validity on white."""
+    """White footer with id, features and validity."""
     text = [
         f"{road.road_id}   {road.length:.0f} m",
         f"turns {road.turns_count}   curvature {road.curvature:.3f} /m",
@@ -166,7 +166,9 @@ def _caption(road: Road, width: int) -> NDArray[np.uint8]:
 
 
 def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
-    """Black text, smaller where it would not fit the picture's width."""
-    room = image.shape[1] - at[0] - 6
+    """Write black text, scaled down if it would exceed the width of the picture."""
+    available = image.shape[1] - at[0] - 6
     width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]
-    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * min(1.0, room / max(width, 1)), BLACK, 1, cv2.LINE_AA)
+    cv2.putText(
+        image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * min(1.0, available / max(width, 1)), BLACK, 1, cv2.LINE_AA
+    )

@@ -1,4 +1,4 @@
-"""The road: an immutable value made of control points, with everything that follows from them."""
+"""Road: an immutable value defined by its control points, with everything derived from them."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from ds_road.spline import catmull_rom
 from ds_road.validity import Validity, check_surface
 
 LANE_WIDTH = 4.0
-"""m (maxitwo: a road of 8 m with two lanes)."""
+"""Default width of a lane, m (maxitwo: a two-lane road of 8 m)."""
 MAX_POINTS = 1000
-"""Control points at most; chosen: a hundred times the paper's nine, and checked within a second."""
+"""Largest number of control points; chosen: a hundred times the paper's nine, still checked within a second."""
 MIN_SPACING = 1e-3
-"""m between two neighbours at least; chosen: nearer ones have no direction that floating point can tell."""
-_LARGEST = 1e6
+"""Smallest distance between neighbouring points, m; chosen: floating point cannot resolve a direction below it."""
+_MAX_COORDINATE = 1e6
 
 
 class RoadError(ValueError):
-    """Something of which no road can be made, or a road on which nobody can drive."""
+    """Input that does not define a road, or a road that cannot be driven."""
 
 
 @dataclass(frozen=True, init=False, repr=False)
 class Road:
-    """A two-lane road through control points (paper 3.1.1), driven in the right lane.
+    """Two-lane road through control points (paper 3.1.1), driven in the right lane.
 
-    The first and the last control point only give the spline its direction: the road starts at the second and ends
-    at the second last. Roads of equal content are equal, and have the same `road_id`.
+    The first and the last control point only set the direction of the spline: the road starts at the second one and
+    ends at the last but one. Roads with equal content compare equal and have the same `road_id`.
 
     Args:
-        control_points: (n, 2) numbers, m, 4 <= n <= 1000.
-        lane_width: m, of each of the two lanes.
-        maxitwo_compatible: the centre line as maxitwo has it for mutants: the spline ignores the first control point,
-            so that the road starts at the third (n >= 5). It does not touch the way turns are counted:
+        control_points: (n, 2) coordinates, m, in driving order, 4 <= n <= 1000.
+        lane_width: width of each of the two lanes, m, 1 to 20.
+        maxitwo_compatible: build the centre line as maxitwo does for mutants: the spline ignores the first control
+            point, so that the road starts at the third (n >= 5). This does not affect how turns are counted:
             `turns_count_maxitwo` exists for every road.
 
     Raises:
-        RoadError: not such numbers, or two neighbours less than a millimetre apart.
+        RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
     """
 
     control_points: tuple[tuple[float, float], ...]
     lane_width: float
     maxitwo_compatible: bool
     sampled: bool
-    """The control points are the centre line itself; see `from_road_points`."""
+    """True if the control points are the centre line itself; see `from_road_points`."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class Road:
         maxitwo_compatible: bool = False,
     ) -> None:
         self._set(
-            _checked(control_points, "control point", least=5 if maxitwo_compatible else 4),
+            _parse_points(control_points, "control point", minimum=5 if maxitwo_compatible else 4),
             lane_width,
             maxitwo_compatible,
             False,
@@ -72,19 +72,19 @@ class Road:
     def from_road_points(
         cls, points: Iterable[Sequence[float]] | NDArray[np.float64], *, lane_width: float = LANE_WIDTH
     ) -> Road:
-        """A road whose centre line is these points as they are, the way other tools of this field exchange roads.
+        """Road whose centre line is given point by point, the way other tools in this field exchange roads.
 
-        Its `control_points` are the points, and `sampled` is true: no spline is laid through them.
+        The points become its `control_points`, and `sampled` is true: no spline is fitted to them.
 
         Args:
-            points: (n, 2) numbers, m, 2 <= n <= 1000, in driving order.
-            lane_width: m, of each of the two lanes.
+            points: (n, 2) coordinates, m, in driving order, 2 <= n <= 1000.
+            lane_width: width of each of the two lanes, m, 1 to 20.
 
         Raises:
-            RoadError: not such numbers, or two neighbours less than a millimetre apart.
+            RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
         """
         road = cls.__new__(cls)
-        road._set(_checked(points, "road point", least=2), lane_width, False, True)
+        road._set(_parse_points(points, "road point", minimum=2), lane_width, False, True)
         return road
 
     def _set(
@@ -94,15 +94,15 @@ class Road:
         maxitwo_compatible: bool,
         sampled: bool,
     ) -> None:
-        """Fill in the fields, which nobody can change afterwards."""
+        """Set the fields of the frozen dataclass."""
         if isinstance(lane_width, str | bool) or not isinstance(lane_width, int | float) or not 1 <= lane_width <= 20:
-            raise RoadError(f"lane width is {shown(lane_width)}, expected 1 to 20 metres")
+            raise RoadError(f"lane width is {abbreviated(lane_width)}, expected 1 to 20 metres")
         values = (control_points, float(lane_width), bool(maxitwo_compatible), sampled)
         for field, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, field.name, value)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What makes the road, without what follows from it."""
+        """Pickle only the fields that define the road, not the cached properties."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __repr__(self) -> str:
@@ -112,7 +112,7 @@ class Road:
 
     @cached_property
     def road_id(self) -> str:
-        """Twelve hexadecimal digits that stand for the control points, and for how the road is made of them."""
+        """Twelve hexadecimal digits of a hash over the control points and how the road is built from them."""
         content = hashlib.sha256(np.asarray(self.control_points, dtype="<f8").tobytes())
         if self.sampled or self.maxitwo_compatible or self.lane_width != LANE_WIDTH:
             content.update(f"{self.lane_width} {self.maxitwo_compatible} {self.sampled}".encode())
@@ -120,18 +120,18 @@ class Road:
 
     @cached_property
     def points(self) -> NDArray[np.float64]:
-        """Samples of the centre line, (20 + 19 (n - 4), 2), m.
+        """Samples of the centre line, (20 + 19 (n - 4), 2), m; the points themselves on a sampled road.
 
-        n is the number of control points, minus one on a maxitwo-compatible road, whose spline ignores the first.
+        n is the number of control points, minus one on a maxitwo-compatible road, whose spline ignores the first one.
         """
         given = np.array(self.control_points)
         if self.sampled:
-            return _frozen(given)
-        return _frozen(catmull_rom(given[1:] if self.maxitwo_compatible else given))
+            return _read_only(given)
+        return _read_only(catmull_rom(given[1:] if self.maxitwo_compatible else given))
 
     @cached_property
-    def _across(self) -> NDArray[np.float64]:
-        """Unit vectors to the right at every sample: across the step to the next one, at the end to the last one."""
+    def _right_normals(self) -> NDArray[np.float64]:
+        """Unit vectors to the right of every sample, (n, 2): normal to the next step, at the end to the last step."""
         steps = np.diff(self.points, axis=0)
         steps = np.vstack((steps, steps[-1:]))
         steps = steps / np.hypot(steps[:, 0], steps[:, 1])[:, None]
@@ -140,17 +140,17 @@ class Road:
     @cached_property
     def left_edge(self) -> NDArray[np.float64]:
         """Left border of the road at every sample, (n, 2), m."""
-        return _frozen(self.points - self.lane_width * self._across)
+        return _read_only(self.points - self.lane_width * self._right_normals)
 
     @cached_property
     def right_edge(self) -> NDArray[np.float64]:
         """Right border of the road at every sample, (n, 2), m."""
-        return _frozen(self.points + self.lane_width * self._across)
+        return _read_only(self.points + self.lane_width * self._right_normals)
 
     @cached_property
     def right_lane_centre(self) -> NDArray[np.float64]:
         """Centre line of the right lane at every sample, (n, 2), m."""
-        return _frozen(self.points + self.lane_width / 2 * self._across)
+        return _read_only(self.points + self.lane_width / 2 * self._right_normals)
 
     @cached_property
     def length(self) -> float:
@@ -164,7 +164,7 @@ class Road:
 
     @property
     def curvature_bin(self) -> int:
-        """Place of the curvature in a feature map: int(100 x curvature) (maxitwo)."""
+        """Bin of the curvature in a feature map: int(100 x curvature) (maxitwo)."""
         return int(100 * self.curvature)
 
     @cached_property
@@ -174,7 +174,7 @@ class Road:
 
     @cached_property
     def turns_count_maxitwo(self) -> int:
-        """Number of turns as the authors' package counts them."""
+        """Number of turns as the authors' package (maxitwo) counts them."""
         return turns_count(self.points, maxitwo_compatible=True)
 
     @cached_property
@@ -183,9 +183,9 @@ class Road:
         return check_surface(self.left_edge, self.right_edge)
 
     def reversed(self) -> Road:
-        """The same centre line driven the other way.
+        """Road with the same centre line, driven in the opposite direction.
 
-        The first control point of a maxitwo-compatible road, which its spline ignores, is dropped.
+        On a maxitwo-compatible road the first control point, which its spline ignores, is dropped.
         """
         if self.sampled:
             return Road.from_road_points(self.control_points[::-1], lane_width=self.lane_width)
@@ -193,45 +193,45 @@ class Road:
         return Road(used[::-1], lane_width=self.lane_width)
 
 
-def shown(value: Any) -> str:
-    """Some value in an error's one line, cut to what fits."""
+def abbreviated(value: Any) -> str:
+    """Representation of any value for a one-line error message, truncated."""
     try:
         return reprlib.repr(value)
     except ValueError:  # an integer of thousands of digits
         return f"a huge {type(value).__name__}"
 
 
-def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
     array.setflags(write=False)
     return array
 
 
-def _checked(raw: Any, what: str, *, least: int) -> tuple[tuple[float, float], ...]:
-    """Points as pairs of finite floats."""
+def _parse_points(raw: Any, kind: str, *, minimum: int) -> tuple[tuple[float, float], ...]:
+    """Convert raw points to pairs of finite floats; `kind` names a point in error messages."""
     if isinstance(raw, str | bytes | dict) or not isinstance(raw, Iterable):
-        raise RoadError(f"a road is {type(raw).__name__}, expected a list of [x, y] {what}s in metres")
+        raise RoadError(f"a road is {type(raw).__name__}, expected a list of [x, y] {kind}s in metres")
     try:
         points = list(raw)
-    except TypeError:  # an array without a dimension
-        raise RoadError(f"a road is a single value, expected a list of [x, y] {what}s in metres") from None
-    if not least <= len(points) <= MAX_POINTS:
-        raise RoadError(f"a road has {len(points)} {what}s, expected {least} to {MAX_POINTS}")
-    pairs = tuple(_pair(point, f"{what} {index}") for index, point in enumerate(points))
+    except TypeError:  # an array without dimensions
+        raise RoadError(f"a road is a single value, expected a list of [x, y] {kind}s in metres") from None
+    if not minimum <= len(points) <= MAX_POINTS:
+        raise RoadError(f"a road has {len(points)} {kind}s, expected {minimum} to {MAX_POINTS}")
+    pairs = tuple(_parse_point(point, f"{kind} {index}") for index, point in enumerate(points))
     for index, ((x0, y0), (x1, y1)) in enumerate(pairwise(pairs)):
         if abs(x1 - x0) < MIN_SPACING and abs(y1 - y0) < MIN_SPACING:
-            raise RoadError(f"{what}s {index} and {index + 1} are the same place: remove one of them")
+            raise RoadError(f"{kind}s {index} and {index + 1} coincide: remove one of them")
     return pairs
 
 
-def _pair(point: Any, name: str) -> tuple[float, float]:
-    """One point; adding zero turns -0.0 into 0.0, so that equal points are equal bytes."""
+def _parse_point(point: Any, name: str) -> tuple[float, float]:
+    """Convert one point; adding zero turns -0.0 into 0.0, so that equal points have equal bytes."""
     try:
         x, y = point
         pair = (float(x) + 0.0, float(y) + 0.0)
     except (TypeError, ValueError, OverflowError):
-        raise RoadError(f"{name} is {shown(point)}, expected two numbers [x, y]") from None
+        raise RoadError(f"{name} is {abbreviated(point)}, expected two numbers [x, y]") from None
     if isinstance(point, str | dict) or any(isinstance(v, str | bytes | bool | np.bool_) for v in (x, y)):
-        raise RoadError(f"{name} is {shown(point)}, expected two numbers [x, y]")
-    if not all(abs(v) <= _LARGEST for v in pair):
-        raise RoadError(f"{name} is {shown(point)}, expected finite metres up to {_LARGEST:g}")
+        raise RoadError(f"{name} is {abbreviated(point)}, expected two numbers [x, y]")
+    if not all(abs(v) <= _MAX_COORDINATE for v in pair):
+        raise RoadError(f"{name} is {abbreviated(point)}, expected finite metres up to {_MAX_COORDINATE:g}")
     return pair

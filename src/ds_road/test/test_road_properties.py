@@ -1,4 +1,4 @@
-"""What holds for every road, and what is refused."""
+"""Properties of every road, and inputs that are refused."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def test_a_mutant_moves_one_coordinate_of_one_inner_point(seed: int) -> None:
 @given(seeds, st.floats(-math.pi, math.pi), st.floats(-50, 50), st.floats(-50, 50))
 def test_features_do_not_depend_on_place_or_heading(seed: int, angle: float, dx: float, dy: float) -> None:
     road = random_road(seed)
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    moved = Road(np.array(road.control_points) @ turn.T + (dx, dy))
+    rotation = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    moved = Road(np.array(road.control_points) @ rotation.T + (dx, dy))
     assert moved.curvature == pytest.approx(road.curvature, rel=1e-6)
     assert moved.length == pytest.approx(road.length, rel=1e-9)
     assert moved.turns_count == road.turns_count
@@ -89,7 +89,7 @@ def test_a_straight_road_has_no_curvature_and_no_turn() -> None:
 
 
 def test_spline_equals_a_hermite_spline_with_catmull_rom_tangents() -> None:
-    """A centripetal Catmull-Rom segment is the cubic Hermite piece with its known tangents (SciPy as the oracle)."""
+    """A centripetal Catmull-Rom segment is the cubic Hermite piece with its known tangents (SciPy as oracle)."""
     points = np.array([(0.0, 0.0), (10.0, 2.0), (18.0, 11.0), (30.0, 9.0)])
     t = np.concatenate(([0.0], np.cumsum(np.sqrt(np.hypot(*np.diff(points, axis=0).T)))))
 
@@ -106,28 +106,28 @@ def test_spline_equals_a_hermite_spline_with_catmull_rom_tangents() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(seeds)
-def test_the_other_way_is_the_same_road_with_its_lanes_swapped(seed: int) -> None:
+def test_reversing_a_road_swaps_its_lanes(seed: int) -> None:
     road = random_road(seed)
-    back = road.reversed()
-    assert back != road and back.reversed() == road
-    np.testing.assert_allclose(back.points, road.points[::-1], atol=1e-9)
-    assert back.length == pytest.approx(road.length)
-    # Each way leaves out its own last window. With one more point behind it, the road's last window counts, too.
+    reversed_road = road.reversed()
+    assert reversed_road != road and reversed_road.reversed() == road
+    np.testing.assert_allclose(reversed_road.points, road.points[::-1], atol=1e-9)
+    assert reversed_road.length == pytest.approx(road.length)
+    # Each direction leaves out its own last window; with one more point at the end, the road's last window counts too.
     longer = Road.from_road_points(np.vstack((road.points, 2 * road.points[-1] - road.points[-2])))
-    assert longer.curvature == pytest.approx(max(road.curvature, back.curvature), rel=1e-9)
+    assert longer.curvature == pytest.approx(max(road.curvature, reversed_road.curvature), rel=1e-9)
 
 
 def test_the_last_window_does_not_count() -> None:
-    """Seven points have three windows of five; a bend that only the last one sees leaves no trace, as in maxitwo."""
+    """Seven points make three windows of five; as in maxitwo, a bend that is only in the last one is ignored."""
     straight = [(10.0 + i, 10.0) for i in range(6)]
     bent = Road.from_road_points([*straight, (16.0, 10.5)])
     assert bent.curvature == 0.0
-    # Frame from the other end it is in the first window: points (16, 10.5), (14, 10), (12, 10).
+    # Seen from the other end it is in the first window: points (16, 10.5), (14, 10), (12, 10).
     circumradius = math.sqrt(4.25) * 2.0 * math.sqrt(16.25) / (4 * 0.5)
     assert bent.reversed().curvature == pytest.approx(1 / circumradius)
 
 
-def test_a_road_cannot_be_changed_and_travels_whole() -> None:
+def test_a_road_is_immutable_and_survives_pickling() -> None:
     road = random_road(1)
     assert road.validity.valid and not road.left_edge.flags.writeable
     with pytest.raises(AttributeError):
@@ -141,7 +141,7 @@ def test_a_road_cannot_be_changed_and_travels_whole() -> None:
     )
 
 
-def test_edges_lie_across_the_next_step() -> None:
+def test_edges_are_normal_to_the_next_step() -> None:
     road = Road.from_road_points([(100, 100), (110, 100), (110, 110)], lane_width=3.0)
     np.testing.assert_allclose(road.left_edge, [(100, 103), (107, 100), (107, 110)])
     np.testing.assert_allclose(road.right_edge, [(100, 97), (113, 100), (113, 110)])
@@ -231,16 +231,16 @@ BAD: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("raw", BAD.values(), ids=BAD.keys())
-def test_what_is_no_road_is_refused_in_one_line(raw: Any) -> None:
+def test_invalid_input_is_refused_in_one_line(raw: Any) -> None:
     with pytest.raises(RoadError) as refused:
         road_from_json(raw)
-    told = str(refused.value)
-    assert "\n" not in told and len(told) < 200 and ("expected" in told or "remove" in told)
+    message = str(refused.value)
+    assert "\n" not in message and len(message) < 200 and ("expected" in message or "remove" in message)
     started = time.monotonic()
-    answer = check(raw)
+    result = check(raw)
     assert time.monotonic() - started < 1.0
-    assert answer["valid"] is False and answer["reason"] and answer["length"] is None
-    json.dumps(answer, allow_nan=False)
+    assert result["valid"] is False and result["reason"] and result["length"] is None
+    json.dumps(result, allow_nan=False)
 
 
 WORST: dict[str, Any] = {
@@ -253,7 +253,7 @@ WORST: dict[str, Any] = {
         (100 + 9 * math.cos(i * 0.0002), 100 + 9 * math.sin(i * 0.0002)) for i in range(0, 10_000, 10)
     ],
     "noise": np.random.default_rng(0).uniform(10, 240, (1000, 2)).tolist(),
-    "there and back": [(100 + i % 2, 100) for i in range(1000)],
+    "there and reversed_road": [(100 + i % 2, 100) for i in range(1000)],
     "far away": [(9e5 + i, -9e5 + i % 7) for i in range(1000)],
 }
 
@@ -262,10 +262,10 @@ WORST: dict[str, Any] = {
 @pytest.mark.parametrize("kind", ["control_points", "road_points"])
 def test_the_longest_roads_are_checked_in_a_second(points: Any, kind: str) -> None:
     started = time.process_time()
-    answer = check({kind: points})
+    result = check({kind: points})
     assert time.process_time() - started < 1.0
-    json.dumps(answer, allow_nan=False)
-    assert answer["length"] > 0
+    json.dumps(result, allow_nan=False)
+    assert result["length"] > 0
 
 
 values = st.recursive(
@@ -285,10 +285,10 @@ near_roads = st.lists(st.lists(numbers, min_size=2, max_size=2), min_size=2, max
 @settings(max_examples=300, deadline=None)
 @given(values | near_roads | near_roads.map(lambda points: {"road_points": points}))
 def test_any_json_value_can_be_checked(raw: Any) -> None:
-    answer = check(raw)
-    assert list(answer) == ["valid", "reason", "length", "curvature", "turns_count", "turns_count_maxitwo"]
-    assert answer["valid"] is not bool(answer["reason"])
-    json.dumps(answer, allow_nan=False)
+    result = check(raw)
+    assert list(result) == ["valid", "reason", "length", "curvature", "turns_count", "turns_count_maxitwo"]
+    assert result["valid"] is not bool(result["reason"])
+    json.dumps(result, allow_nan=False)
 
 
 @pytest.mark.parametrize(
@@ -300,7 +300,7 @@ def test_any_json_value_can_be_checked(raw: Any) -> None:
         ([(50, 20), (50, 50), (90, 50), (90, 90), (50, 90), (50, 50), (10, 50)], "start is its end"),
     ],
 )
-def test_why_a_road_is_not_valid(points: list[tuple[float, float]], reason: str) -> None:
+def test_an_invalid_road_gives_its_reason(points: list[tuple[float, float]], reason: str) -> None:
     assert reason in Road(points).validity.reason
 
 
@@ -336,7 +336,7 @@ def test_mutation_keeps_the_lanes_and_refuses_no_extent() -> None:
         mutate(wide, np.random.default_rng(0), extent=0)
 
 
-def test_a_bad_road_in_a_file_is_named() -> None:
+def test_an_error_names_the_bad_road_of_a_file() -> None:
     good = random_road(1).control_points
     with pytest.raises(RoadError, match="road 1: a road has 2 control points, expected 4 to 1000"):
         read_roads(json.dumps([good, good[:2]]))
@@ -347,7 +347,7 @@ def test_a_bad_road_in_a_file_is_named() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"a": 1}', "nonsense", "1" * 5000, "[" * 100_000])
-def test_a_file_that_is_no_list_of_roads_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_file_without_a_list_of_roads_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "roads.json"
     path.write_text(text)
     with pytest.raises(RoadError, match="expected a list of roads"):
@@ -366,7 +366,7 @@ def test_the_picture_shows_road_grass_and_trajectory() -> None:
 
 
 def test_every_control_point_has_a_star() -> None:
-    """Each lies where the picture's scale puts it: 25 m apart on a straight road, in the middle of the picture."""
+    """Stars are evenly spaced, as control points 25 m apart on a straight road must be."""
     picture = draw(Road([(125.0, 25.0 * i) for i in range(9)]), caption=False)
     red = (np.abs(picture.astype(int) - (215, 40, 40)).max(axis=2) < 10).any(axis=1)
     rows = np.flatnonzero(red)
@@ -377,7 +377,7 @@ def test_every_control_point_has_a_star() -> None:
 
 
 @pytest.mark.parametrize("path", [np.zeros(4), np.full((3, 2), np.nan), np.zeros((3, 1))])
-def test_the_picture_refuses_what_is_no_trajectory(path: Any) -> None:
+def test_the_picture_refuses_an_invalid_trajectory(path: Any) -> None:
     with pytest.raises(RoadError, match="trajectory car"):
         draw(random_road(1), trajectories={"car": path})
 
