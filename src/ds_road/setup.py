@@ -1,10 +1,14 @@
+import tomllib
+from pathlib import Path
+
 from setuptools import find_packages, setup
 
+PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"  # one version for all packages
 PACKAGE = "ds_road"
 
 setup(
     name=PACKAGE,
-    version="0.1.0",
+    version=tomllib.loads(PROJECT.read_text())["project"]["version"],
     description="Roads: spline, lanes, validity, generation, mutation, features, JSON.",
     license="Apache-2.0",
     maintainer="Digital Siblings maintainers",

@@ -1,0 +1,48 @@
+"""Packages agree on one version and install their type information."""
+
+from __future__ import annotations
+
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from distutils.core import run_setup  # setuptools provides it where Python no longer does
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+PYTHON_PACKAGES = sorted(setup.parent for setup in ROOT.glob("src/*/setup.py"))
+
+
+def distribution_of(package: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Read a package's setup.py from its own folder, as colcon does, without building anything."""
+    monkeypatch.chdir(package)
+    return run_setup("setup.py", script_args=["--quiet", "build_py"], stop_after="commandline")
+
+
+def test_every_manifest_has_the_version_of_the_project() -> None:
+    manifests = sorted(ROOT.glob("src/*/package.xml"))
+    assert len(manifests) == len(PYTHON_PACKAGES) + 2  # ds_interfaces and ds_bringup are built by CMake
+    versions = {file.parent.name: ElementTree.parse(file).findtext("version") for file in manifests}
+    assert versions == dict.fromkeys(versions, VERSION)
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES, ids=lambda package: package.name)
+def test_setup_installs_type_information_under_the_project_version(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distribution = distribution_of(package, monkeypatch)
+    assert distribution.get_version() == VERSION
+    command = distribution.get_command_obj("build_py")
+    command.ensure_finalized()
+    installed = {(Path(folder) / name).as_posix() for _, folder, _, names in command.data_files for name in names}
+    assert f"{package.name}/py.typed" in installed
+    stubs = {path.relative_to(package).as_posix() for path in package.glob("ds_*/**/*.pyi")}
+    assert stubs <= installed
+
+
+def test_the_changelog_begins_with_the_version_of_the_project() -> None:
+    headings = [line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("## ")]
+    released = [heading for heading in headings if heading != "## [Unreleased]"]
+    assert released[0].startswith(f"## [{VERSION}] - ")
