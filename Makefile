@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 RUN_SETUP = $${PYTHON:-python3} tools/setup.py
 
-.PHONY: help setup test lint demo clean
+.PHONY: help setup test fuzz lint demo clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -16,6 +16,10 @@ demo: setup  ## the whole method, small, into demo/ (ARGS="..." for `ds demo`)
 test:  ## linters and all tests (ARGS="..." for pytest)
 	@$(RUN_SETUP) --dev
 	@./tools/test.sh $(ARGS)
+
+fuzz:  ## damaged inputs for every reader of files (FUZZ=20000 for so many of each kind)
+	@$(RUN_SETUP) --dev
+	@. .venv/env.sh && DS_FUZZ=$${FUZZ:-20000} python -m pytest tests/fuzz $(ARGS)
 
 lint:  ## linters only
 	@$(RUN_SETUP) --dev

@@ -1,0 +1,156 @@
+"""Seeded damage: to bytes, and to the values of JSON and YAML documents."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+Rng = np.random.Generator
+
+STRANGE: Sequence[Any] = (
+    None, True, False, 0, -1, 1, 2**31, -(2**31) - 1, 2**63, 2**64, 10**30, 10**400, -(10**400), 1e308, -1e-320,
+    math.nan, math.inf, -math.inf, 0.5, "", " ", "0", "-1", "nan", "inf", "1e999", "9" * 400, "9" * 5000, "x" * 10_000,
+    "a\nb", "\x00", "\x7f\x1b[31m", "ü", "\U0001f697", "../x", "../../etc/passwd", "/tmp/x", "/dev/zero", ".", "..",
+    "a/b", "a\\b", "evilmod:S", "donkey@/dev/zero", "donkey@none.yaml", "bullet@x", [], {}, [[]], [None], {"": None},
+    {"a": {"b": {"c": 1}}}, [1, 2, 3], ["a"] * 50, [[0.0, 0.0]] * 5, "[[0,0],[1,1],[2,2],[3,3]]", "{}", "[1e400]",
+)  # fmt: skip
+"""Values that programs stumble over."""
+
+
+def damaged_bytes(data: bytes, rng: Rng) -> bytes:
+    """One to four changes to bytes: flips, cuts, splices, repeats, and extreme numbers written over them."""
+    made = bytearray(data)
+    for _ in range(int(rng.integers(1, 5))):
+        if not made:
+            break
+        at = int(rng.integers(len(made)))
+        size = min(len(made) - at, 2 ** int(rng.integers(12)))
+        match int(rng.integers(9)):
+            case 0 | 1:
+                made[at] ^= 1 << int(rng.integers(8))
+            case 2:
+                made[at : at + size] = rng.bytes(size)
+            case 3:
+                del made[at:]
+            case 4:
+                del made[at : at + size]
+            case 5:
+                made[at:at] = made[at : at + size] * int(rng.integers(1, 4))
+            case 6:
+                other = int(rng.integers(len(made)))
+                made[at : at + size] = made[other : other + size]
+            case 7:
+                width = int(rng.choice([1, 2, 4, 8]))
+                number = [0, 1, 2 ** (8 * width - 1) - 1, 2 ** (8 * width - 1), 2 ** (4 * width)][int(rng.integers(5))]
+                made[at : at + width] = number.to_bytes(width, "little")
+            case 8:
+                made[at : at + size] = bytes([255 * int(rng.integers(2))]) * size
+    return bytes(made)
+
+
+def damaged_value(value: Any, rng: Rng) -> Any:
+    """One to three changes to a JSON value: another type, a missing or extra entry, an extreme number."""
+    made = copy.deepcopy(value)
+    for _ in range(int(rng.integers(1, 4))):
+        made = _changed(made, rng)
+    return made
+
+
+def _changed(value: Any, rng: Rng) -> Any:
+    keys = list(value) if isinstance(value, dict) else list(range(len(value))) if isinstance(value, list) else []
+    if not keys or rng.random() < 0.1:
+        return _other(value, rng)
+    key = keys[int(rng.integers(len(keys)))]
+    if rng.random() < 0.75:
+        value[key] = _changed(value[key], rng)
+    elif rng.random() < 0.5:
+        del value[key]
+    elif isinstance(value, list):
+        value[int(key) : int(key)] = [copy.deepcopy(value[key])] * int(rng.integers(1, 4))
+    else:
+        value[_strange(rng) if rng.random() < 0.5 else f"{key}x"] = value.pop(key)
+    return value
+
+
+def _strange(rng: Rng) -> Any:
+    found = STRANGE[int(rng.integers(len(STRANGE)))]
+    return found if isinstance(found, str) else str(found)[:40]
+
+
+def _other(value: Any, rng: Rng) -> Any:
+    """A strange value, or the value as another type."""
+    if rng.random() < 0.7:
+        return copy.deepcopy(STRANGE[int(rng.integers(len(STRANGE)))])
+    if rng.random() < 0.3:
+        for _ in range([3, 60, 150][int(rng.integers(3))]):
+            value = [value]
+        return value
+    turns: Sequence[Callable[[Any], Any]] = (str, lambda v: [v], lambda v: {"x": v}, repr, lambda v: [v, v])
+    return turns[int(rng.integers(len(turns)))](value)
+
+
+def damaged_json(text: str, rng: Rng) -> bytes:
+    """Damage to a JSON document: to its values mostly, else to its bytes."""
+    if rng.random() < 0.2:
+        return damaged_bytes(text.encode(), rng)
+    if rng.random() < 0.02:
+        return b"[" * 200_000
+    return json.dumps(damaged_value(json.loads(text), rng), ensure_ascii=bool(rng.random() < 0.5)).encode()
+
+
+def damaged_yaml(text: str, rng: Rng) -> bytes:
+    """Damage to a YAML document: to its values mostly, else to its bytes, or aliases that expand."""
+    if rng.random() < 0.2:
+        return damaged_bytes(text.encode(), rng)
+    if rng.random() < 0.05:
+        return yaml_bomb(text, rng)
+    value = damaged_value(yaml.safe_load(text), rng)
+    return yaml.safe_dump(value, allow_unicode=bool(rng.random() < 0.5), sort_keys=False).encode()
+
+
+def yaml_bomb(text: str, rng: Rng) -> bytes:
+    """Brackets without end, or aliases that expand to billions of values, alone or before a document."""
+    if rng.random() < 0.2:
+        return b"[" * 200_000
+    laughs = "z0: &z0 [lol]\n" + "".join(f"z{i}: &z{i} [{', '.join([f'*z{i - 1}'] * 9)}]\n" for i in range(1, 10))
+    return (laughs if rng.random() < 0.5 else f"{laughs}{text}").encode()
+
+
+def damaged_file(path: Path, rng: Rng) -> None:
+    """Damage one file in place, as its ending suggests; sometimes replace it with something that is no file."""
+    if rng.random() < 0.02:
+        replace_with_no_file(path, rng)
+        return
+    damage = {".json": damaged_json, ".yaml": damaged_yaml, ".yml": damaged_yaml}.get(path.suffix)
+    data = path.read_bytes()
+    path.write_bytes(damage(data.decode(), rng) if damage is not None else damaged_bytes(data, rng))
+
+
+def damaged_one_of(folder: Path, rng: Rng) -> None:
+    """Damage one file of a folder, chosen by the generator."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    damaged_file(files[int(rng.integers(len(files)))], rng)
+
+
+def replace_with_no_file(path: Path, rng: Rng) -> None:
+    """Put a folder, an empty file, a FIFO, a link to a device or a dangling link in a file's place, or nothing."""
+    path.unlink()
+    match int(rng.integers(6)):
+        case 0:
+            path.mkdir()
+        case 1:
+            path.touch()
+        case 2:
+            os.mkfifo(path)
+        case 3:
+            path.symlink_to("/dev/zero")
+        case 4:
+            path.symlink_to("none")

@@ -1,0 +1,41 @@
+"""Every reader of received files accepts a damaged input, or refuses it in one line; it never does anything else.
+
+DS_FUZZ=N tries N inputs of each kind (200 if unset), DS_FUZZ_FIRST=SEED begins at another one than 0. One input again:
+DS_FUZZ=1 DS_FUZZ_FIRST=SEED pytest tests/fuzz -k KIND
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from tests.fuzz.harness import Finding, Kind, try_inputs
+
+COUNT = int(os.environ.get("DS_FUZZ", "200"))
+FIRST = int(os.environ.get("DS_FUZZ_FIRST", "0"))
+KINDS: list[Kind] = [
+    kind
+    for path in sorted(Path(__file__).parent.glob("kinds_*.py"))
+    for kind in import_module(f"tests.fuzz.{path.stem}").KINDS
+]
+
+
+@pytest.mark.timeout(120 + COUNT)
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_every_damaged_input_is_accepted_or_refused_in_one_line(
+    kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "base").mkdir()
+    base = kind.write(tmp_path / "base")
+    work = tmp_path / "work"
+    work.mkdir()
+    whole = try_inputs(replace(kind, damage=lambda path, rng: None), base, work, range(1))
+    assert list(whole) == [Finding(seed=0, refused=False, defect="")], "the undamaged input is not accepted"
+    monkeypatch.chdir(work)  # a relative path that is written to shows here
+    findings = list(try_inputs(kind, base, work, range(FIRST, FIRST + COUNT)))
+    defects = [f"seed {finding.seed}: {finding.defect}" for finding in findings if finding.defect]
+    assert not defects, f"{len(defects)} of {COUNT}:\n" + "\n".join(defects[:20])
+    assert COUNT < 50 or any(finding.refused for finding in findings), "the damage damaged nothing"
