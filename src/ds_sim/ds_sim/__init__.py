@@ -1,6 +1,6 @@
-"""What a simulator is: its contract, the parts that all simulators share, and the node that hosts any of them.
+"""Simulator interface, the parts that all simulators share, and the ROS node that hosts any of them.
 
-Public names are imported when they are first used; `__init__.pyi` lists them.
+Public names are imported on first use; `__init__.pyi` lists them.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Starts a node so that Ctrl-C ends it at once and silently, also while its libraries are still being imported."""
+"""Starts a node such that Ctrl-C ends it at once and silently, even while its libraries are still being imported."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from importlib import import_module
 
 
 def start(module: str, *arguments: str) -> None:
-    """Import a node's module and call its `main`, which takes over the signals."""
+    """Import a node's module and call its `main`, which installs its own signal handlers.
+
+    Args:
+        module: name of the module.
+        arguments: passed to its `main`.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     import_module(module).main(*arguments)
 
 
 def simulator() -> None:
-    """Host the simulator that the parameter `simulator` names."""
+    """Start the node that hosts the simulator named by the parameter `simulator`."""
     start("ds_sim.ros.simulator_node")

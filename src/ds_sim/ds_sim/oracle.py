@@ -1,4 +1,4 @@
-"""The test oracle: judges every frame of a run, and says how the run ended (paper 3.1.3, 3.3)."""
+"""Test oracle: judges every frame of a run and decides when and how the run ends (paper 3.1.3, 3.3)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from ds_sim.simulator import FRAME_RATE, Outcome
 
 @dataclass(frozen=True, kw_only=True)
 class OracleLimits:
-    """When a run ends.
+    """Thresholds that end a run.
 
     Attributes:
-        finish_margin: m before the end of the lane where the road counts as driven; chosen: about half a car, so
-            that the front bumper reaches the last road point (maxitwo stops 8 m short of it).
-        stuck_distance: m; less than this within `stuck_time` is stuck (maxitwo's detector, SBFT competition: 1 m).
-        stuck_time: s of simulated time (the same detector: 10 s).
-        max_steps: frames; reaching them is a timeout (maxitwo: 2000 steps).
+        finish_margin: distance before the end of the lane at which the road counts as completed, m; chosen: about half
+            a car, so that the front bumper reaches the last road point (maxitwo stops 8 m short of it).
+        stuck_distance: a vehicle that covers less than this within `stuck_time` is stuck, m (maxitwo's detector, SBFT
+            competition: 1 m).
+        stuck_time: simulated time, s (the same detector: 10 s).
+        max_steps: number of steps after which the run times out (maxitwo: 2000 steps).
     """
 
     finish_margin: float = 2.0
@@ -30,8 +31,8 @@ class Oracle:
     """Judges one run.
 
     Args:
-        lane_length: of the lane's centre line, m.
-        limits: when a run ends.
+        lane_length: length of the lane's centre line, m.
+        limits: thresholds that end the run.
     """
 
     def __init__(self, lane_length: float, limits: OracleLimits | None = None) -> None:
@@ -40,7 +41,13 @@ class Oracle:
         self._progress: deque[float] = deque(maxlen=round(self._limits.stuck_time * FRAME_RATE) + 1)
 
     def judge(self, *, step: int, lateral_distance: float, arc_length: float) -> Outcome:
-        """Take in one frame; out of bounds goes before anything else that happens in the same frame."""
+        """Judge one frame; out of bounds takes precedence over anything else in the same frame.
+
+        Args:
+            step: steps since the start of the run.
+            lateral_distance: half a lane minus |lateral position|, m.
+            arc_length: distance along the lane's centre line, m.
+        """
         self._progress.append(arc_length)
         if lateral_distance < 0.0:
             return Outcome.OUT_OF_BOUNDS

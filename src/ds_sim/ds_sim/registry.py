@@ -1,4 +1,4 @@
-"""Finds a simulator by its name; a new simulator is one line here, or `module:Class` wherever a name is asked for."""
+"""Makes simulators by name: one of `SIMULATORS`, or any class given as `module:Class`."""
 
 from __future__ import annotations
 
@@ -16,26 +16,27 @@ SIMULATORS = {
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
 }
 """Name on the command line -> `module:Class`, a class without constructor arguments."""
-LONGEST_LABEL = 100
-"""Chosen: a bag's name holds two labels and some digits, and a file's name at most 255 bytes."""
+MAX_LABEL_LENGTH = 100
+"""Chosen: a bag's name contains two labels and some digits, and a file name has at most 255 bytes."""
 
 
 def label_of(name: str) -> str:
-    """A simulator's name as a part of file names and test ids, at most `LONGEST_LABEL` characters of ASCII.
+    """Convert a simulator's name to a label for file names and test ids, at most `MAX_LABEL_LENGTH` ASCII characters.
 
-    A name of letters, digits, `_`, `-` and `.` is its own label. In any other one, others become `.`, the middle
-    is left out if it is long, and the first eight digits of its SHA-256 end it, so that different names stay different.
+    A name of letters, digits, `_`, `-` and `.` is its own label. In any other name, all other characters become `.`,
+    the middle is left out if the name is long, and the first eight digits of its SHA-256 are appended, so that
+    different names have different labels.
     """
     label = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else "." for c in name)
-    if label == name and len(label) <= LONGEST_LABEL:
+    if label == name and len(label) <= MAX_LABEL_LENGTH:
         return label
     ending = "-" + hashlib.sha256(name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
-    room = LONGEST_LABEL - len(ending)
-    return (label if len(label) <= room else label[: room // 3] + label[-(room - room // 3) :]) + ending
+    space = MAX_LABEL_LENGTH - len(ending)
+    return (label if len(label) <= space else label[: space // 3] + label[-(space - space // 3) :]) + ending
 
 
 class UnknownSimulatorError(ValueError):
-    """A name that stands for no simulator."""
+    """A name does not identify a simulator."""
 
 
 class UntrustedSimulatorError(ValueError):
@@ -64,7 +65,7 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
         raise UntrustedSimulatorError(f"simulator is a {type(name).__name__}, expected one of {', '.join(SIMULATORS)}")
     if name.partition("@")[0] in SIMULATORS or name in confirmed:
         return name
-    shown = repr(name) if len(name) <= LONGEST_LABEL else f"{name[:LONGEST_LABEL]!r}..."
+    shown = repr(name) if len(name) <= MAX_LABEL_LENGTH else f"{name[:MAX_LABEL_LENGTH]!r}..."
     if ":" not in name:
         raise UntrustedSimulatorError(f"unknown simulator {shown}: expected one of {', '.join(SIMULATORS)}")
     raise UntrustedSimulatorError(
@@ -74,9 +75,10 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
 
 
 def make_simulator(name: str) -> Simulator:
-    """Make the simulator with a known name, or any other one given as `module:Class`.
+    """Make a simulator by name.
 
-    `NAME@FILE` makes it with the parameters of a file, by its class's `from_file`.
+    Args:
+        name: key of `SIMULATORS`, or `module:Class`. `NAME@FILE` passes a parameter file to the class's `from_file`.
 
     Raises:
         UnknownSimulatorError: no simulator has this name, its class cannot be imported, or it takes no file.
@@ -101,7 +103,7 @@ def make_simulator(name: str) -> Simulator:
 
 @lru_cache
 def spec_of(name: str) -> SimulatorSpec:
-    """What a simulator is; made once, as some take a while. Raises as `make_simulator` does."""
+    """Spec of a simulator, cached because some are slow to make; raises as `make_simulator` does."""
     made = make_simulator(name)
     try:
         return made.spec

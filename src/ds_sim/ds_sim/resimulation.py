@@ -1,4 +1,4 @@
-"""Drives a recorded run again: the same road, seed and commands give the same frames, bit for bit."""
+"""Re-simulates a recorded run: the same road, seed and commands must give the same frames, bit for bit."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ds_sim.simulator import Observation, SimulatorError
 
 
 class ResimulationError(RuntimeError):
-    """A run that did not come out as it was recorded.
+    """A re-simulated run differs from its recording.
 
     Attributes:
-        step: the first one that differs.
-        difference: in words.
+        step: first step that differs.
+        difference: description of the difference.
     """
 
     def __init__(self, simulator: str, step: int, difference: str) -> None:
@@ -29,42 +29,44 @@ class ResimulationError(RuntimeError):
 
 
 def resimulate(simulator_name: str, run: RunRecord) -> Iterator[Observation]:
-    """Every observation of a recorded run, with its image, from a simulator in this process.
+    """Re-simulate a recorded run in this process and yield every observation with its image.
 
     Args:
-        simulator_name: as the registry knows it.
-        run: recorded, from its first frame on.
+        simulator_name: name known to `ds_sim.registry`.
+        run: recorded run, complete from its first frame.
 
     Raises:
-        ResimulationError: a frame differs from the recorded one; names the step and how far apart they are.
+        ResimulationError: a frame differs from the recording; names the step and the size of the difference.
     """
     simulator = make_simulator(simulator_name)
     try:
         for step, recorded in enumerate(run.observations):
             try:
-                seen = simulator.step(run.commands[step - 1]) if step else simulator.load(run.road, seed=run.seed)
+                observation = (
+                    simulator.step(run.commands[step - 1]) if step else simulator.load(run.road, seed=run.seed)
+                )
             except SimulatorError as error:
-                raise ResimulationError(simulator_name, step, f"where it goes no further ({error})") from None
-            if difference := difference_between(seen, recorded):
+                raise ResimulationError(simulator_name, step, f"where the simulator fails ({error})") from None
+            if difference := difference_between(observation, recorded):
                 raise ResimulationError(simulator_name, step, difference)
-            yield seen
+            yield observation
     finally:
         simulator.close()
 
 
-def difference_between(seen: Observation, recorded: Observation) -> str:
-    """What is not the same to the last bit, in words; "" if nothing. Images are not compared."""
-    apart = {
+def difference_between(observation: Observation, recorded: Observation) -> str:
+    """Describe what differs in any bit between two observations; "" if nothing. Images are not compared."""
+    differences = {
         name: abs(getattr(a, name) - getattr(b, name))
-        for a, b in ((seen.vehicle, recorded.vehicle), (seen.lane, recorded.lane))
+        for a, b in ((observation.vehicle, recorded.vehicle), (observation.lane, recorded.lane))
         for name in a.__dataclass_fields__
         if struct.pack("<d", getattr(a, name)) != struct.pack("<d", getattr(b, name))
     }
-    if apart:
-        metres = math.hypot(seen.vehicle.x - recorded.vehicle.x, seen.vehicle.y - recorded.vehicle.y)
-        name = max(apart, key=lambda key: apart[key])
-        others = f" and {len(apart) - 1} more" if len(apart) > 1 else ""
-        return f"{metres:.3g} m away ({name} by {apart[name]:.3g}{others})"
-    if seen.outcome is not recorded.outcome:
-        return f"which ends {seen.outcome.name}, not {recorded.outcome.name}"
+    if differences:
+        metres = math.hypot(observation.vehicle.x - recorded.vehicle.x, observation.vehicle.y - recorded.vehicle.y)
+        name = max(differences, key=lambda key: differences[key])
+        others = f" and {len(differences) - 1} more" if len(differences) > 1 else ""
+        return f"{metres:.3g} m away ({name} by {differences[name]:.3g}{others})"
+    if observation.outcome is not recorded.outcome:
+        return f"which ends {observation.outcome.name}, not {recorded.outcome.name}"
     return ""

@@ -1,4 +1,4 @@
-"""A simulator made of a vehicle, a camera and a look: all that a new simulator has to bring."""
+"""Base class of simulators: combines a vehicle model, a camera and a look, which is all a new simulator provides."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from ds_sim.vehicle import Vehicle
 
 
 class RoadSimulator:
-    """Satisfies `ds_sim.simulator.Simulator` for any vehicle model.
+    """Implements `ds_sim.simulator.Simulator` for any vehicle model.
 
     Args:
-        spec: what the simulator is.
-        vehicle: its physics.
-        limits: when a run ends.
+        spec: description of the simulator.
+        vehicle: physics model.
+        limits: thresholds that end a run; the defaults of `OracleLimits` if omitted.
     """
 
     def __init__(
@@ -48,11 +48,11 @@ class RoadSimulator:
 
     @property
     def spec(self) -> SimulatorSpec:
-        """What this simulator is."""
+        """Description of this simulator."""
         return self._spec
 
     def load(self, road: Road, *, seed: int) -> Observation:
-        """Build the world anew; see `Simulator.load`."""
+        """Build the world from scratch; see `Simulator.load`."""
         self._run = None
         if not road.validity.valid:
             raise RoadError(f"road {road.road_id} is not valid: {road.validity.reason}")
@@ -74,18 +74,20 @@ class RoadSimulator:
         return self._observe(run)
 
     def step(self, command: Command) -> Observation:
-        """Advance one frame; see `Simulator.step`."""
+        """Advance by one step; see `Simulator.step`."""
         run = self._run
         if run is None:
-            raise SimulatorError(f"{self._spec.name}: no road is loaded: load one before stepping")
+            raise SimulatorError(f"{self._spec.name}: no road is loaded: load one first")
         if run.outcome is not Outcome.RUNNING:
-            raise SimulatorError(f"{self._spec.name}: the run has ended ({run.outcome.name}): load a road again")
+            raise SimulatorError(
+                f"{self._spec.name}: the run has ended ({run.outcome.name}): load a road to start another"
+            )
         self.vehicle.advance(command)
         run.step += 1
         return self._observe(run)
 
     def close(self) -> None:
-        """Give back what the simulator holds."""
+        """Release the simulator's resources."""
         self._run = None
         self.vehicle.close()
 
@@ -93,7 +95,7 @@ class RoadSimulator:
         state = self.vehicle.state()
         if not all(math.isfinite(v) for v in (state.x, state.y, state.yaw, state.speed)):
             self._run = None
-            raise SimulatorError(f"{self._spec.name}: the physics broke at step {run.step}: a state is not finite")
+            raise SimulatorError(f"{self._spec.name}: the physics diverged at step {run.step}: a state is not finite")
         lateral, arc = run.tracker.update(state.x, state.y)
         ahead = self._spec.preview_distance
         preview = run.tracker.lateral_position(
@@ -118,7 +120,7 @@ class RoadSimulator:
 
 @dataclass(kw_only=True)
 class _Run:
-    """What belongs to one run on one road."""
+    """State of one run on one road."""
 
     ground: Ground
     tracker: LaneTracker

@@ -1,4 +1,4 @@
-"""One run after the other on one simulator, without ROS: what a host of a simulator has to remember."""
+"""Drives one run after the other on a simulator and records them, without ROS."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, Simulato
 
 @dataclass(kw_only=True)
 class RunRecord:
-    """What happened in one run.
+    """Record of one run.
 
     Attributes:
-        road: that was driven.
-        seed: of the run.
-        observations: one per frame, the first at rest; images are not kept.
-        commands: the command that led from frame k to frame k + 1.
-        outcome: how it ended, RUNNING until then.
-        message: why, in one line, where an outcome alone does not tell.
+        road: road that was driven.
+        seed: seed of the run.
+        observations: one per frame, the first at rest, without images.
+        commands: command k led from frame k to frame k + 1.
+        outcome: how the run ended; RUNNING until then.
+        message: one line of explanation where the outcome alone is not enough.
     """
 
     road: Road
@@ -38,25 +38,28 @@ class RunRecord:
 
     @property
     def max_lateral_position(self) -> float:
-        """Largest absolute lateral position of the run, m: the lack of driving quality (paper 4.2.5)."""
+        """Largest absolute lateral position of the run, m: the loss of driving quality (paper 4.2.5)."""
         return max((abs(o.lane.lateral_position) for o in self.observations), default=0.0)
 
     @property
     def steps(self) -> int:
-        """Frames driven."""
+        """Number of steps driven."""
         return len(self.commands)
 
     @property
     def simulated_seconds(self) -> float:
-        """Simulated time driven."""
+        """Simulated time driven, s."""
         return self.steps * FRAME_TIME
 
 
 class Session:
-    """Loads roads and drives them, one run at a time.
+    """Runs a simulator, one run at a time, and records each run.
 
     Args:
         simulator: any simulator.
+
+    Attributes:
+        run: record of the current or last run; None before the first.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -65,41 +68,52 @@ class Session:
 
     @property
     def driving(self) -> bool:
-        """True while a run waits for commands."""
+        """True while a run is in progress."""
         return self.run is not None and self.run.outcome is Outcome.RUNNING
 
     def start(self, road: Road, seed: int) -> Observation | None:
-        """Begin a run at the start of a road; None, and the run ended as SIM_ERROR, when the simulator broke."""
+        """Start a run at the beginning of a road.
+
+        Returns:
+            First observation; None if the simulator failed, which ends the run as SIM_ERROR.
+        """
         self.run = RunRecord(road=road, seed=seed)
-        return self._take(lambda: self.simulator.load(road, seed=seed))
+        return self._record(lambda: self.simulator.load(road, seed=seed))
 
     def advance(self, command: Command) -> Observation | None:
-        """Drive one frame; None, and the run ended as SIM_ERROR, when the simulator broke."""
+        """Drive one step.
+
+        Returns:
+            Next observation; None if the simulator failed, which ends the run as SIM_ERROR.
+
+        Raises:
+            SimulatorError: no run is in progress.
+        """
         if self.run is None or not self.driving:
-            raise SimulatorError("no run is under way: start one first")
-        observation = self._take(lambda: self.simulator.step(command))
+            raise SimulatorError("no run is in progress: start one first")
+        observation = self._record(lambda: self.simulator.step(command))
         if observation is not None:
             self.run.commands.append(command)
         return observation
 
-    def _take(self, act: Callable[[], Observation]) -> Observation | None:
+    def _record(self, act: Callable[[], Observation]) -> Observation | None:
         assert self.run is not None
         try:
             observation = act()
-        except Exception as error:  # whatever breaks in a simulator is its error, and never the driver's failure
+        except Exception as error:  # any exception is a simulator error, never a failure of the driver
             self.end(Outcome.SIM_ERROR, f"{type(error).__name__}: {error}".splitlines()[0])
             return None
-        self.run.observations.append(_light(observation))
+        self.run.observations.append(_without_image(observation))
         self.run.outcome = observation.outcome
         return observation
 
     def end(self, outcome: Outcome, message: str) -> None:
-        """End the run from outside: cancelled, or the driver is silent."""
+        """End the run from outside, for example when it is cancelled or the driver is silent."""
         if self.run is not None and self.run.outcome is Outcome.RUNNING:
             self.run.outcome = outcome
             self.run.message = message
 
 
-def _light(observation: Observation) -> Observation:
-    """An observation without its image, which nobody needs after it was sent."""
+def _without_image(observation: Observation) -> Observation:
+    """Drop the image of an observation, which is not needed once it has been sent."""
     return replace(observation, image=np.empty((0, 0, 3), np.uint8))

@@ -1,7 +1,8 @@
-"""The contract between a simulator and everything else: what goes in, what comes out, what a run may end with.
+"""Interface between a simulator and everything else: commands, observations, outcomes.
 
-Frames and units: metres, seconds, radians; road frame with x and y in the plane, z up, yaw counter-clockwise
-from +x (REP-103). Steering is the one exception, as in the paper (section 3.2.1): -1 full left, +1 full right.
+Coordinates and units: metres, seconds, radians; the road frame has x and y in the plane, z up, and yaw
+counter-clockwise from +x (REP-103). Steering is the one exception, as in the paper (section 3.2.1): -1 full left,
++1 full right.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ FRAME_RATE = 20.0
 """Camera frames per simulated second (paper 3.2.1: all simulators aligned at 20 fps)."""
 FRAME_TIME = 1.0 / FRAME_RATE
 MAX_SPEED = 30.0 / 3.6
-"""Speed limit in m/s (paper 4.2.4: 30 km/h in all simulators)."""
+"""Speed limit, m/s (paper 4.2.4: 30 km/h in all simulators)."""
 HALF_LANE = 2.0
-"""Half the width of a lane in metres (maxitwo: road of 8 m with two lanes)."""
+"""Half the width of a lane, m (maxitwo: road of 8 m with two lanes)."""
 
 
 class CommandError(ValueError):
-    """A driving command that no vehicle can execute."""
+    """A command that no vehicle can execute."""
 
 
 class SimulatorError(RuntimeError):
-    """A simulator that cannot go on; the run ends as an error, never as a failure of the driver."""
+    """A simulator cannot continue; the run ends as an error, never as a failure of the driver."""
 
 
 class Outcome(IntEnum):
-    """How a run ended. The values are those of ds_interfaces/msg/Outcome."""
+    """How a run ended; values as in ds_interfaces/msg/Outcome."""
 
     RUNNING = 0
     COMPLETED = 1
@@ -49,30 +50,30 @@ class Outcome(IntEnum):
 
     @property
     def is_verdict(self) -> bool:
-        """True when the run says something about the driver, and so may enter a feature map."""
+        """True if the run is a valid test of the driver and may enter a feature map."""
         return Outcome.COMPLETED <= self <= Outcome.TIMEOUT
 
     @property
     def is_failure(self) -> bool:
-        """True when the driver failed the test: out of bounds, stuck or too slow."""
+        """True if the driver failed the test: out of bounds, stuck or too slow."""
         return self in (Outcome.OUT_OF_BOUNDS, Outcome.STUCK, Outcome.TIMEOUT)
 
     @property
     def is_error(self) -> bool:
-        """True when the run must be repeated: nothing was learnt about the driver."""
+        """True if the run says nothing about the driver and must be repeated."""
         return self > Outcome.TIMEOUT
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a driver asks for during one frame.
+    """Driving command, held for one step.
 
     Attributes:
         steering: -1 full left to +1 full right (paper 3.2.1).
         throttle: 0 none to 1 full (paper, equation 2).
 
     Raises:
-        CommandError: a value is not a finite number, or out of its range.
+        CommandError: a value is not a finite number or is out of range.
     """
 
     steering: float
@@ -86,19 +87,19 @@ class Command:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
-    """Where the vehicle is and how it moves, in the road frame and in road metres whatever the vehicle's scale.
+    """Pose and motion of the vehicle in the road frame, in road metres whatever the vehicle's scale.
 
     Attributes:
         x: position of the vehicle's centre, m.
         y: position of the vehicle's centre, m.
         yaw: heading, rad, counter-clockwise from +x.
-        speed: along the heading, m/s.
-        lateral_speed: to the left of the heading, m/s.
+        speed: velocity along the heading, m/s.
+        lateral_speed: velocity to the left of the heading, m/s.
         yaw_rate: rad/s.
         steering_angle: mean angle of the front wheels, rad, left positive (REP-103).
-        roll: of the body about its forward axis, rad, right side down positive (REP-103).
-        pitch: of the body about its left axis, rad, nose down positive (REP-103).
-        heave: of the body above its rest height, m.
+        roll: rotation of the body about its forward axis, rad, right side down positive (REP-103).
+        pitch: rotation of the body about its left axis, rad, nose down positive (REP-103).
+        heave: height of the body above its rest position, m.
     """
 
     x: float
@@ -115,12 +116,12 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneState:
-    """Where the vehicle is in its lane (paper 3.3, 4.2.4).
+    """Position of the vehicle relative to its lane (paper 3.3, 4.2.4).
 
     Attributes:
         lateral_position: signed distance of the vehicle's centre from the right lane's centre line, m, right positive.
         lateral_distance: half a lane minus |lateral_position|, m; negative out of bounds.
-        preview_lateral_position: lateral position of the point ahead of the vehicle that the autopilot watches, m.
+        preview_lateral_position: lateral position of the autopilot's preview point ahead of the vehicle, m.
         arc_length: distance driven along the lane's centre line, m.
     """
 
@@ -132,14 +133,14 @@ class LaneState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """One frame: what the driver sees, and what only the test knows.
+    """One frame: the image that the driver sees, and the ground truth that only the test sees.
 
     Attributes:
-        image: (160, 320, 3) uint8 RGB, read-only.
-        step: frames since the start of the run.
-        time: simulated seconds since the start of the run.
-        vehicle: the vehicle's state at this time.
-        lane: the vehicle's place in its lane at this time.
+        image: camera image, (160, 320, 3) uint8 RGB, read-only.
+        step: steps since the start of the run.
+        time: simulated time since the start of the run, s.
+        vehicle: state of the vehicle.
+        lane: position of the vehicle in its lane.
         outcome: RUNNING until the run ends.
     """
 
@@ -153,23 +154,23 @@ class Observation:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatorSpec:
-    """What a user may ask of a simulator before driving in it; lengths in road metres.
+    """Static description of a simulator; lengths in road metres.
 
     Attributes:
         name: short name, as on the command line.
-        physics: one line on the physics model.
+        physics: one-line description of the physics model.
         vehicle_length: m.
         vehicle_width: m.
         wheelbase: m.
-        max_steering_angle: at the wheels for |steering| = 1, rad.
-        camera: the camera and where it sits.
-        look: colours of the world.
-        crop_top: image rows above the horizon that a network need not see (paper 3.2.2).
-        crop_bottom: image rows at the bottom that a network need not see.
-        autopilot: gains of the reference driver (paper, equation 1).
-        preview_distance: m ahead of the vehicle's centre where the autopilot watches its lateral position.
-        engine: name and version of what computes the physics.
-        extra: anything else worth telling, by name.
+        max_steering_angle: angle of the wheels for |steering| = 1, rad.
+        camera: camera and its mounting.
+        look: appearance of the world.
+        crop_top: image rows cut off at the top before the image enters a network (paper 3.2.2).
+        crop_bottom: image rows cut off at the bottom.
+        autopilot: gains of the autopilot (paper, equation 1).
+        preview_distance: distance of the autopilot's preview point ahead of the vehicle's centre, m.
+        engine: name and version of the physics engine.
+        extra: further properties, name -> value.
     """
 
     name: str
@@ -193,9 +194,9 @@ class AutopilotGains:
     """Constants of the paper's equations 1 and 2 for one vehicle.
 
     Attributes:
-        proportional: on the lateral position, 1/m (K_P).
-        derivative: on the difference of two consecutive lateral positions, 1/m (K_D).
-        integral: on their running sum, 1/m (K_I).
+        proportional: gain on the lateral position, 1/m (K_P).
+        derivative: gain on the difference of two consecutive lateral positions, 1/m (K_D).
+        integral: gain on the sum of all lateral positions, 1/m (K_I).
         max_speed: speed threshold and high value K = H of equation 2, km/h.
         min_speed: low value K = L of equation 2, km/h (maxitwo: 15 for every simulator).
     """
@@ -208,15 +209,18 @@ class AutopilotGains:
 
 
 class Simulator(Protocol):
-    """A road, a vehicle and its camera. A run depends on (road, seed, commands) alone."""
+    """Simulates a vehicle with a camera on a road; a run depends on (road, seed, commands) alone."""
 
     @property
     def spec(self) -> SimulatorSpec:
-        """What this simulator is."""
+        """Description of this simulator."""
         ...
 
     def load(self, road: Road, *, seed: int) -> Observation:
-        """Build the world anew and put the vehicle at rest at the start of the right lane.
+        """Build the world from scratch, with the vehicle at rest at the start of the right lane.
+
+        Returns:
+            First observation, at step 0.
 
         Raises:
             ds_road.RoadError: the road is not valid.
@@ -224,13 +228,13 @@ class Simulator(Protocol):
         ...
 
     def step(self, command: Command) -> Observation:
-        """Hold a command for one frame, 1/20 s of simulated time.
+        """Advance by one step of 1/20 s simulated time with the command held.
 
         Raises:
-            SimulatorError: no road is loaded, the run has ended, or the physics broke.
+            SimulatorError: no road is loaded, the run has ended, or the physics diverged.
         """
         ...
 
     def close(self) -> None:
-        """Give back what the simulator holds; it may be loaded again."""
+        """Release the simulator's resources; `load` may follow."""
         ...

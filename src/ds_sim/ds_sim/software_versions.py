@@ -1,4 +1,4 @@
-"""Which versions of what made a result."""
+"""Library versions recorded with each result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _DISTRIBUTIONS = (
 
 
 def versions() -> dict[str, str]:
-    """Name -> version of Python, the kind of machine, and the libraries that a result depends on."""
+    """Versions of Python and of the libraries that results depend on, by name, and the machine type."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     for name in _DISTRIBUTIONS:
         try:

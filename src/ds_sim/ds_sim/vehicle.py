@@ -1,4 +1,4 @@
-"""What a vehicle model is: the physics behind a simulator, knowing nothing of roads, cameras or outcomes."""
+"""Interface of vehicle models: the physics of a simulator, independent of roads, cameras and outcomes."""
 
 from __future__ import annotations
 
@@ -10,23 +10,29 @@ from ds_sim.simulator import Command, VehicleState
 
 
 class Vehicle(Protocol):
-    """A vehicle on an endless flat plane, advanced frame by frame."""
+    """Vehicle on an infinite flat plane, advanced step by step."""
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
-        """Build the physics anew with the vehicle at rest: its centre at (x, y) in road metres, heading yaw.
+        """Build the physics from scratch with the vehicle at rest.
 
-        The following states depend on these arguments and on the commands alone, bit for bit, in any process.
+        The states that follow depend on these arguments and on the commands alone, bit for bit, in any process.
+
+        Args:
+            x: position of the vehicle's centre, road metres.
+            y: position of the vehicle's centre, road metres.
+            yaw: heading, rad, counter-clockwise from +x.
+            rng: source of all random numbers.
         """
         ...
 
     def advance(self, command: Command) -> None:
-        """Hold a command for one frame of 1/20 s; the model chooses its substeps."""
+        """Advance by one step of 1/20 s with the command held; the model chooses its substeps."""
         ...
 
     def state(self) -> VehicleState:
-        """The state now, in road metres, whatever the model's own scale."""
+        """Current state in road metres, whatever the model's own scale."""
         ...
 
     def close(self) -> None:
-        """Give back what the model holds; `reset` may follow."""
+        """Release the model's resources; `reset` may follow."""
         ...

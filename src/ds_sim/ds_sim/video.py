@@ -1,4 +1,4 @@
-"""A run as a video: what the camera saw, with the road from above, speed, commands and lateral position beside it."""
+"""Renders a run as a video: camera image, map of the road, speed, commands and lateral position."""
 
 from __future__ import annotations
 
@@ -14,53 +14,53 @@ from ds_road import Road
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcome
 
-ENLARGED = 3
-"""Video pixels per camera pixel; chosen: a camera frame fills half of a common screen."""
+MAGNIFICATION = 3
+"""Video pixels per camera pixel; chosen: a camera image fills half of a common screen."""
 PANEL = 300
 """Width of the panel beside the camera image, pixels."""
 CODEC = "mp4v"
 """MPEG-4 part 2: OpenCV's wheels write it without a system codec, and desktop players read it."""
 _MAP = 280
-_GRASS, _ASPHALT, _WHITE, _TRAIL = (92, 130, 80), (90, 90, 95), (240, 240, 240), (255, 160, 60)
-_PAPER, _INK, _FAINT, _GOOD, _BAD = (24, 26, 30), (235, 235, 235), (110, 115, 120), (90, 200, 120), (240, 80, 70)
+_GRASS, _ASPHALT, _WHITE, _TRAJECTORY = (92, 130, 80), (90, 90, 95), (240, 240, 240), (255, 160, 60)
+_BACKGROUND, _TEXT, _FAINT, _GOOD, _BAD = (24, 26, 30), (235, 235, 235), (110, 115, 120), (90, 200, 120), (240, 80, 70)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
 
 
 class VideoError(ValueError):
-    """A video that cannot be written."""
+    """A video cannot be written."""
 
 
 def check_path(path: Path) -> None:
-    """Find out before driving whether a video can be written.
+    """Check before driving whether a video can be written.
 
     Raises:
-        VideoError: the name or the folder does not suit.
+        VideoError: the name does not end with .mp4, or the folder does not exist.
     """
     if path.suffix != ".mp4":
         raise VideoError(f"video {path.name!r}: expected a name that ends with .mp4")
     if not path.parent.is_dir():
-        raise VideoError(f"{path.parent} is no folder: make it first, or choose another --video")
+        raise VideoError(f"{path.parent} is not a folder: create it first, or choose another --video")
 
 
 def write_video(
     path: Path, title: str, road: Road, observations: Iterable[Observation], commands: list[Command]
 ) -> None:
-    """Write a run at the speed of simulated time, its last frame for a second.
+    """Write a run as a video at the speed of simulated time; the last frame is shown for one second.
 
     Args:
-        path: ending with `.mp4`; appears whole or not at all.
-        title: shown above the panel, such as simulator and driver.
-        road: that was driven.
+        path: name that ends with `.mp4`; the file appears complete or not at all.
+        title: text above the panel, such as simulator and driver.
+        road: road that was driven.
         observations: one per frame, with images.
-        commands: the command that led from frame k to frame k + 1.
+        commands: command k led from frame k to frame k + 1.
 
     Raises:
-        VideoError: it cannot be written.
+        VideoError: the video cannot be written.
     """
     check_path(path)
     partial = path.with_name(f".{path.stem}.partial.mp4")
-    size = (IMAGE_WIDTH * ENLARGED + PANEL, IMAGE_HEIGHT * ENLARGED)
+    size = (IMAGE_WIDTH * MAGNIFICATION + PANEL, IMAGE_HEIGHT * MAGNIFICATION)
     writer = cv2.VideoWriter(str(partial), cv2.VideoWriter.fourcc(*CODEC), FRAME_RATE, size)
     if not writer.isOpened():
         raise VideoError(f"{path} cannot be written: check the folder and the disk")
@@ -81,20 +81,20 @@ def write_video(
 
 
 def compose(observation: Observation, panel: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Camera image and panel side by side, (480, 1260, 3) uint8 RGB."""
-    size = (IMAGE_WIDTH * ENLARGED, IMAGE_HEIGHT * ENLARGED)
+    """Place camera image and panel side by side, (480, 1260, 3) uint8 RGB."""
+    size = (IMAGE_WIDTH * MAGNIFICATION, IMAGE_HEIGHT * MAGNIFICATION)
     return np.hstack((cv2.resize(observation.image, size, interpolation=cv2.INTER_LINEAR), panel)).astype(np.uint8)
 
 
 class _Panel:
-    """The panel beside the camera image: a map that collects the trail, and numbers."""
+    """Panel beside the camera image: a map with the trajectory so far, and gauges."""
 
     def __init__(self, title: str, road: Road) -> None:
         self._title = title
         surface = np.vstack((road.left_edge, road.right_edge))
         low, high = surface.min(axis=0) - 4.0, surface.max(axis=0) + 4.0
         self._scale = _MAP / float((high - low).max())
-        self._corner = (low + high) / 2 - _MAP / 2 / self._scale
+        self._origin = (low + high) / 2 - _MAP / 2 / self._scale
         self._map = np.full((_MAP, _MAP, 3), _GRASS, np.uint8)
         for start in range(len(road.left_edge) - 1):
             pair = slice(start, start + 2)
@@ -102,18 +102,18 @@ class _Panel:
             cv2.fillPoly(self._map, [self._pixels(quad)], _ASPHALT, cv2.LINE_8, _SHIFT)
         for edge in (road.left_edge, road.right_edge):
             cv2.polylines(self._map, [self._pixels(edge)], False, _WHITE, 1, cv2.LINE_AA, _SHIFT)
-        self._last: NDArray[np.float64] | None = None
+        self._previous: NDArray[np.float64] | None = None
 
     def draw(self, observation: Observation, command: Command | None) -> NDArray[np.uint8]:
-        """The panel of one frame, (480, 300, 3) uint8 RGB."""
-        panel = np.full((IMAGE_HEIGHT * ENLARGED, PANEL, 3), _PAPER, np.uint8)
+        """Draw the panel of one frame, (480, 300, 3) uint8 RGB."""
+        panel = np.full((IMAGE_HEIGHT * MAGNIFICATION, PANEL, 3), _BACKGROUND, np.uint8)
         vehicle, lane = observation.vehicle, observation.lane
         here = np.array([[vehicle.x, vehicle.y]])
-        if self._last is not None:
+        if self._previous is not None:
             cv2.polylines(
-                self._map, [self._pixels(np.vstack((self._last, here)))], False, _TRAIL, 2, cv2.LINE_AA, _SHIFT
+                self._map, [self._pixels(np.vstack((self._previous, here)))], False, _TRAJECTORY, 2, cv2.LINE_AA, _SHIFT
             )
-        self._last = here
+        self._previous = here
         top, left = 28, (PANEL - _MAP) // 2
         view = panel[top : top + _MAP, left : left + _MAP]
         view[:] = self._map
@@ -128,20 +128,28 @@ class _Panel:
         failed = observation.outcome not in (Outcome.RUNNING, Outcome.COMPLETED)
         state = "" if observation.outcome is Outcome.RUNNING else observation.outcome.name.lower().replace("_", " ")
         _write(panel, state, (left + 180, row), _BAD if failed else _GOOD)
-        beyond = lane.lateral_distance < 0.0
-        _gauge(panel, row + 34, "lateral", lane.lateral_position, HALF_LANE, f"{lane.lateral_position:+.2f} m", beyond)
+        out_of_bounds = lane.lateral_distance < 0.0
+        _gauge(
+            panel,
+            row + 34,
+            "lateral",
+            lane.lateral_position,
+            HALF_LANE,
+            f"{lane.lateral_position:+.2f} m",
+            out_of_bounds,
+        )
         steering, throttle = (command.steering, command.throttle) if command else (0.0, 0.0)
         _gauge(panel, row + 66, "steering", steering, 1.0, f"{steering:+.2f}", False)
         _gauge(panel, row + 98, "throttle", throttle, 1.0, f"{throttle:.2f}", False)
         return panel
 
     def _pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
-        flipped = (points - self._corner) * self._scale * (1.0, -1.0) + (0.0, _MAP)
+        flipped = (points - self._origin) * self._scale * (1.0, -1.0) + (0.0, _MAP)
         return np.round((flipped - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
 
 def _gauge(panel: NDArray[np.uint8], row: int, name: str, value: float, limit: float, text: str, bad: bool) -> None:
-    """A value in [-limit, limit] as a bar from the middle: right is positive, as on the road."""
+    """Draw a value in [-limit, limit] as a bar from the middle; right is positive, as on the road."""
     left, right, middle = 82, 212, 147
     _write(panel, name, (10, row + 5))
     cv2.line(panel, (left, row), (right, row), _FAINT, 1)
@@ -151,5 +159,5 @@ def _gauge(panel: NDArray[np.uint8], row: int, name: str, value: float, limit: f
     _write(panel, text, (222, row + 5))
 
 
-def _write(panel: NDArray[np.uint8], text: str, at: tuple[int, int], ink: tuple[int, int, int] = _INK) -> None:
+def _write(panel: NDArray[np.uint8], text: str, at: tuple[int, int], ink: tuple[int, int, int] = _TEXT) -> None:
     cv2.putText(panel, text, at, _FONT, 0.45, ink, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Frames by brute force, with other people's mathematics, to hold the camera against."""
+"""Reference images by brute force, with OpenCV's and SciPy's geometry, to compare the camera with."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ds_sim.simulator import VehicleState
 def directions(
     spec: CameraSpec, vehicle: VehicleState, columns: NDArray[np.float64], rows: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rays (n, 3) of pixels in the road frame by OpenCV's undistortion and SciPy's rotations, and the centre (3,)."""
+    """Rays (n, 3) of pixels in the road frame and the optical centre (3,), by OpenCV's undistortion and SciPy."""
     body = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
     centre = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
     pixels = np.stack((columns, rows), axis=-1)[:, None, :]
@@ -30,9 +30,9 @@ def directions(
 def brute_force(
     spec: CameraSpec, ground: Ground, vehicle: VehicleState, rows: range, samples: int = 16
 ) -> NDArray[np.float64]:
-    """Rows of the frame as the mean of `samples` x `samples` rays a pixel into the finest raster, (rows, columns, 3).
+    """Rows of the image as the mean of `samples` x `samples` rays per pixel into the finest raster, (rows, columns, 3).
 
-    The raster is read bilinearly. Above the horizon the result says nothing.
+    The raster is read bilinearly. The result is meaningless above the horizon.
     """
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     level = ground.levels[0]
@@ -53,12 +53,12 @@ def brute_force(
 
 
 def below_horizon(spec: CameraSpec, vehicle: VehicleState, rows: range) -> NDArray[np.bool_]:
-    """Which pixels of some rows lie two rows or more below the horizon, (rows, columns)."""
+    """Mask of the pixels of some rows that lie two rows or more below the horizon, (rows, columns)."""
     v, u = (a.ravel().astype(float) for a in np.meshgrid(rows, np.arange(spec.width), indexing="ij"))
     rays, _ = directions(spec, vehicle, u, v - 2.0)
     return np.asarray(rays[:, 2] < 0.0).reshape(len(rows), spec.width)
 
 
 def psnr(frame: NDArray[np.uint8], reference: NDArray[np.float64]) -> float:
-    """Peak signal to noise ratio, dB."""
+    """Peak signal-to-noise ratio, dB."""
     return float(10 * np.log10(255**2 / np.mean((frame - reference) ** 2)))

@@ -1,4 +1,4 @@
-"""The camera against an independent projection of points, and against a frame supersampled by force."""
+"""Compares the camera with an independent projection of points; tests horizon and sensor."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def pose(x: float, y: float, yaw: float, roll: float = 0.0, pitch: float = 0.0, 
 
 
 def project(spec: CameraSpec, vehicle: VehicleState, point: tuple[float, float]) -> tuple[float, float]:
-    """Where a ground point falls in the image, by SciPy's rotations and the lens formula from a textbook."""
+    """Image position of a point on the ground, by SciPy's rotations and the textbook formula of the lens."""
     body = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
     camera = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
     mount = body * Rotation.from_euler("Y", spec.pitch)
@@ -42,7 +42,7 @@ def project(spec: CameraSpec, vehicle: VehicleState, point: tuple[float, float])
 
 
 def spotted_ground(point: tuple[float, float]) -> Ground:
-    """A grey plane with one white square of 0.4 m around a point."""
+    """Grey plane with one white square of 0.4 m around a point."""
     size, resolution = 1200, 0.05
     raster = np.full((size, size, 3), 60, np.uint8)
     column, row = round(point[0] / resolution), round(point[1] / resolution)
@@ -59,7 +59,7 @@ def spotted_ground(point: tuple[float, float]) -> Ground:
     [(0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.05, 0.0), (1.2, 0.08, 0.0, 0.1), (-0.7, -0.1, -0.04, -0.05)],
 )
 @pytest.mark.parametrize("ahead", [(6.0, 0.6), (9.0, -2.0), (14.0, 3.0)])
-def test_a_spot_on_the_ground_is_where_geometry_says(
+def test_a_spot_on_the_ground_is_projected_correctly(
     lens: Literal["pinhole", "equidistant"],
     yaw: float,
     roll: float,
@@ -75,8 +75,8 @@ def test_a_spot_on_the_ground_is_where_geometry_says(
         lens=lens,
     )
     vehicle = pose(20.0, 30.0, yaw, roll, pitch, heave)
-    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    x, y = np.round((turn @ ahead + (20.0, 30.0)) / 0.05) * 0.05
+    rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    x, y = np.round((rotation @ ahead + (20.0, 30.0)) / 0.05) * 0.05
     frame = Camera(spec, LOOK).render(spotted_ground((x, y)), vehicle)[..., 1].astype(float)
     u, v = project(spec, vehicle, (x, y))
     near = frame[max(round(v) - 8, 0) : round(v) + 9, max(round(u) - 14, 0) : round(u) + 15] - 60.0
@@ -104,7 +104,7 @@ def test_the_horizon_follows_pitch_and_roll() -> None:
     assert sky_rows(300, roll=0.1) - sky_rows(20, roll=0.1) == pytest.approx(-280 * math.tan(0.1), abs=4)
 
 
-def test_the_sensor_is_seeded_late_and_read_only() -> None:
+def test_sensor_images_are_seeded_delayed_and_read_only() -> None:
     spec = CameraSpec(horizontal_fov=1.5, height=1.4, noise=4.0, latency=2)
     scenes = [np.full((160, 320, 3), value, np.uint8) for value in (50, 100, 150, 200)]
 

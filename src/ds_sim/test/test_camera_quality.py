@@ -1,4 +1,4 @@
-"""What the cameras of the simulators promise: far lines, no flicker, a smooth horizon, true intrinsics, motion blur."""
+"""Image quality of the simulators' cameras: distant lines, flicker, horizon, intrinsics, motion blur."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ds_sim.simulator import VehicleState
 
 LOOK = Look(asphalt=(90, 90, 95), grass=(90, 140, 70), hills=5.0)
 CAMERAS = {
-    # As the three simulators have them; copied, so that this package's tests need no other.
+    # Those of the three simulators, copied so that the tests of this package need no other.
     "bullet": CameraSpec(horizontal_fov=math.radians(100), height=1.35, forward=0.4, pitch=math.radians(10)),
     "softbody": CameraSpec(horizontal_fov=math.radians(120), height=1.0, forward=1.7, pitch=math.radians(3)),
     "donkey": CameraSpec(
@@ -44,8 +44,8 @@ def straight() -> Ground:
 
 
 @pytest.mark.parametrize(("name", "roll"), [("bullet", 0.0), ("softbody", 0.0), ("donkey", 0.0), ("bullet", 0.05)])
-def test_far_lines_hold_against_sixteen_by_sixteen_rays_a_pixel(name: str, roll: float) -> None:
-    """27 rows under the horizon; measured 42 to 46 dB, bilinear sampling has 27 dB."""
+def test_far_lines_match_sixteen_by_sixteen_rays_per_pixel(name: str, roll: float) -> None:
+    """27 rows below the horizon; measured 42 to 46 dB, bilinear sampling has 27 dB."""
     spec = CAMERAS[name]
     road = generate(np.random.default_rng(4), max_angle=60)
     lane = road.right_lane_centre
@@ -53,14 +53,14 @@ def test_far_lines_hold_against_sixteen_by_sixteen_rays_a_pixel(name: str, roll:
     vehicle = pose(lane[1, 0], lane[1, 1], math.atan2(*(lane[2] - lane[1])[::-1]), roll=roll)
     first = horizon_row(spec) + 3
     band = range(first, first + 27)
-    seen = below_horizon(spec, vehicle, band)
+    mask = below_horizon(spec, vehicle, band)
     frame = Camera(spec, LOOK).render(ground, vehicle)[first : first + 27]
-    assert psnr(frame[seen], brute_force(spec, ground, vehicle, band)[seen]) > 40.0
+    assert psnr(frame[mask], brute_force(spec, ground, vehicle, band)[mask]) > 40.0
 
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_far_lines_do_not_flicker(name: str) -> None:
-    """On a straight drive at constant speed the far rows stay as they are, far steadier than nearest neighbours."""
+    """Driving straight at constant speed changes the far rows much less than nearest-neighbour sampling would."""
     spec = CAMERAS[name]
     look = replace(LOOK, asphalt_grain=0.0, grass_grain=0.0)
     plain = paint_ground(Road([(125.0, 25.0 * i) for i in range(9)]), look)
@@ -70,7 +70,7 @@ def test_far_lines_do_not_flicker(name: str) -> None:
     drawn, nearest = [], []
     columns, lines = (a.ravel() for a in np.meshgrid(np.arange(320.0), np.arange(first, first + 14.0)))
     for step in range(24):
-        # 0.137 m is no whole number of raster pixels: every phase occurs.
+        # 0.137 m is not a multiple of the raster pixel: every phase occurs.
         vehicle = pose(127.0, 30.0 + 0.137 * step, math.pi / 2)
         drawn.append(camera.render(plain, vehicle)[rows].astype(float))
         rays, centre = directions(spec, vehicle, columns, lines)
@@ -81,20 +81,22 @@ def test_far_lines_do_not_flicker(name: str) -> None:
         picked = np.where(inside[:, None], level[row * inside, column * inside, :3], plain.outside)
         nearest.append(picked.reshape(14, 320, 3).astype(float))
     middle = slice(110, 210)
-    ours, theirs = (np.std(frames, axis=0)[:, middle].max(axis=1).mean() for frames in (drawn, nearest))
-    assert ours < FLICKER and theirs > 3 * ours
+    rendered_flicker, nearest_flicker = (
+        np.std(frames, axis=0)[:, middle].max(axis=1).mean() for frames in (drawn, nearest)
+    )
+    assert rendered_flicker < FLICKER and nearest_flicker > 3 * rendered_flicker
 
 
 FLICKER = 1.0
-"""Grey levels: standard deviation over time of each far row's most restless pixel, mean over rows;
-0.6 (bullet), 0.7 (softbody), 0.4 (donkey) measured, nearest neighbours 2.6, 2.7, 1.5."""
+"""Standard deviation over time of the least steady pixel of each far row, mean over rows, grey levels; measured: 0.6
+(bullet), 0.7 (softbody), 0.4 (donkey), with nearest neighbours 2.6, 2.7, 1.5."""
 
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_the_horizon_moves_smoothly_with_roll_and_pitch(name: str) -> None:
-    """Its height by columns is a straight line (a circle through the lens), not stairs; pitch moves it by fractions."""
+    """The horizon is a straight line over columns without steps, and pitch moves it by fractions of a pixel."""
     spec = replace(CAMERAS[name], lens="pinhole")
-    # Sky one colour, ground another: the sum over a column counts its sky pixels, fractions included.
+    # Sky and ground have one colour each: the sum over a column counts its sky pixels, including fractions.
     look = Look(asphalt=(0, 0, 0), grass=(0, 0, 0), horizon=(200,) * 3, sky_top=(200,) * 3, grass_grain=0.0)
     black = np.zeros((64, 64, 3), np.uint8)
     ground = Ground(levels=(black, black[::2, ::2]), origin=(0.0, 0.0), resolution=0.05, outside=(0, 0, 0))
@@ -111,17 +113,17 @@ def test_the_horizon_moves_smoothly_with_roll_and_pitch(name: str) -> None:
 @pytest.mark.parametrize(
     ("columns", "rows", "bent"), [(slice(160, 320), (65, 160), 1.0), (slice(4, 160), (74, 99), 0.7)]
 )
-def test_undistortion_with_the_published_numbers_makes_the_edges_straight(
+def test_undistortion_with_the_specified_coefficients_makes_the_edges_straight(
     straight: Ground, columns: slice, rows: tuple[int, int], bent: float
 ) -> None:
-    """cv2.undistort with K and D of the twin: both edge lines bend before, by less than half a pixel after."""
+    """cv2.undistort with K and D of the twin straightens both edge lines to less than half a pixel."""
     spec = CAMERAS["donkey"]
     assert len(spec.distortion) == 8
     frame = Camera(spec, LOOK).render(straight, pose(127.0, 40.0, math.pi / 2))
     flat = cv2.undistort(frame, spec.intrinsics, np.array(spec.distortion))
 
     def bend(image: np.ndarray) -> float:
-        """Largest distance of the white line's middle from a straight line, px."""
+        """Largest deviation of the centre of the white line from a straight line, px."""
         white = np.clip(image[slice(*rows), columns].min(axis=2).astype(float) - 130.0, 0.0, None)
         middle = (white * np.arange(white.shape[1])).sum(axis=1) / white.sum(axis=1)
         number = np.arange(len(middle))
@@ -132,21 +134,21 @@ def test_undistortion_with_the_published_numbers_makes_the_edges_straight(
 
 
 def test_the_wide_lens_is_equidistant() -> None:
-    """Its polynomial against the formula of the textbook, r = f * angle, out to the image's corners."""
+    """The lens polynomial equals the textbook formula r = f * angle out to the corners of the image."""
     spec = CAMERAS["donkey"]
     angles = np.linspace(0.01, math.radians(67), 50)
     points = np.stack((np.sin(angles), np.zeros(50), np.cos(angles)), axis=1)
-    seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), spec.intrinsics, np.array(spec.distortion))
+    projected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), spec.intrinsics, np.array(spec.distortion))
     k = spec.intrinsics
-    assert np.abs(seen[:, 0, 0] - k[0, 2] - k[0, 0] * angles).max() < 0.01
+    assert np.abs(projected[:, 0, 0] - k[0, 2] - k[0, 0] * angles).max() < 0.01
 
 
-def test_motion_blurs_what_moves_and_only_that(straight: Ground) -> None:
+def test_only_motion_is_blurred(straight: Ground) -> None:
     sharp = CAMERAS["donkey"]
     blurred = Camera(replace(sharp, exposure=1 / 60), LOOK)
     still = blurred.render(straight, pose(127.0, 40.0, math.pi / 2)).astype(float)
     turning = blurred.render(straight, pose(127.0, 40.0, math.pi / 2, yaw_rate=1.0)).astype(float)
-    # 1 rad/s for 1/60 s are 2.5 px.
+    # 1 rad/s during 1/60 s is 2.5 px.
     edges_still, edges_turning = ((np.diff(f[80:100, 165:], axis=1) ** 2).sum() for f in (still, turning))
     assert edges_turning < 0.95 * edges_still
     assert np.abs(still - Camera(sharp, LOOK).render(straight, pose(127.0, 40.0, math.pi / 2))).mean() < 1.0
@@ -160,8 +162,8 @@ def test_the_same_pose_gives_the_same_bytes(straight: Ground) -> None:
         )
 
 
-def test_the_skyline_stands_on_the_horizon_and_turns_with_yaw(straight: Ground) -> None:
-    """Ground rows do not change with the skyline, sky rows do; a turn by one pixel's angle shifts it by one pixel."""
+def test_the_skyline_stays_on_the_horizon_and_turns_with_yaw(straight: Ground) -> None:
+    """The skyline changes only sky rows; a turn by the angle of one pixel shifts it by one pixel."""
     spec = CAMERAS["bullet"]
     bare, hills = (Camera(spec, replace(LOOK, hills=h)) for h in (0.0, 5.0))
     vehicle = pose(127.0, 40.0, 1.0)

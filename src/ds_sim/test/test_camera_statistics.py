@@ -1,4 +1,4 @@
-"""Image statistics against closed forms."""
+"""Compares image statistics with closed forms."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ds_sim.camera.image_statistics import image_statistics
 
 
 def test_white_noise_has_its_known_contrast_and_sharpness() -> None:
-    """Laplacian of white noise: sqrt(4^2 + 4) times its deviation."""
+    """The Laplacian of white noise has sqrt(4^2 + 4) times its standard deviation."""
     grey = np.random.default_rng(1).normal(120.0, 10.0, (160, 320, 1)).round().astype(np.uint8)
     found = image_statistics(np.repeat(grey, 3, axis=2))
     assert found.brightness == pytest.approx(120.0, abs=0.3)

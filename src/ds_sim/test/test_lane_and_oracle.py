@@ -1,4 +1,4 @@
-"""Lane position and verdicts against geometry worked by hand."""
+"""Compares lane positions and verdicts with geometry worked out by hand."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def test_right_is_positive_and_arc_length_counts_along_the_line() -> None:
     assert tracker.lateral_position(9.0, 7.0) == pytest.approx(-1.0)
 
 
-def test_the_ends_run_on_straight() -> None:
+def test_the_line_is_extended_straight_at_both_ends() -> None:
     tracker = LaneTracker(np.array([(0.0, 0.0), (10.0, 0.0)]))
     assert tracker.update(-3.0, -1.0) == pytest.approx((1.0, -3.0))
     assert tracker.update(13.0, 1.0) == pytest.approx((-1.0, 13.0))
 
 
-def test_a_part_of_the_road_that_comes_near_is_not_taken_for_the_own_one() -> None:
-    """A hairpin with its legs 6 m apart: a vehicle on the first leg that drifts across stays on the first leg."""
+def test_another_part_of_the_road_close_by_is_not_matched() -> None:
+    """On a hairpin with legs 6 m apart, a vehicle that drifts sideways is still tracked on the first leg."""
     up = [(0.0, float(y)) for y in range(41)]
     bend = [(3 - 3 * math.cos(a), 40 + 3 * math.sin(a)) for a in np.linspace(0.1, math.pi - 0.1, 12)]
     down = [(6.0, float(y)) for y in range(40, -1, -1)]
@@ -48,7 +48,7 @@ def test_a_part_of_the_road_that_comes_near_is_not_taken_for_the_own_one() -> No
         (-0.1, 99.0, Outcome.OUT_OF_BOUNDS),
     ],
 )
-def test_verdicts_of_one_frame(distance: float, arc: float, outcome: Outcome) -> None:
+def test_verdicts_on_one_frame(distance: float, arc: float, outcome: Outcome) -> None:
     assert Oracle(100.0).judge(step=1, lateral_distance=distance, arc_length=arc) is outcome
 
 
@@ -60,7 +60,7 @@ def test_less_than_a_metre_in_ten_seconds_is_stuck() -> None:
     assert {oracle.judge(step=k, lateral_distance=1.0, arc_length=k * 0.0051) for k in range(201)} == {Outcome.RUNNING}
 
 
-def test_too_many_steps_are_a_timeout() -> None:
+def test_reaching_the_maximum_of_steps_is_a_timeout() -> None:
     oracle = Oracle(100.0, OracleLimits(max_steps=30))
     assert oracle.judge(step=29, lateral_distance=1.0, arc_length=1.0) is Outcome.RUNNING
     assert oracle.judge(step=30, lateral_distance=1.0, arc_length=5.0) is Outcome.TIMEOUT

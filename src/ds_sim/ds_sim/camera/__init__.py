@@ -1,6 +1,6 @@
-"""A pinhole or wide-angle camera over a painted ground plane, without ROS.
+"""Pinhole or wide-angle camera over a painted ground plane, without ROS.
 
-Public names are imported when they are first used; `__init__.pyi` lists them.
+Public names are imported on first use; `__init__.pyi` lists them.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""The world seen from above: road, lines and grass painted into a pyramid of top-down rasters."""
+"""Paints the world as seen from above: road, lines and grass in a pyramid of top-down rasters."""
 
 from __future__ import annotations
 
@@ -14,28 +14,29 @@ from ds_road import Road
 from ds_sim.camera.look import Look
 
 RESOLUTION = 0.05
-"""Metres per pixel of the finest raster; chosen: a line of 0.15 m is three pixels wide."""
+"""Size of a pixel of the finest raster, m; chosen: a line of 0.15 m is three pixels wide."""
 LEVELS = 6
-"""Rasters in the pyramid, each half as fine; the coarsest has 1.6 m pixels, a lane line vanishes in one."""
+"""Number of rasters in the pyramid, each with half the resolution; the coarsest has pixels of 1.6 m, in which a lane
+line vanishes."""
 MARGIN = 30.0
-"""Metres of grass painted around the road; beyond it the plane has one colour."""
+"""Width of the grass painted around the road, m; beyond it the plane has one colour."""
 TEXTURE_SIZE = 512
-"""Pixels of the repeated texture, 25.6 m."""
+"""Side of the repeated texture, pixels (25.6 m)."""
 LEAD_IN, LEAD_OUT = 10.0, 40.0
-"""Metres of straight road painted before the start and beyond the end, so that neither looks like a cliff."""
+"""Length of straight road painted before the start and beyond the end, m, so that neither ends abruptly in view."""
 _SHIFT = 6
 """Fractional bits of the coordinates that OpenCV draws with."""
 
 
 @dataclass(frozen=True)
 class Ground:
-    """A painted plane.
+    """Painted ground plane.
 
     Attributes:
         levels: rasters (rows, columns, 3 or 4) uint8 RGB or RGBA, finest first, each half the size of the one before;
             row 0 holds the smallest y.
         origin: x and y of the outer corner of pixel (0, 0), m, the same for every level.
-        resolution: metres per pixel of the finest level.
+        resolution: size of a pixel of the finest level, m.
         outside: colour of the plane beyond the rasters.
     """
 
@@ -45,7 +46,7 @@ class Ground:
     outside: tuple[int, int, int]
 
     def pixel_to_world(self, level: int) -> NDArray[np.float64]:
-        """Matrix (3, 3) from pixel (column, row, 1) of a level to (x, y, 1) in m; pixel centres are whole numbers."""
+        """Matrix (3, 3) from pixel (column, row, 1) of a level to (x, y, 1) in m; pixel centres are at integers."""
         size = self.resolution * 2.0**level
         return np.array(
             [[size, 0.0, self.origin[0] + 0.5 * size], [0.0, size, self.origin[1] + 0.5 * size], [0.0, 0.0, 1.0]]
@@ -56,8 +57,8 @@ class Ground:
         """All levels in one raster (rows, 2 columns, 4), side by side.
 
         With (x, y) in pixels of the finest level from the outer corner, and s = 1, 1/2, 1/4 ... the scale of a level,
-        a point is at (2 columns + s (x - 2 columns), s y): one formula for every level. Four channels, because OpenCV
-        reads them twice as fast as three. Every level ends in a rim of the outside's colour.
+        a point is at (2 columns + s (x - 2 columns), s y): the same formula for every level. There are four channels
+        because OpenCV reads them twice as fast as three. Every level has a border in the colour of the outside.
         """
         rows, columns = self.levels[0].shape[:2]
         outside = (*self.outside, 255)
@@ -74,15 +75,15 @@ class Ground:
         atlas[:, start:] = outside
         return atlas
 
-    def room(self, position: NDArray[np.float64]) -> float:
-        """Metres from a point (x, y, ...) to the nearest border of the rasters; negative outside."""
+    def distance_to_border(self, position: NDArray[np.float64]) -> float:
+        """Distance from a point (x, y, ...) to the nearest border of the rasters, m; negative outside."""
         rows, columns = self.levels[0].shape[:2]
         x, y = float(position[0]) - self.origin[0], float(position[1]) - self.origin[1]
         return min(x, y, columns * self.resolution - x, rows * self.resolution - y)
 
     @property
-    def coarsest(self) -> float:
-        """Scale of the coarsest level, 1 for the finest."""
+    def coarsest_scale(self) -> float:
+        """Scale of the coarsest level relative to the finest."""
         return 0.5 ** (len(self.levels) - 1)
 
     @cached_property
@@ -99,7 +100,7 @@ class Ground:
 
 
 def paint_ground(road: Road, look: Look) -> Ground:
-    """Paint a road into its plane: grass, asphalt, two solid white edges and one solid yellow centre (paper 3.1.2)."""
+    """Paint the ground of a road: grass, asphalt, two solid white edges, one solid yellow centre (paper 3.1.2)."""
     centre, across = _with_leads(road)
     half_width = road.lane_width * 2 / 2
     low = centre.min(axis=0) - half_width - MARGIN
@@ -127,7 +128,7 @@ def paint_ground(road: Road, look: Look) -> Ground:
 
 
 def _with_leads(road: Road) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre line and unit vectors to the right, both (n + 2, 2), with one straight lead added at either end."""
+    """Centre line and unit vectors to the right, both (n + 2, 2), extended straight at either end."""
     across = (road.right_edge - road.points) / road.lane_width
     ahead = np.stack((-across[:, 1], across[:, 0]), axis=1)
     start = road.points[0] - LEAD_IN * ahead[0]
@@ -143,7 +144,7 @@ def _paint_stretch(
     half_width: float,
     look: Look,
 ) -> None:
-    """Paint one stretch over what is there; `centre` is relative to the raster's corner."""
+    """Paint one stretch of road into the raster; `centre` is relative to the raster's corner, m."""
 
     def pixels(offset: float) -> NDArray[np.int32]:
         return np.round(((centre + offset * across) / RESOLUTION - 0.5) * (1 << _SHIFT)).astype(np.int32)
@@ -160,18 +161,18 @@ def _paint_stretch(
 
 @lru_cache(maxsize=8)
 def _textures(look: Look) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Repeatable textures of grass and asphalt, (TEXTURE_SIZE, TEXTURE_SIZE, 3) each."""
+    """Seamless textures of grass and asphalt, (TEXTURE_SIZE, TEXTURE_SIZE, 3) each."""
     rng = np.random.default_rng(look.grain_seed)
     grass = _texture(rng, look.grass, look.grass_grain, (1.0, 6.0))
     if look.relief > 0.0:
-        grass = _lit(grass, look)
+        grass = _shaded(grass, look)
     return grass, _texture(rng, look.asphalt, look.asphalt_grain, (0.0, 10.0))
 
 
 def _texture(
     rng: np.random.Generator, colour: tuple[int, int, int], grain: float, blurs: tuple[float, float]
 ) -> NDArray[np.uint8]:
-    """A colour with grain at two scales, each of which repeats without a seam."""
+    """Seamless texture of one colour with grain at two scales."""
     total = np.zeros((TEXTURE_SIZE, TEXTURE_SIZE))
     for blur in blurs:
         noise = rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE))
@@ -183,11 +184,11 @@ def _texture(
     return np.clip(np.asarray(colour) + shade[:, :, None], 0, 255).round().astype(np.uint8)
 
 
-def _lit(texture: NDArray[np.uint8], look: Look) -> NDArray[np.uint8]:
-    """A texture shaded as a relief of its own brightness: lighter on the slopes that face the light."""
+def _shaded(texture: NDArray[np.uint8], look: Look) -> NDArray[np.uint8]:
+    """Shade a texture as a relief of its own brightness: lighter on slopes that face the light."""
     height = cv2.copyMakeBorder(texture.mean(axis=2), 16, 16, 16, 16, cv2.BORDER_WRAP)
     height = np.asarray(cv2.GaussianBlur(height, (0, 0), 2.0), np.float64)
-    # Facing the light, height falls towards it.
+    # On a slope that faces the light, height falls towards it.
     slope_y, slope_x = (np.asarray(v)[16:-16, 16:-16] for v in np.gradient(height))
     facing = -(slope_x * math.cos(look.sun_azimuth) + slope_y * math.sin(look.sun_azimuth))
     shade = look.relief * facing / facing.std()

@@ -1,6 +1,6 @@
-"""Numbers that tell how a camera's images look: brightness, contrast, sharpness, noise and its spectrum.
+"""Statistics of camera images: brightness, contrast, sharpness, noise and its spectrum.
 
-All are taken from the luma (ITU-R BT.601) of 8-bit RGB images. They compare cameras, whatever these look at.
+All are computed from the luma (ITU-R BT.601) of 8-bit RGB images and serve to compare cameras across scenes.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK = 8
-"""Side of the blocks in which noise is looked for, px; as JPEG's blocks, and small enough to lie on one surface."""
+"""Side of the blocks in which noise is measured, px; as in JPEG, and small enough to lie on one surface."""
 QUIETEST = 0.1
-"""Share of the blocks, those of least variance, that are taken to show noise alone."""
+"""Share of the blocks with the lowest variance, which are assumed to contain noise only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +24,10 @@ class ImageStatistics:
     Attributes:
         brightness: mean luma, grey levels.
         contrast: standard deviation of luma, grey levels.
-        sharpness: standard deviation of the Laplacian (4 neighbours) over the contrast; no unit.
-        noise: standard deviation within the quietest blocks after a plane is taken off, grey levels.
+        sharpness: standard deviation of the Laplacian (4 neighbours) over the contrast; dimensionless.
+        noise: standard deviation within the quietest blocks after subtracting a fitted plane, grey levels.
         noise_fineness: share of that noise's power above half the Nyquist frequency along rows or columns;
-            48 / 63 = 0.76 for white noise, less for noise that has gone through a filter.
+            48 / 63 = 0.76 for white noise, less for filtered noise.
     """
 
     brightness: float
@@ -38,10 +38,13 @@ class ImageStatistics:
 
 
 def image_statistics(image: NDArray[np.uint8]) -> ImageStatistics:
-    """Statistics of an image (rows, columns, 3) uint8 RGB of at least 16 x 16 pixels.
+    """Compute the statistics of an image.
+
+    Args:
+        image: (rows, columns, 3) uint8 RGB, at least 16 x 16 pixels.
 
     Raises:
-        ValueError: not such an image.
+        ValueError: the image has another shape or type.
     """
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or min(image.shape[:2]) < 2 * BLOCK:
         raise ValueError(
@@ -61,7 +64,7 @@ def image_statistics(image: NDArray[np.uint8]) -> ImageStatistics:
 
 
 def _noise(luma: NDArray[np.float64]) -> tuple[float, float]:
-    """Standard deviation and share of fine frequencies of the quietest blocks."""
+    """Standard deviation and share of high frequencies in the quietest blocks."""
     rows, columns = (size // BLOCK for size in luma.shape)
     tiles = luma[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK).swapaxes(1, 2)
     blocks = tiles.reshape(-1, BLOCK, BLOCK)
@@ -89,7 +92,7 @@ def _noise(luma: NDArray[np.float64]) -> tuple[float, float]:
 def percentiles(
     statistics: list[ImageStatistics], shares: tuple[float, ...] = (5, 50, 95)
 ) -> dict[str, tuple[float, ...]]:
-    """Percentiles of each statistic over many images, by name."""
+    """Percentiles of each statistic over many images, by name of the statistic."""
     rows = np.array([list(asdict(s).values()) for s in statistics])
     names = [field.name for field in fields(ImageStatistics)]
     return {

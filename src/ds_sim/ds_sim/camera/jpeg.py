@@ -1,4 +1,4 @@
-"""JPEG encoding of camera images, one quality for data sets and bags."""
+"""JPEG encoding of camera images, with the same quality for data sets and bags."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 JPEG_QUALITY = 95
-"""Chosen: 20 to 30 kB an image, errors below the cameras' own noise."""
+"""Chosen: 20 to 30 kB per image, errors below the noise of the cameras."""
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:
@@ -17,7 +17,7 @@ def encode(image: NDArray[np.uint8]) -> bytes:
         image: (rows, columns, 3) uint8 RGB.
 
     Raises:
-        ValueError: OpenCV cannot encode it.
+        ValueError: OpenCV cannot encode the image.
     """
     done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:

@@ -1,4 +1,4 @@
-"""How a world looks: the colours and grain of a simulator, within the paper's harmonised scene (section 3.1.2)."""
+"""Appearance of a simulator's world, within the paper's harmonised scene (section 3.1.2)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """Palette of asphalt, two solid white edge lines, one solid yellow centre line, grass and sky; RGB, 0 to 255.
+    """Colours and textures of road, lines, grass and sky; colours are RGB, 0 to 255.
 
     Attributes:
         asphalt: colour of the road.
@@ -19,19 +19,19 @@ class Look:
         centre_line: colour of the centre line.
         sky_top: colour at the top of the image.
         horizon: colour of sky and far ground at the horizon.
-        line_width: m (chosen per simulator, about the 0.10 to 0.15 m of road markings).
+        line_width: width of the lines, m (chosen per simulator, about the 0.10 to 0.15 m of road markings).
         asphalt_grain: standard deviation of the asphalt's texture, grey levels.
         grass_grain: standard deviation of the grass's texture, grey levels.
-        grain_seed: which texture; part of the look, the same in every run.
-        relief: standard deviation of the grass's shading by the light's direction, grey levels.
+        grain_seed: seed of the textures; part of the look, the same in every run.
+        relief: standard deviation of the directional shading of the grass, grey levels.
         sky_height: elevation at which the sky reaches `sky_top`, degrees.
-        sun_azimuth: where the light comes from, rad, counter-clockwise from +x of the road frame.
-        sun_elevation: rad above the horizon.
+        sun_azimuth: direction of the light, rad, counter-clockwise from +x of the road frame.
+        sun_elevation: elevation of the light above the horizon, rad.
         sun_glow: brightness added to the sky at the sun, grey levels.
-        hills: height of a far skyline above the horizon, degrees; 0 for none. Only ever above the horizon.
-        hill_colour: colour of that skyline.
-        skyline: what it is made of.
-        lamps: how many hang above it.
+        hills: height of the skyline above the horizon, degrees; 0 for none. It never extends below the horizon.
+        hill_colour: colour of the skyline.
+        skyline: kind of skyline.
+        lamps: number of lamps above the skyline.
     """
 
     asphalt: Colour

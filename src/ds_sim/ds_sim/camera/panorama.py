@@ -1,4 +1,4 @@
-"""What stands above the horizon: sky, the sun's glow and a far skyline, all around the world."""
+"""Draws the background above the horizon, all around: sky, the sun's glow and a distant skyline."""
 
 from __future__ import annotations
 
@@ -14,43 +14,48 @@ from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 
 _STEP = 8
-"""Pixels between the points where directions are computed; chosen: between them they are linear within 0.1 px."""
+"""Spacing of the grid on which directions are computed, px; chosen: linear interpolation is within 0.1 px."""
 _BELOW = 4
-"""Rows painted below the horizon, so that its own row is not read from the edge."""
+"""Rows painted below the horizon, so that the row of the horizon is not read at the border."""
 _FINE = 4
-"""Supersampling of the painted skyline."""
+"""Supersampling factor of the painted skyline."""
 _TOP = math.radians(75.0)
-"""Highest elevation painted, rad; chosen: above any camera's view."""
+"""Highest elevation painted, rad; chosen: above the view of any camera."""
 Painted = NDArray[np.uint8]
 
 
 class Panorama:
-    """Draws the background of one camera and look."""
+    """Background of one camera and look.
+
+    Args:
+        spec: camera.
+        look: appearance of the world.
+    """
 
     def __init__(self, spec: CameraSpec, look: Look) -> None:
         self._spec = spec
         self._scale = float(spec.intrinsics[0, 0])
         self._strip = _painted(look, self._scale)
-        self._turn = round(2 * math.pi * self._scale)
+        self._columns_per_turn = round(2 * math.pi * self._scale)
         columns = np.arange(-1.0, math.ceil(spec.width / _STEP) + 1) * _STEP + (_STEP - 1) / 2
         rows = np.arange(-1.0, math.ceil(spec.height_px / _STEP) + 1) * _STEP + (_STEP - 1) / 2
         self._rays = rays(spec, np.asarray(columns[None, :], np.float64), np.asarray(rows[:, None], np.float64))
 
     def draw(self, frame: Painted, rows: int, axes: NDArray[np.float64], yaw: float) -> None:
-        """Fill the first `rows` rows of an RGBA frame.
+        """Draw the background into the first rows of an RGBA image.
 
         Args:
-            frame: (height, width, 4).
-            rows: to fill.
-            axes: rows right, down, forward of the optical axes in a frame that has turned with the vehicle by `yaw`.
+            frame: (height, width, 4) uint8 image, changed in place.
+            rows: number of rows to fill.
+            axes: optical axes as rows right, down, forward, in coordinates that are rotated with the vehicle by `yaw`.
             yaw: heading of the vehicle, rad.
         """
         if rows <= 0:
             return
         nodes = min(math.ceil(rows / _STEP) + 2, self._rays.shape[1])
         x, y, z = np.tensordot(axes.T, self._rays[:, :nodes], 1)
-        # To the right is clockwise: columns count -azimuth.
-        turned = (-yaw * self._scale + math.pi * self._scale) % self._turn
+        # Columns run to the right, that is clockwise: they increase with -azimuth.
+        turned = (-yaw * self._scale + math.pi * self._scale) % self._columns_per_turn
         column = turned - np.arctan2(y, x) * self._scale
         up = (self._strip.shape[0] - _BELOW - 0.5) - np.arctan2(z, np.hypot(x, y)) * self._scale
         size = (self._rays.shape[2] * _STEP, nodes * _STEP)
@@ -63,12 +68,12 @@ class Panorama:
 
 @lru_cache(maxsize=8)
 def _painted(look: Look, scale: float) -> Painted:
-    """Elevations by columns over two turns, RGBA; `scale` is in pixels per rad.
+    """Painted strip over two full turns, rows by elevation and columns by azimuth, RGBA; `scale` in pixels per rad.
 
-    Column 0 looks half a turn to the left of +x.
+    Column 0 is half a turn to the left of +x.
     """
     turn, rows = round(2 * math.pi * scale), math.ceil(_TOP * scale)
-    # Columns run to the right, so azimuth falls.
+    # Columns run to the right, so azimuth decreases.
     azimuth = math.pi - (np.arange(turn * _FINE) + 0.5) / _FINE / scale
     elevation = np.maximum((rows - np.arange((rows + _BELOW) * _FINE) / _FINE) / scale, 0.0)
     share = np.minimum(elevation / math.radians(look.sky_height), 1.0)[:, None]
@@ -76,10 +81,10 @@ def _painted(look: Look, scale: float) -> Painted:
     coarse_elevation = elevation[_FINE // 2 :: _FINE]
     image = np.repeat(sky[_FINE // 2 :: _FINE, None, :], turn, axis=1)
     if look.sun_glow > 0.0:
-        away = azimuth[_FINE // 2 :: _FINE] - look.sun_azimuth
-        cosine = np.cos(coarse_elevation)[:, None] * math.cos(look.sun_elevation) * np.cos(away)[None, :]
+        offset = azimuth[_FINE // 2 :: _FINE] - look.sun_azimuth
+        cosine = np.cos(coarse_elevation)[:, None] * math.cos(look.sun_elevation) * np.cos(offset)[None, :]
         cosine = cosine + np.sin(coarse_elevation)[:, None] * math.sin(look.sun_elevation)
-        # A broad glow, as in the one-lobe approximations of sky models: exp of the angle to the sun.
+        # A broad glow, as in one-lobe approximations of sky models.
         image += look.sun_glow * np.exp((cosine - 1.0) * 4.0)[:, :, None]
     if look.lamps:
         _add_lamps(image, look, scale)
@@ -93,12 +98,12 @@ def _painted(look: Look, scale: float) -> Painted:
 
 
 def _add_lamps(image: NDArray[np.float64], look: Look, scale: float) -> None:
-    """Lamps under a ceiling: bright discs above the skyline, smaller and denser towards the horizon."""
+    """Add the lamps of a ceiling: bright discs above the skyline, smaller and denser towards the horizon."""
     rng = np.random.default_rng(look.grain_seed + 1)
     turn = image.shape[1]
     light = np.zeros(image.shape[:2], np.float32)
     for _ in range(look.lamps):
-        # Frame from below, lamps spread evenly over a ceiling crowd towards the horizon.
+        # Seen from below, lamps spread evenly over a ceiling crowd towards the horizon.
         elevation = math.atan(math.tan(math.radians(look.hills)) / rng.uniform(0.15, 1.0))
         column, row = int(rng.integers(0, turn)), image.shape[0] - _BELOW - elevation * scale
         radius = scale * (0.008 + 0.03 * math.sin(elevation))
@@ -115,7 +120,7 @@ def _add_lamps(image: NDArray[np.float64], look: Look, scale: float) -> None:
 
 
 def _skyline(look: Look, azimuth: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Elevation of the top by azimuth, rad, and colour, of each layer of the skyline, the farthest first."""
+    """Layers of the skyline, farthest first: elevation of the top by azimuth (rad), and colour."""
     top = math.radians(look.hills)
     if top <= 0.0:
         return []
@@ -123,7 +128,7 @@ def _skyline(look: Look, azimuth: NDArray[np.float64]) -> list[tuple[NDArray[np.
     colour = np.asarray(look.hill_colour, float)
     layers = []
     if look.skyline == "room":
-        # The wall of a room with furniture and doorways of other tones before it.
+        # The wall of a room, with furniture and doorways of other shades in front of it.
         layers.append((np.full_like(azimuth, top), colour))
         for _ in range(22):
             middle, half = rng.uniform(-math.pi, math.pi), rng.uniform(0.03, 0.16)
@@ -132,16 +137,16 @@ def _skyline(look: Look, azimuth: NDArray[np.float64]) -> list[tuple[NDArray[np.
             layers.append((np.where(near, top * rng.uniform(0.15, 0.95), 0.0), tone))
         return layers
     for haze, share, waves in ((0.45, 1.0, range(2, 14)), (0.1, 0.6, range(5, 40))):
-        waves_now = [rng.uniform(0.3, 1.0) / n * np.sin(n * azimuth + rng.uniform(0, 2 * math.pi)) for n in waves]
-        ridge = np.sum(waves_now, axis=0)
+        components = [rng.uniform(0.3, 1.0) / n * np.sin(n * azimuth + rng.uniform(0, 2 * math.pi)) for n in waves]
+        ridge = np.sum(components, axis=0)
         height = share * top * (0.25 + 0.75 * (ridge - ridge.min()) / (ridge.max() - ridge.min()))
         layers.append((height, (1 - haze) * colour + haze * np.asarray(look.horizon, float)))
     if look.skyline == "trees":
         tree = np.zeros_like(azimuth)
         for _ in range(260):
             middle, half = rng.uniform(-math.pi, math.pi), rng.uniform(0.006, 0.03)
-            away = np.abs((azimuth - middle + math.pi) % (2 * math.pi) - math.pi) / half
-            crown = top * rng.uniform(0.3, 0.9) * np.sqrt(np.clip(1 - away**2, 0.0, 1.0))
+            offset = np.abs((azimuth - middle + math.pi) % (2 * math.pi) - math.pi) / half
+            crown = top * rng.uniform(0.3, 0.9) * np.sqrt(np.clip(1 - offset**2, 0.0, 1.0))
             tree = np.maximum(tree, crown)
         layers.append((tree, colour * 0.7))
     return layers

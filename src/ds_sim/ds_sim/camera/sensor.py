@@ -1,4 +1,4 @@
-"""From the scene behind the lens to the frame that arrives: exposure, response, noise and latency."""
+"""Models the image sensor: point spread, response curve, noise and latency."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _NOISE_MARGIN = 64
 
 
 class Sensor:
-    """Turns a scene into what the sensor delivers.
+    """Converts rendered scenes to delivered images, for one run.
 
     Args:
-        spec: the camera.
-        rng: source of the noise; one sensor serves one run.
+        spec: camera.
+        rng: source of the noise.
     """
 
     def __init__(self, spec: CameraSpec, rng: np.random.Generator) -> None:
@@ -37,13 +37,13 @@ class Sensor:
         self._delayed: list[NDArray[np.uint8]] = []
 
     def deliver(self, scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Expose one frame, and return the one that arrives now (the first one until then)."""
+        """Expose one image and return the one that arrives now, `latency` frames late (at first the very first one)."""
         image = scene
         if self._spec.blur > 0.0:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), self._spec.blur), np.uint8)
         image = np.asarray(cv2.LUT(image, self._response), np.uint8)
         if self._noise is not None:
-            # A random window of one noise plate: new noise for each frame at a fraction of its cost.
+            # A random window of one precomputed noise plate is much cheaper than new noise for each image.
             row, column = self._rng.integers(0, _NOISE_MARGIN, 2)
             plate = self._noise[row : row + self._spec.height_px, column : column + self._spec.width]
             image = np.asarray(cv2.add(image, plate, dtype=cv2.CV_8U), np.uint8)

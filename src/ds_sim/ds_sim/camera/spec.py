@@ -1,4 +1,4 @@
-"""What a camera is and where it sits on its vehicle."""
+"""Properties of a camera and its mounting on the vehicle."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 IMAGE_HEIGHT, IMAGE_WIDTH = 160, 320
-"""Camera image in pixels (paper 3.2.2)."""
-WIDEST = math.radians(72.0)
-"""Angle from the axis up to which the wide-angle lens is fitted; chosen: beyond the corner of 120 degrees at 2:1."""
+"""Size of the camera image, pixels (paper 3.2.2)."""
+MAX_LENS_ANGLE = math.radians(72.0)
+"""Angle from the axis up to which the lens polynomial is fitted, rad; chosen: past the corner of 120 degrees at 2:1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSpec:
-    """A camera and where it sits on the vehicle; lengths in road metres.
+    """Camera and its mounting on the vehicle; lengths in road metres.
 
     Attributes:
         horizontal_fov: angle between the left and right image borders, rad.
-        height: of the optical centre above ground, m.
-        forward: of the optical centre before the vehicle's centre, m.
-        pitch: of the optical axis, nose down positive, rad.
-        lens: `pinhole`, or `equidistant` for a wide angle: distances from the image's middle are proportional to
-            angles from the optical axis (within 0.01 px, see `distortion`), which shows as barrel distortion.
+        height: height of the optical centre above ground, m.
+        forward: distance of the optical centre ahead of the vehicle's centre, m.
+        pitch: angle of the optical axis, nose down positive, rad.
+        lens: `pinhole`, or `equidistant` for a wide angle: distances from the image centre are proportional to angles
+            from the optical axis (within 0.01 px, see `distortion`), which appears as barrel distortion.
         gain: brightness factor.
-        gamma: of the sensor's response; 1 is linear.
-        exposure: time that the shutter is open, s; what moves meanwhile is blurred.
-        blur: standard deviation of the lens's point spread, px.
+        gamma: exponent of the sensor's response; 1 is linear.
+        exposure: exposure time, s; motion during it is blurred.
+        blur: standard deviation of the lens's point spread function, px.
         noise: standard deviation of the sensor noise, grey levels.
-        noise_blur: standard deviation of the filter that the noise went through (demosaicing, JPEG), px.
-        noise_colour: share of the noise that is not common to the three colours, 0 grey to 1.
-        latency: frames between exposure and delivery.
+        noise_blur: standard deviation of the filter applied to the noise (demosaicing, JPEG), px.
+        noise_colour: share of the noise that is independent between the colours, 0 (grey) to 1.
+        latency: delay between exposure and delivery, frames.
         width: image columns.
         height_px: image rows.
     """
@@ -64,11 +64,11 @@ class CameraSpec:
 
     @property
     def distortion(self) -> tuple[float, ...]:
-        """OpenCV's k1, k2, p1, p2, k3, k4, k5, k6 of the lens; no more than five zeros for the pinhole.
+        """OpenCV's distortion coefficients k1, k2, p1, p2, k3, k4, k5, k6; five zeros for the pinhole.
 
-        The wide-angle lens is the rational polynomial itself, so that `cv2.undistort` and a ROS
-        `rational_polynomial` hold exactly. It is equidistant within 0.01 px up to 67 degrees from the axis, the
-        corner of an image of 120 degrees.
+        The wide-angle lens is defined by the rational polynomial itself, so that `cv2.undistort` and a ROS
+        `rational_polynomial` are exact. It is equidistant within 0.01 px up to 67 degrees from the axis, the corner of
+        an image with a field of view of 120 degrees.
         """
         if self.lens == "pinhole":
             return (0.0,) * 5
@@ -77,18 +77,18 @@ class CameraSpec:
 
 @cache
 def _equidistant_coefficients() -> tuple[float, ...]:
-    """The rational polynomial nearest to atan(r) / r over the lens's angles, by weighted linear least squares."""
-    angle = WIDEST * (1 - np.cos(np.linspace(0.0, math.pi, 200))[1:]) / 2
+    """Rational polynomial closest to atan(r) / r over the lens's angles, by weighted linear least squares."""
+    angle = MAX_LENS_ANGLE * (1 - np.cos(np.linspace(0.0, math.pi, 200))[1:]) / 2
     t = np.tan(angle) ** 2
     ratio = angle / np.tan(angle)
     powers = np.stack((t, t**2, t**3), axis=1)
-    below = np.ones_like(t)
-    # The equation is multiplied by the denominator: dividing by the last one found makes it the error of the ratio.
+    denominator = np.ones_like(t)
+    # The linear problem minimises the error times the denominator; weighting by the last denominator undoes that.
     for _ in range(20):
-        weight = angle / ratio / below
+        weight = angle / ratio / denominator
         matrix = np.hstack((powers, -ratio[:, None] * powers)) * weight[:, None]
         scale = np.abs(matrix).max(axis=0)
-        found = np.linalg.lstsq(matrix / scale, (ratio - 1.0) * weight, rcond=None)[0] / scale
-        below = 1.0 + powers @ found[3:]
-    k1, k2, k3, k4, k5, k6 = (float(k) for k in found)
+        solution = np.linalg.lstsq(matrix / scale, (ratio - 1.0) * weight, rcond=None)[0] / scale
+        denominator = 1.0 + powers @ solution[3:]
+    k1, k2, k3, k4, k5, k6 = (float(k) for k in solution)
     return k1, k2, 0.0, 0.0, k3, k4, k5, k6
