@@ -16,7 +16,7 @@ from ds_sim.simulator import FRAME_TIME, Command
 from ds_sim.vehicle import Vehicle
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
-from ds_sim_softbody.lattice import Corner
+from ds_sim_softbody.lattice import CornerNodes
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 from ds_sim_softbody.wheel import Wheel, WheelPlan
@@ -46,7 +46,7 @@ def softbody_tyre(along: float, across: float, load: float, rated: float) -> tup
     """Forces (N) of the soft car's wheel after 2 s at one slip, a share of the tread's speed."""
     tread, dt = 10.0, 0.001
     plan = WheelPlan(
-        corner=Corner(0, 1, 2), static_load=rated, cornering_stiffness=S.front_cornering_stiffness,
+        corner=CornerNodes(0, 1, 2), static_load=rated, cornering_stiffness=S.front_cornering_stiffness,
         toe_per_shift=0.0, spin_inertia=1.0,
     )  # fmt: skip
     # x, y, and velocities of the wheel and of its two bushes: the wheel slides to the right for a force to the left.

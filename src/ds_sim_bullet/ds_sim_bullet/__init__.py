@@ -1,1 +1,1 @@
-"""First digital sibling: a rigid-body car on PyBullet."""
+"""First digital sibling: a rigid-body car in PyBullet."""

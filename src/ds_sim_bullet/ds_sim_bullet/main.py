@@ -6,5 +6,5 @@ from ds_sim.executables import start
 
 
 def main() -> None:
-    """Host `bullet` unless the parameter `simulator` says otherwise."""
+    """Host `bullet` unless the parameter `simulator` names another simulator."""
     start("ds_sim.ros.simulator_node", "bullet")

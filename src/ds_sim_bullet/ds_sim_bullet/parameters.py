@@ -1,9 +1,9 @@
-"""Every constant of the rigid-body car and of the engine that integrates it, in SI units.
+"""All constants of the rigid-body car and of the engine that integrates it, in SI units.
 
-Sources that recur below:
+Sources cited repeatedly below:
 
-* *sheet*: published data of the Renault Twingo Electric (2021), a small rear-driven city car; steering, balance, track
-  and tyres are those published for the Twingo III of 2014, on whose platform it stands.
+* *sheet*: published data of the Renault Twingo Electric (2021), a small rear-wheel-drive city car; steering, balance,
+  track and tyres are those published for the Twingo III of 2014, which shares its platform.
 * *Gillespie*: Fundamentals of Vehicle Dynamics, SAE 1992.
 """
 
@@ -19,55 +19,57 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, kw_only=True)
 class BulletParameters:
-    """The car, its suspension, steering, tyres and motor, and the engine's settings.
+    """Parameters of the car, its suspension, steering, tyres and motor, and settings of the engine.
 
     Attributes:
         length: m; sheet.
         width: m; sheet.
         height: m; sheet.
         wheelbase: m; sheet.
-        track: between the wheels of an axle, m; sheet: 1.452 front and 1.425 rear, their mean.
-        mass: kg; sheet: kerb weight, in which the European rule counts the driver.
-        unsprung_mass: of one corner, kg; Gillespie ch. 5: 13 to 15 % of the sprung mass.
-        wheel_mass: of one wheel with tyre, part of the unsprung mass, kg; chosen: steel 15-inch wheel.
-        front_share: of the static load on the front axle, 0 to 1; sheet (motor at the rear): 45 to 55.
-        centre_of_mass_height: of the sprung mass, m; chosen: 0.36 of the height (Gillespie: 0.35 to 0.4 of a
-            car's), the battery lying under the floor.
-        ground_clearance: of the body, m; chosen: that of the class, 0.12 to 0.15.
+        track: distance between the wheels of an axle, m; sheet: mean of 1.452 front and 1.425 rear.
+        mass: kg; sheet: kerb weight, which includes the driver by the European definition.
+        unsprung_mass: unsprung mass of one corner, kg; Gillespie ch. 5: 13 to 15 % of the sprung mass.
+        wheel_mass: mass of one wheel with tyre, part of the unsprung mass, kg; chosen: steel 15-inch wheel.
+        front_share: share of the static load on the front axle, 0 to 1; sheet (rear motor): 45 to 55.
+        centre_of_mass_height: height of the sprung mass's centre, m; chosen: 0.36 of the car's height (Gillespie: 0.35
+            to 0.4), because the battery is under the floor.
+        ground_clearance: clearance under the body, m; chosen: typical of the class, 0.12 to 0.15.
 
-        ride_frequency: of body on springs, Hz; Gillespie ch. 5: 1 to 1.5, the stiffer end for a light car.
-        damping_ratio: of that mode; Gillespie ch. 5: 0.2 to 0.4.
-        front_anti_roll: force of the bar per difference of travel, N/m; chosen: with the rear one it gives 5.7
-            degrees of roll per g, of the 5 to 7 of small cars (Gillespie ch. 6).
-        rear_anti_roll: the same at the rear, N/m; chosen: softer than in front, the rear carries more load.
-        travel: up and down until the stops touch, m; chosen: 0.07, of the 0.06 to 0.08 of the class.
-        stop_stiffness: of the rubber stops, N/m; chosen: eight times the springs.
+        ride_frequency: natural frequency of the body on its springs, Hz; Gillespie ch. 5: 1 to 1.5, the stiffer end for
+            a light car.
+        damping_ratio: damping ratio of that mode; Gillespie ch. 5: 0.2 to 0.4.
+        front_anti_roll: force of the front bar per difference of travel, N/m; chosen: together with the rear bar it
+            gives 5.7 degrees of roll per g, within the 5 to 7 of small cars (Gillespie ch. 6).
+        rear_anti_roll: the same at the rear, N/m; chosen: softer than at the front, as the rear carries more load.
+        travel: suspension travel up and down to the bump stops, m; chosen: 0.07, of the class's 0.06 to 0.08.
+        stop_stiffness: stiffness of the rubber bump stops, N/m; chosen: eight times the springs.
 
         wheel_radius: m; sheet: 165/65 R15 (0.298) in front and 185/60 R15 (0.301) at the rear.
-        wheel_spin_inertia: about the axle, kg m^2; chosen: a 15 kg wheel with 0.75 of its mass at the rim.
-        rotor_inertia: of the motor as seen by one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
-        friction: of tyre on dry asphalt; Gillespie ch. 10: 0.8 to 0.9 sliding to peak.
+        wheel_spin_inertia: inertia of a wheel about its axle, kg m^2; chosen: a 15 kg wheel with 0.75 of its mass at
+            the rim.
+        rotor_inertia: inertia of the motor at one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
+        friction: friction coefficient of a tyre on dry asphalt; Gillespie ch. 10: 0.8 to 0.9, sliding to peak.
         rolling_resistance: force over load; Gillespie ch. 4: 0.012 to 0.015 for radial tyres on asphalt.
 
         max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; sheet: a turning circle of
-            8.6 m from kerb to kerb puts the rear axle's centre on 2.79 m.
-        steering_rate: of the mean angle, rad/s; chosen: 60 degrees/s, a quick electric power steering
+            8.6 m from kerb to kerb gives the rear axle's centre a radius of 2.79 m.
+        steering_rate: largest rate of the mean angle, rad/s; chosen: 60 degrees/s, a quick electric power steering
             (900 degrees/s at a steering wheel geared 15 to 1).
-        steering_torque: about one kingpin at most, N m; chosen: more than the tyres can resist.
+        steering_torque: largest torque about one kingpin, N m; chosen: more than the tyres can resist.
 
-        drive_force: at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 to 4 s under the paper's
+        drive_force: force at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 to 4 s under the paper's
             equation 2, an economy map of a motor that could give 4.9 kN (sheet: 160 N m).
-        max_speed: where the motor's limiter begins, m/s; paper 4.2.4: 30 km/h.
-        limiter_band: from there to no drive at all, m/s; chosen: a tenth of the speed.
-        regenerative_force: at the tyres with no throttle, N; chosen: 2.2 m/s^2, a strong one-pedal mode (UN R13-H
-            asks for the brake lights above 1.3).
-        fade_speed: below which regeneration fades out, m/s; chosen: a walking pace of 5 km/h, where such motors
-            stop generating.
+        max_speed: speed at which the motor's limiter sets in, m/s; paper 4.2.4: 30 km/h.
+        limiter_band: speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
+        regenerative_force: braking force at the tyres without throttle, N; chosen: 2.2 m/s^2, a strong one-pedal mode
+            (UN R13-H requires brake lights above 1.3).
+        fade_speed: speed below which regeneration fades out, m/s; chosen: walking pace, 5 km/h, where such motors stop
+            generating.
         neutral_throttle: throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal
-            maps keep the first fifth or so for braking.
+            maps use about the first fifth for braking.
 
-        substeps: of the physics per frame of 1/20 s; chosen: 12 (240 Hz); `BulletVehicle` says why.
-        solver_iterations: of projected Gauss-Seidel per substep; chosen: Bullet's 50.
+        substeps: physics substeps per step of 1/20 s; chosen: 12 (240 Hz); for the reason see `BulletVehicle`.
+        solver_iterations: iterations of projected Gauss-Seidel per substep; chosen: Bullet's default of 50.
     """
 
     length: float = 3.615
@@ -118,17 +120,17 @@ class BulletParameters:
 
     @property
     def sprung_mass(self) -> float:
-        """Of the body, kg."""
+        """Mass of the body, kg."""
         return self.mass - 4.0 * self.unsprung_mass
 
     @property
     def body_forward(self) -> float:
-        """The sprung mass's centre ahead of the middle between the axles, m."""
+        """Distance of the sprung mass's centre ahead of the midpoint between the axles, m."""
         return self.mass * (self.front_share - 0.5) * self.wheelbase / self.sprung_mass
 
     @property
     def body_inertia(self) -> tuple[float, float, float]:
-        """Of the body about its own axes, kg m^2; a uniform box of the body's size."""
+        """Inertia of the body about its own axes (x, y, z), kg m^2: that of a uniform box of the body's size."""
         x, y, z = self.length**2, self.width**2, (self.height - self.ground_clearance) ** 2
         return (
             self.sprung_mass * (y + z) / 12.0,
@@ -137,34 +139,34 @@ class BulletParameters:
         )
 
     def corner_load(self, *, front: bool) -> float:
-        """Static load on the ground of one wheel, N."""
+        """Static load of one wheel on the ground, N."""
         return 0.5 * self.mass * GRAVITY * (self.front_share if front else 1.0 - self.front_share)
 
     def spring_load(self, *, front: bool) -> float:
-        """Static load of one spring, N."""
+        """Static load on one spring, N."""
         return self.corner_load(front=front) - self.unsprung_mass * GRAVITY
 
     def spring_stiffness(self, *, front: bool) -> float:
-        """Of one spring at the wheel, N/m: the body on it swings with the ride frequency."""
+        """Stiffness of one spring at the wheel, N/m, such that the body oscillates at the ride frequency."""
         return self.spring_load(front=front) / GRAVITY * (math.tau * self.ride_frequency) ** 2
 
     def spring_damping(self, *, front: bool) -> float:
-        """Of one damper at the wheel, N s/m."""
+        """Damping of one damper at the wheel, N s/m."""
         sprung = self.spring_load(front=front) / GRAVITY
         return 2.0 * self.damping_ratio * math.sqrt(self.spring_stiffness(front=front) * sprung)
 
     def drive_torque(self, throttle: float, speed: float) -> float:
-        """Of the motor on each rear wheel, N m, positive forward.
+        """Motor torque on each rear wheel, N m, positive forward.
 
         Args:
             throttle: 0 to 1.
-            speed: that the motor turns with, as m/s at the tyres.
+            speed: speed of the motor, expressed as m/s at the tyres.
         """
         fade = min(max(speed / self.fade_speed, 0.0), 1.0)
         neutral = self.neutral_throttle * fade
         if throttle >= neutral:
-            left = min(max((self.max_speed + self.limiter_band - speed) / self.limiter_band, 0.0), 1.0)
-            force = self.drive_force * (throttle - neutral) / (1.0 - neutral) * left
+            limiter = min(max((self.max_speed + self.limiter_band - speed) / self.limiter_band, 0.0), 1.0)
+            force = self.drive_force * (throttle - neutral) / (1.0 - neutral) * limiter
         else:
             force = -self.regenerative_force * fade * (neutral - throttle) / neutral
         return 0.5 * force * self.wheel_radius
@@ -177,7 +179,7 @@ class BulletParameters:
         return math.atan2(ahead, 1.0 - half), math.atan2(ahead, 1.0 + half)
 
     def mean_angle(self, left: float, right: float) -> float:
-        """The mean angle that `wheel_angles` turns into these two, rad, left positive."""
+        """Mean angle of two front wheels, rad, left positive; inverse of `wheel_angles`."""
         left_tan, right_tan, half = math.tan(left), math.tan(right), 0.5 * self.track / self.wheelbase
         return math.atan(0.5 * (left_tan / (1.0 + half * left_tan) + right_tan / (1.0 - half * right_tan)))
 
@@ -198,4 +200,4 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "substeps": (1, 1000),
     "solver_iterations": (1, 1000),
 }  # fmt: skip
-"""Range of each value where it is not just from 0 up."""
+"""Range of each value whose range is not simply 0 or more."""

@@ -1,4 +1,4 @@
-"""The rigid-body sibling as a simulator: the car, its camera behind the windscreen and the look of a sunny day."""
+"""Rigid-body simulator: the car, a camera behind the windscreen, the look of a sunny day."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
 
 PREVIEW_DISTANCE = 3.0
-"""m; chosen: about half a second at 20 km/h; longer previews cut bends."""
+"""Distance of the autopilot's preview point, m; chosen: about half a second at 20 km/h; longer ones cut bends."""
 GAINS = AutopilotGains(proportional=0.6)
-"""Chosen by driving random roads; the preview stands in for the derivative."""
+"""Chosen by driving random roads; the preview replaces the derivative term."""
 CAMERA = CameraSpec(
-    # Chosen: a wide-angle camera that still sees the lane on the inside of a sharp bend.
+    # Chosen: a wide angle that keeps the lane in view on the inside of a sharp bend.
     horizontal_fov=math.radians(100.0),
-    # Chosen: behind the windscreen, below the mirror, of a car 1.54 m high.
+    # Chosen: behind the windscreen of a car 1.54 m high, below the mirror.
     height=1.35,
     forward=0.4,
     pitch=math.radians(10.0),
@@ -37,7 +37,7 @@ LOOK = Look(
     asphalt_grain=5.0,
     grass_grain=14.0,
     grain_seed=2,
-    # Chosen: a clear forenoon, low wooded hills.
+    # Chosen: a clear morning, low wooded hills.
     relief=5.0,
     sun_azimuth=math.radians(130.0),
     sun_elevation=math.radians(35.0),
@@ -48,10 +48,10 @@ LOOK = Look(
 
 
 class BulletSimulator(RoadSimulator):
-    """A city car of rigid bodies in PyBullet.
+    """Simulator of a rigid-body city car in PyBullet.
 
     Args:
-        parameters: of the car; the nominal ones if left out.
+        parameters: parameters of the car; nominal values if omitted.
     """
 
     def __init__(self, parameters: BulletParameters | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The suspension's law: what springs, dampers, stops and anti-roll bars do to the four hubs."""
+"""Force law of the suspension: springs, dampers, bump stops and anti-roll bars."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from ds_sim_bullet.parameters import BulletParameters
 
 
 class Suspension:
-    """Forces on the guides between body and hubs, in the order of `ds_sim_bullet.urdf.CORNERS`.
+    """Suspension forces at the four hubs, in the order of `ds_sim_bullet.urdf.CORNERS`.
 
     Args:
-        p: of the car.
+        p: parameters of the car.
     """
 
     def __init__(self, p: BulletParameters) -> None:
@@ -26,7 +26,8 @@ class Suspension:
         """Force on each hub, N, positive up.
 
         Args:
-            guides: position, m, and velocity, m/s, of each guide, positive up (compression), as PyBullet tells them.
+            guides: joint states of the guides as PyBullet reports them: position (m) and velocity (m/s) first,
+                positive up (compression).
         """
         forces = []
         for (load, stiffness, damping), guide in zip(self._corners, guides, strict=True):

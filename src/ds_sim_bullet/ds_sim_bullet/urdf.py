@@ -1,4 +1,4 @@
-"""Describes the car as URDF: body, four hubs on vertical guides, two steering knuckles, four wheels."""
+"""Generates the car's URDF: body, four hubs on vertical guides, two steering knuckles, four wheels."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from ds_sim_bullet.parameters import BulletParameters
 
 HUB_RADIUS_OF_GYRATION = 0.12
-"""Of hub and knuckle, m; chosen: castings the size of a hand. They turn with the body and the steering only."""
+"""Radius of gyration of hub and knuckle, m; chosen: hand-sized castings. They turn with body and steering only."""
 STOP_DEPTH = 0.05
-"""m from the rubber stop to metal; chosen: the stop holds five times the static load there."""
+"""Travel from the rubber stop to metal, m; chosen: the stop then bears five times the static load."""
 CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
-"""The order of everything that comes in fours."""
+"""Order of the corners wherever there is one value per corner."""
 
 
 def car_urdf(p: BulletParameters) -> str:
-    """The car's URDF; frames as in REP-103, the root `base_link` on the ground at rest, midway between the axles.
+    """Generate the URDF of the car, with frames as in REP-103.
 
-    Joints, for each corner: `<corner>_guide` (prismatic, positive up), `<corner>_steering` (revolute, positive left,
-    front only), `<corner>_spin` (continuous, positive forward).
-
-    Wheels touch the ground as spheres: one point of contact under the axle whatever the camber, and no edge that
-    could catch.
+    At rest the root `base_link` is on the ground, midway between the axles. Joints of each corner: `<corner>_guide`
+    (prismatic, positive up), `<corner>_steering` (revolute, positive left, front only), `<corner>_spin` (continuous,
+    positive forward). The collision shape of a wheel is a sphere: it has a single contact point under the axle whatever
+    the camber, and no edge that could catch.
     """
     robot = Element("robot", name="bullet_car")
     body = _link(
@@ -53,17 +52,17 @@ def _add_corner(robot: Element, p: BulletParameters, corner: str) -> None:
         (0.5 if left else -0.5) * p.track,
         p.wheel_radius,
     )
-    room = p.travel + STOP_DEPTH
+    guide_limit = p.travel + STOP_DEPTH
     _link(robot, f"{corner}_hub", hub_mass, (inertia, inertia, inertia))
-    _joint(robot, f"{corner}_guide", "prismatic", "base_link", f"{corner}_hub", "0 0 1", position, room)
+    _joint(robot, f"{corner}_guide", "prismatic", "base_link", f"{corner}_hub", "0 0 1", position, guide_limit)
     carrier = f"{corner}_hub"
     if front:
         carrier = f"{corner}_knuckle"
         _link(robot, carrier, mass - hub_mass, (inertia, inertia, inertia))
         _joint(robot, f"{corner}_steering", "revolute", f"{corner}_hub", carrier, "0 0 1", (0.0, 0.0, 0.0), 1.2)
-    around = p.wheel_spin_inertia + (0.0 if front else p.rotor_inertia)
-    across = 0.5 * around  # of a thin ring about its diameter
-    wheel = _link(robot, f"{corner}_wheel", p.wheel_mass, (across, around, across))
+    spin_inertia = p.wheel_spin_inertia + (0.0 if front else p.rotor_inertia)
+    diametral_inertia = 0.5 * spin_inertia  # that of a thin ring
+    wheel = _link(robot, f"{corner}_wheel", p.wheel_mass, (diametral_inertia, spin_inertia, diametral_inertia))
     _collision(wheel, "sphere", radius=repr(p.wheel_radius))
     contact = SubElement(wheel, "contact")
     SubElement(contact, "lateral_friction", value=repr(p.friction))

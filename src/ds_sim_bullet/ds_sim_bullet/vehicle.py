@@ -1,4 +1,4 @@
-"""The rigid-body car as a `ds_sim.vehicle.Vehicle`: what the driver's command does to the joints, by the substep."""
+"""Rigid-body car as a `ds_sim.vehicle.Vehicle`: applies the driver's command to the joints, substep by substep."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from ds_sim_bullet.world import build_world
 
 
 class BulletVehicle:
-    """A small rear-driven electric car of rigid bodies in PyBullet, on an endless plane.
+    """Small rear-wheel-drive electric car of rigid bodies in PyBullet, on an infinite plane.
 
-    Body, hubs, knuckles and wheels are one multibody; springs, dampers, anti-roll bars and motor are forces on its
-    joints, the steering is a position motor that turns the knuckles, and the tyres are contacts with Coulomb's
-    friction: they do not slip at all below its limit. Each vehicle owns a physics client, so that several live
-    side by side.
+    Body, hubs, knuckles and wheels form one multibody. Springs, dampers, anti-roll bars and motor are forces on its
+    joints, a position motor turns the knuckles, and the tyres are contacts with Coulomb friction, which do not slip
+    below its limit. Each vehicle owns a physics client, so that several vehicles can coexist.
 
-    Why 240 Hz: a slalom of 20 s and 98 m ends 0.24 m from where 3,840 Hz ends; 480 Hz halves that at twice the cost.
+    The rate of 240 Hz is a compromise: after a slalom of 20 s and 98 m the car is 0.24 m from where it is at 3,840 Hz;
+    480 Hz halves that at twice the cost.
 
-    A limit of the engine: where a tyre slides, Bullet's cone friction leans towards the direction in which the
-    contact is harder to move. A sliding wheel therefore spins faster or slower than a real one would; the car's path
-    at the limit of grip depends on its heading in the world by 0.3 % of the distance. The car has no brakes that
-    could lock its wheels.
+    Limitation of the engine: where a tyre slides, Bullet's cone friction is biased towards the direction in which the
+    contact is harder to move. A sliding wheel therefore spins faster or slower than a real one, and at the limit of
+    grip the path depends on the heading in the world by 0.3 % of the distance. The car has no brakes that could lock
+    its wheels.
 
     Args:
-        parameters: of the car; the nominal ones if left out.
+        parameters: parameters of the car; nominal values if omitted.
 
     Raises:
         ImportError: PyBullet is not installed.
-        SimulatorError: PyBullet has no physics client left to give.
+        SimulatorError: PyBullet has no free physics client.
     """
 
     def __init__(self, parameters: BulletParameters | None = None) -> None:
@@ -51,11 +51,11 @@ class BulletVehicle:
         self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
-        """Build the world anew, the car at rest in equilibrium; nothing of this car is drawn from `rng`."""
+        """Build the world from scratch with the car at rest in equilibrium; `rng` is not used."""
         if self._client < 0:
             self._client = self._bullet.connect(self._bullet.DIRECT)
             if self._client < 0:
-                raise SimulatorError("PyBullet gave no physics client: close vehicles that are not used")
+                raise SimulatorError("PyBullet has no free physics client: close vehicles that are not in use")
             self._release = weakref.finalize(self, self._bullet.disconnect, physicsClientId=self._client)
         self._car = build_world(self._bullet, self._client, self.parameters, x=x, y=y, yaw=yaw)
         self._yaw = yaw
@@ -64,7 +64,7 @@ class BulletVehicle:
         self._state = self._read()
 
     def advance(self, command: Command) -> None:
-        """Hold a command for one frame of 1/20 s."""
+        """Advance by one step of 1/20 s with the command held."""
         p, car, bullet, client = self.parameters, self._car, self._bullet, self._client
         target = -command.steering * p.max_steering_angle
         rate = p.steering_rate * FRAME_TIME / p.substeps
@@ -74,8 +74,8 @@ class BulletVehicle:
                 self._angle += min(max(target - self._angle, -rate), rate)
                 self._steer()
             states = bullet.getJointStates(car.body, joints, physicsClientId=client)
-            turning = 0.5 * (states[4][1] + states[5][1])  # the open differential's housing
-            torque = p.drive_torque(command.throttle, turning * p.wheel_radius)
+            differential_speed = 0.5 * (states[4][1] + states[5][1])  # speed of the open differential's housing
+            torque = p.drive_torque(command.throttle, differential_speed * p.wheel_radius)
             bullet.setJointMotorControlArray(
                 car.body,
                 joints,
@@ -87,17 +87,17 @@ class BulletVehicle:
         self._state = self._read()
 
     def state(self) -> VehicleState:
-        """The state of the middle between the axles, at the height of the body's centre of mass."""
+        """State of the midpoint between the axles, at the height of the body's centre of mass."""
         return self._state
 
     def close(self) -> None:
-        """Give the physics client back."""
+        """Disconnect the physics client."""
         if self._client >= 0:
             self._release()
             self._client = -1
 
     def _steer(self) -> None:
-        """Send both knuckles to where the steering is now; they are there after one substep."""
+        """Set both knuckles to the current steering angle; they reach it within one substep."""
         p = self.parameters
         self._bullet.setJointMotorControlArray(
             self._car.body,
@@ -115,14 +115,14 @@ class BulletVehicle:
         (x, y, z), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(body, physicsClientId=client)
         (vx, vy, _), (wx, wy, wz) = bullet.getBaseVelocity(body, physicsClientId=client)
         left, right = bullet.getJointStates(body, self._car.steering, physicsClientId=client)
-        # Columns of the rotation matrix: where the body's forward axis points; its left and up axes' heights.
+        # Rotation matrix: the body's forward axis, and the z components of its left and up axes.
         fx, fy, fz = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qz * qw), 2 * (qx * qz - qy * qw)
         left_z, up_z = 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)
         ahead = p.body_forward
         heading = math.atan2(fy, fx)
         self._yaw += math.remainder(heading - self._yaw, math.tau)  # counts full turns
         cos, sin = math.cos(heading), math.sin(heading)
-        # Velocity of the middle: that of the centre of mass less the turning about it.
+        # Velocity of the midpoint: that of the centre of mass minus the part due to rotation.
         vx -= ahead * (wy * fz - wz * fy)
         vy -= ahead * (wz * fx - wx * fz)
         return VehicleState(
@@ -140,9 +140,9 @@ class BulletVehicle:
 
 
 def _import_bullet() -> Any:
-    """PyBullet, which has no wheels for some Pythons and so may be missing where all else is there."""
+    """Import PyBullet, which may be missing because it has no wheels for some versions of Python."""
     try:
-        with _standard_error_closed():
+        with _silenced_stderr():
             return importlib.import_module("pybullet")
     except ImportError:
         raise ImportError(
@@ -151,15 +151,15 @@ def _import_bullet() -> Any:
 
 
 @contextmanager
-def _standard_error_closed() -> Iterator[None]:
-    """PyBullet greets on standard error, from C, when it is imported; that stream belongs to whoever runs."""
+def _silenced_stderr() -> Iterator[None]:
+    """Redirect file descriptor 2 to /dev/null: on import, PyBullet prints a banner to standard error from C."""
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    os.close(nowhere)
+    stderr_copy, devnull = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(devnull, 2)
+    os.close(devnull)
     try:
         yield
         ctypes.CDLL(None).fflush(None)
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr_copy, 2)
+        os.close(stderr_copy)

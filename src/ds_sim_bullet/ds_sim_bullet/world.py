@@ -1,4 +1,4 @@
-"""Builds the world in PyBullet, anew for every run: the car, in equilibrium, on a plane."""
+"""Builds the PyBullet world from scratch for every run: the car on a plane, in equilibrium."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ds_sim_bullet.urdf import CORNERS, car_urdf
 
 @dataclass(frozen=True, kw_only=True)
 class Car:
-    """PyBullet's numbers of a car and its joints; fours in the order of `CORNERS`.
+    """PyBullet's ids of the car and its joints; one joint per corner in the order of `CORNERS`.
 
     Attributes:
-        body: the multibody.
-        guides: of the four hubs, positive up (compression).
-        steering: of the two front knuckles, positive left.
-        spins: of the four wheels, positive forward.
+        body: id of the multibody.
+        guides: joints of the four hubs, positive up (compression).
+        steering: joints of the two front knuckles, positive left.
+        spins: joints of the four wheels, positive forward.
     """
 
     body: int
@@ -31,16 +31,16 @@ class Car:
 
 
 def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: float, yaw: float) -> Car:
-    """Empty the world, lay a plane, and put the car on it, at rest.
+    """Reset the world and put the car on a plane, at rest.
 
-    Rebuilding is the only way in which PyBullet repeats itself bit for bit: its saved states lack the solver's memory.
+    Only a rebuilt world makes PyBullet reproducible bit for bit: its saved states lack the solver's internal state.
 
     Args:
         bullet: the pybullet module.
-        client: the physics client that owns the world.
-        p: the car.
-        x: of the middle between the axles, m.
-        y: of the middle between the axles, m.
+        client: physics client that owns the world.
+        p: parameters of the car.
+        x: position of the midpoint between the axles, m.
+        y: position of the midpoint between the axles, m.
         yaw: heading, rad.
     """
     bullet.resetSimulation(physicsClientId=client)
@@ -49,14 +49,14 @@ def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: f
         fixedTimeStep=FRAME_TIME / p.substeps,
         numSubSteps=0,
         numSolverIterations=p.solver_iterations,
-        solverResidualThreshold=0.0,  # every iteration, whatever the residual
-        erp=0.2,  # Bullet's share of a penetration that is pushed out per substep
+        solverResidualThreshold=0.0,  # run all iterations, whatever the residual
+        erp=0.2,  # share of a penetration that Bullet corrects per substep
         contactERP=0.2,
         frictionERP=0.2,
-        globalCFM=0.0,  # Coulomb's friction has no creep below its limit
-        enableConeFriction=1,  # a pyramid grips better along the diagonals of the world
-        # m; Bullet's 0.02 keeps points of contact that a rolling wheel left behind: they carry nothing and cost half
-        # of the time. PyBullet holds this one value per process: it must be the same for every vehicle.
+        globalCFM=0.0,  # Coulomb friction has no creep below its limit
+        enableConeFriction=1,  # a friction pyramid would grip better along the world's diagonals
+        # m; Bullet's default of 0.02 keeps contact points that a rolling wheel has left behind: they carry no load and
+        # take half of the time. PyBullet has one value per process, so it must be the same for every vehicle.
         contactBreakingThreshold=1e-4,
         deterministicOverlappingPairs=1,
         enableFileCaching=0,
@@ -64,7 +64,7 @@ def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: f
     )
     shape = bullet.createCollisionShape(bullet.GEOM_PLANE, planeNormal=(0.0, 0.0, 1.0), physicsClientId=client)
     floor = bullet.createMultiBody(0.0, shape, physicsClientId=client)
-    # Bullet multiplies the frictions of the two that touch.
+    # Bullet multiplies the friction coefficients of the two bodies in contact.
     bullet.changeDynamics(floor, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
     with TemporaryDirectory() as folder:  # PyBullet reads URDF from files only
         path = Path(folder) / "car.urdf"
@@ -93,7 +93,7 @@ def _find_joints(bullet: Any, client: int, body: int) -> Car:
 
 
 def _free_joints(bullet: Any, client: int, p: BulletParameters, car: Car) -> None:
-    """Take away what PyBullet adds by itself: damping of all motion, a brake on every joint, sleep."""
+    """Remove PyBullet's defaults: damping of all motion, a brake on every joint, sleeping."""
     for link in range(-1, bullet.getNumJoints(car.body, physicsClientId=client)):
         bullet.changeDynamics(
             car.body,
@@ -106,7 +106,7 @@ def _free_joints(bullet: Any, client: int, p: BulletParameters, car: Car) -> Non
             activationState=bullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=client,
         )
-    # The brake on a wheel becomes its rolling resistance: a dry friction, which also holds the car at rest.
+    # The brake of a wheel joint models rolling resistance: dry friction, which also holds the car at rest.
     loads = [p.corner_load(front=corner.startswith("front")) for corner in CORNERS]
     brakes = [0.0] * len(car.guides) + [p.rolling_resistance * load * p.wheel_radius for load in loads]
     for joint, brake in zip((*car.guides, *car.spins), brakes, strict=True):

@@ -1,4 +1,4 @@
-"""The rigid-body car against textbooks, hand-worked numbers and itself."""
+"""Compares the rigid-body car with textbook formulas, values worked out by hand, and itself."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def pace(state: VehicleState) -> float:
 
 
 def slalom(car: BulletVehicle, frames: int = 100, throttle: float = 0.5) -> NDArray[np.float64]:
-    """(frames, 4) of x, y, yaw, speed."""
+    """Drive a slalom; returns (frames, 4) of x, y, yaw, speed."""
     rows = []
     for frame in range(frames):
         car.advance(Command(0.8 * math.sin(0.07 * frame), throttle))
@@ -71,7 +71,7 @@ def test_the_same_commands_give_the_same_bytes_in_a_fresh_process_and_after_any_
     assert hashlib.sha256(slalom(car).tobytes()).hexdigest() == fresh.strip()
 
 
-def test_vehicles_side_by_side_do_not_disturb_each_other(car: BulletVehicle) -> None:
+def test_vehicles_in_one_process_are_independent(car: BulletVehicle) -> None:
     alone = slalom(car, 60)
     car.reset(0.0, 0.0, 0.0, RNG)
     other = BulletVehicle(dataclasses.replace(P, mass=1500.0))
@@ -118,7 +118,7 @@ def test_yaw_counts_full_turns_and_is_the_integral_of_its_rate(car: BulletVehicl
     assert states[-1].yaw == pytest.approx(total, rel=0.01)
 
 
-def test_it_starts_where_it_is_put_and_at_rest_stays_there_whatever_the_steering(car: BulletVehicle) -> None:
+def test_it_starts_where_reset_puts_it_and_stays_there_whatever_the_steering(car: BulletVehicle) -> None:
     car.reset(123.4, -56.7, 1.1, RNG)
     start = car.state()
     assert (start.x, start.y, start.yaw) == pytest.approx((123.4, -56.7, 1.1), abs=1e-12)
@@ -129,7 +129,7 @@ def test_it_starts_where_it_is_put_and_at_rest_stays_there_whatever_the_steering
     assert (last.heave, last.roll, last.pitch) == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
 
 
-def test_lifting_the_throttle_slows_it_as_regeneration_and_rolling_resistance_say(car: BulletVehicle) -> None:
+def test_coasting_decelerates_by_regeneration_and_rolling_resistance(car: BulletVehicle) -> None:
     drive(car, 80, 0.0, 1.0)
     states = drive(car, 200, 0.0, 0.0)
     by_hand = (P.regenerative_force + P.rolling_resistance * P.mass * GRAVITY) / (P.mass + ROTATING_MASS)
@@ -141,14 +141,14 @@ def test_lifting_the_throttle_slows_it_as_regeneration_and_rolling_resistance_sa
     assert math.hypot(states[-1].x - states[-60].x, states[-1].y - states[-60].y) < 1e-2
 
 
-def test_the_nose_dips_when_it_slows(car: BulletVehicle) -> None:
+def test_the_nose_dips_under_braking(car: BulletVehicle) -> None:
     pushing = drive(car, 70, 0.0, 1.0)[-1]
     slowing = drive(car, 30, 0.0, 0.0)[-1]
     assert math.radians(-1.0) < pushing.pitch < math.radians(-0.3)
     assert math.radians(0.3) < slowing.pitch < math.radians(1.0)
 
 
-def test_it_reaches_a_speed_and_keeps_it_under_the_papers_throttle(car: BulletVehicle) -> None:
+def test_it_reaches_a_steady_speed_under_the_papers_throttle(car: BulletVehicle) -> None:
     speeds = [0.0]
     for _ in range(300):
         car.advance(Command(0.0, max(0.0, 1.0 - (speeds[-1] * 3.6 / 30.0) ** 2)))
@@ -167,7 +167,7 @@ def test_little_throttle_at_full_lock_still_moves_it(car: BulletVehicle, steerin
 
 @pytest.mark.parametrize("steering", [0.2, 0.5, 1.0])
 def test_a_slow_circle_is_the_kinematic_one(car: BulletVehicle, steering: float) -> None:
-    """Ackermann: the rear axle's middle at L / tan(angle), the car's middle half a wheelbase ahead of it."""
+    """Ackermann: the centre of the rear axle has radius L / tan(angle), the car's centre is half a wheelbase ahead."""
     last = drive(car, 200, steering, 0.2)[-1]
     angle = steering * P.max_steering_angle
     radius = math.hypot(P.wheelbase / math.tan(angle), P.wheelbase / 2.0)
@@ -175,8 +175,8 @@ def test_a_slow_circle_is_the_kinematic_one(car: BulletVehicle, steering: float)
     assert math.atan2(last.lateral_speed, last.speed) == pytest.approx(-math.asin(P.wheelbase / 2.0 / radius), abs=0.01)
 
 
-def test_its_turning_circle_is_the_data_sheets() -> None:
-    """8.6 m from kerb to kerb: the outer front wheel's track."""
+def test_the_turning_circle_is_that_of_the_data_sheet() -> None:
+    """8.6 m from kerb to kerb: the path of the outer front wheel."""
     rear = P.wheelbase / math.tan(P.max_steering_angle)
     assert 2.0 * math.hypot(rear + P.track / 2.0, P.wheelbase) == pytest.approx(8.6, abs=0.05)
 
@@ -189,8 +189,8 @@ def test_a_fast_circle_is_limited_by_friction_and_widens(car: BulletVehicle) -> 
     assert np.mean([pace(s) / s.yaw_rate for s in states]) > 1.2 * kinematic
 
 
-def test_the_body_leans_out_of_the_bend_as_its_springs_say(car: BulletVehicle) -> None:
-    """Roll angle = m h a / (K - m g h), K from springs and bars on a track."""
+def test_the_body_rolls_outwards_by_the_angle_its_springs_give(car: BulletVehicle) -> None:
+    """Roll angle = m h a / (K - m g h), with K from springs and anti-roll bars."""
     states = drive(car, 250, -0.2, 0.7)[200:]
     acceleration = np.mean([pace(s) * s.yaw_rate for s in states])
     springs = sum(P.spring_stiffness(front=front) for front in (True, False))
@@ -202,7 +202,7 @@ def test_the_body_leans_out_of_the_bend_as_its_springs_say(car: BulletVehicle) -
     )
 
 
-def test_the_wheels_turn_no_faster_than_the_steering_can(car: BulletVehicle) -> None:
+def test_the_steering_rate_is_limited(car: BulletVehicle) -> None:
     angles = [0.0, *(s.steering_angle for s in drive(car, 30, 1.0, 0.0))]
     assert np.abs(np.diff(angles)).max() == pytest.approx(P.steering_rate * FRAME_TIME, rel=0.05)
     assert angles[-1] == pytest.approx(-P.max_steering_angle, rel=1e-3)
@@ -220,7 +220,7 @@ def test_the_world_has_no_preferred_direction(car: BulletVehicle, yaw: float) ->
     assert np.abs(turned - at_origin[:, :2]).max() < 0.001 * length
 
 
-def test_halving_the_step_moves_little() -> None:
+def test_halving_the_substep_changes_the_path_little() -> None:
     coarse, fine = (BulletVehicle(dataclasses.replace(P, substeps=n)) for n in (P.substeps, 2 * P.substeps))
     paths = slalom(coarse, 150), slalom(fine, 150)
     coarse.close()
@@ -237,7 +237,7 @@ def test_full_throttle_at_full_lock_stays_finite(car: BulletVehicle) -> None:
         assert max(abs(s.roll) for s in states) < math.radians(10.0)
 
 
-def test_without_throttle_no_energy_appears(car: BulletVehicle) -> None:
+def test_without_throttle_energy_never_grows(car: BulletVehicle) -> None:
     drive(car, 120, 0.0, 1.0)
     energy = []
     for frame in range(160):
@@ -248,7 +248,7 @@ def test_without_throttle_no_energy_appears(car: BulletVehicle) -> None:
     assert energy[-1] < 1e-3 * energy[0]
 
 
-def test_it_may_be_reset_after_it_was_closed(car: BulletVehicle) -> None:
+def test_reset_after_close_starts_over(car: BulletVehicle) -> None:
     before = slalom(car, 20)
     car.close()
     car.close()
@@ -256,7 +256,7 @@ def test_it_may_be_reset_after_it_was_closed(car: BulletVehicle) -> None:
     assert np.array_equal(slalom(car, 20), before)
 
 
-def test_the_urdf_weighs_what_the_car_weighs_and_is_balanced() -> None:
+def test_the_urdf_has_the_mass_and_the_balance_of_the_car() -> None:
     robot = ElementTree.fromstring(car_urdf(P))
     masses = [float(mass.attrib["value"]) for mass in robot.iter("mass")]
     assert sum(masses) == pytest.approx(P.mass)
@@ -264,14 +264,14 @@ def test_the_urdf_weighs_what_the_car_weighs_and_is_balanced() -> None:
     assert 0.5 + moment / P.wheelbase == pytest.approx(P.front_share)
 
 
-def test_what_makes_no_sense_is_refused_in_one_line() -> None:
+def test_invalid_parameters_are_refused_in_one_line() -> None:
     with pytest.raises(ValueError, match=r"^mass is nan, expected a number from 1e-06 to inf: correct it$"):
         BulletParameters(mass=math.nan)
     with pytest.raises(ValueError, match=r"^substeps is 0, expected"):
         BulletParameters(substeps=0)
 
 
-def test_without_pybullet_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pybullet_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(ImportError, match=r"^PyBullet is not installed: pip install pybullet==\S+ \(.*\)$"):
         BulletVehicle()

@@ -1,1 +1,1 @@
-"""Second digital sibling: a car of nodes and damped beams on pymunk."""
+"""Second digital sibling: a car of nodes and damped beams in pymunk."""

@@ -1,4 +1,4 @@
-"""Roll and pitch of the body on its springs, and the wheel loads that follow from them."""
+"""Models roll and pitch of the body on its springs, and the resulting wheel loads."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
 
 
 class Attitude:
-    """Two damped oscillators, excited by the body's acceleration (Gillespie, ch. 6).
+    """Roll and pitch as two damped oscillators, excited by the acceleration of the body (Gillespie, ch. 6).
 
-    What the springs and dampers do not carry reaches the wheels at once, through the arms and the unsprung masses;
+    Load that springs and dampers do not carry reaches the wheels instantly, through the arms and the unsprung masses;
     in steady state the loads are those of the whole mass at the height of its centre.
 
     Args:
-        p: of the car.
+        p: parameters of the car.
     """
 
     def __init__(self, p: SoftbodyParameters) -> None:
@@ -25,7 +25,7 @@ class Attitude:
         spring = p.sprung_mass * (math.tau * p.ride_frequency) ** 2
         self._roll_arm = p.centre_of_mass_height - p.roll_axis_height
         lever = p.sprung_mass * self._roll_arm
-        # Net of gravity, which helps the body to lean: gradient = lever / stiffness.
+        # Net of gravity, which increases the lean: gradient = lever / stiffness.
         net_roll = lever / p.roll_gradient
         self._roll_stiffness = net_roll + lever * GRAVITY
         self._roll_damping = 2.0 * p.body_damping * math.sqrt(net_roll * p.roll_inertia)
@@ -35,7 +35,7 @@ class Attitude:
         self._pitch_damping = 2.0 * p.body_damping * math.sqrt(net_pitch * p.pitch_inertia)
 
     def advance(self, forward: float, left: float, dt: float) -> None:
-        """Lean for a time dt (s) under an acceleration of the body (forward and left, m/s^2)."""
+        """Advance by dt (s) under an acceleration of the body (forward and left, m/s^2)."""
         p = self._p
         lever = p.sprung_mass * self._roll_arm
         roll_moment = lever * (left + GRAVITY * math.sin(self.roll)) - self._roll_reaction()
@@ -46,25 +46,29 @@ class Attitude:
         self.pitch += self.pitch_rate * dt
 
     def loads(self, forward: float, left: float) -> tuple[float, float, float, float]:
-        """Wheel loads under an acceleration of the body (forward and left, m/s^2), N: front left, front right, rear.
+        """Wheel loads under an acceleration of the body, N: front left, front right, rear left, rear right.
 
-        A load below zero is a wheel in the air.
+        A negative load means that the wheel is in the air.
+
+        Args:
+            forward: acceleration forward, m/s^2.
+            left: acceleration to the left, m/s^2.
         """
         p = self._p
         total = p.mass * p.centre_of_mass_height
-        rest = (total - p.sprung_mass * self._roll_arm) * left
+        direct = (total - p.sprung_mass * self._roll_arm) * left
         lean = self._roll_reaction()
-        front = (lean * p.roll_front_share + rest * p.front_share) / p.track
-        rear = (lean * (1.0 - p.roll_front_share) + rest * (1.0 - p.front_share)) / p.track
+        front = (lean * p.roll_front_share + direct * p.front_share) / p.track
+        rear = (lean * (1.0 - p.roll_front_share) + direct * (1.0 - p.front_share)) / p.track
         dive = (self._pitch_reaction() - (total - self._pitch_lever) * forward) / p.wheelbase
         front_half = (p.mass * GRAVITY * p.front_share + dive) / 2.0
         rear_half = (p.mass * GRAVITY * (1.0 - p.front_share) - dive) / 2.0
         return front_half - front, front_half + front, rear_half - rear, rear_half + rear
 
     def _roll_reaction(self) -> float:
-        """Moment of springs and dampers against roll, N m."""
+        """Restoring moment of springs and dampers in roll, N m."""
         return self._roll_stiffness * self.roll + self._roll_damping * self.roll_rate
 
     def _pitch_reaction(self) -> float:
-        """Moment of springs and dampers against pitch, N m."""
+        """Restoring moment of springs and dampers in pitch, N m."""
         return self._pitch_stiffness * self.pitch + self._pitch_damping * self.pitch_rate

@@ -1,4 +1,4 @@
-"""The soft car during one run: frame, wheels, body, rack and motor, advanced together."""
+"""Advances the soft car during one run: frame, wheels, body, rack and motor together."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import math
 from ds_sim.simulator import FRAME_TIME, Command
 from ds_sim_softbody.actuators import Motor, Steering
 from ds_sim_softbody.attitude import Attitude
-from ds_sim_softbody.lattice import VALUES, Blueprint, Corner, Lattice
+from ds_sim_softbody.lattice import VALUES_PER_NODE, Blueprint, CornerNodes, Lattice
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
 from ds_sim_softbody.wheel import Wheel, WheelPlan
 
 
 class Car:
-    """A car at rest with its middle at the origin, heading along x.
+    """Soft car, initially at rest with its centre at the origin, heading along x.
 
-    Frame and tyres take short steps, body and actuators a whole number of them at a time.
+    Frame and tyres take short substeps; body and actuators take one substep for every few of those.
 
     Args:
-        p: of the car.
-        plan: its frame.
+        p: parameters of the car.
+        plan: frame at rest.
     """
 
     def __init__(self, p: SoftbodyParameters, plan: Blueprint) -> None:
@@ -37,10 +37,10 @@ class Car:
         self.attitude = Attitude(p)
         """Roll and pitch of the body."""
         self.motion = self._lattice.rigid_motion()
-        """Of the frame as a whole, with a yaw that counts on beyond half a turn."""
+        """Motion of the frame as a whole; its yaw is not wrapped."""
 
     def advance(self, command: Command) -> None:
-        """Hold a command for one frame."""
+        """Advance by one step with the command held."""
         p, attitude, (front_left, front_right, rear_left, rear_right) = self._p, self.attitude, self._wheels
         steps = p.frame_substeps // p.body_substeps
         body_dt = steps * self._dt
@@ -50,7 +50,7 @@ class Car:
             front_right.turn(right)
             tread = p.wheel_radius * (rear_left.spin + rear_right.spin) / 2.0
             rear_left.torque = rear_right.torque = self._motor.advance(command, tread, body_dt)
-            forward, leftward = self._run(steps)
+            forward, leftward = self._advance_frame(steps)
             attitude.advance(forward, leftward, body_dt)
             for wheel, load in zip(self._wheels, attitude.loads(forward, leftward), strict=True):
                 wheel.carry(load)
@@ -59,17 +59,17 @@ class Car:
         self.motion = motion._replace(yaw=self.motion.yaw + turned)
 
     def steering_angle(self) -> float:
-        """Mean angle of the front wheels to the car's heading, what the frame gives included, rad."""
+        """Mean angle of the front wheels relative to the car's heading, including the flex of the frame, rad."""
         left, right, *_ = self._wheels
         angle = math.atan2(left.heading_y + right.heading_y, left.heading_x + right.heading_x)
         return math.remainder(angle - self.motion.yaw, math.tau)
 
     def loads(self) -> tuple[float, ...]:
-        """Of the wheels, N: front left, front right, rear left, rear right."""
+        """Loads of the wheels, N: front left, front right, rear left, rear right."""
         return tuple(wheel.load for wheel in self._wheels)
 
-    def _run(self, steps: int) -> tuple[float, float]:
-        """Advance frame and wheels; the mean acceleration of the car meanwhile, forward and left, m/s^2."""
+    def _advance_frame(self, steps: int) -> tuple[float, float]:
+        """Advance frame and wheels; returns the mean acceleration of the car, forward and left, m/s^2."""
         read, step, dt = self._lattice.read, self._lattice.step, self._dt
         tyres = tuple(zip((wheel.roll for wheel in self._wheels), self._lattice.push, strict=True))
         total_x = total_y = 0.0
@@ -91,20 +91,20 @@ class Car:
 
 
 _CENTRE = (0.0, 0.0)
-"""Where a force takes hold: of no account, nodes have no moment of inertia that could turn."""
+"""Point at which a force acts; irrelevant, because nodes cannot rotate."""
 
 
 def _ahead(nodes: list[float]) -> tuple[float, float]:
-    """From the rear wheels to the front wheels; the wheels are the first four nodes."""
-    front, side, rear = 0, VALUES, 2 * VALUES
+    """Vector from the rear wheels to the front wheels; the wheels are the first four nodes."""
+    front, side, rear = 0, VALUES_PER_NODE, 2 * VALUES_PER_NODE
     return (
         nodes[front] + nodes[front + side] - nodes[rear] - nodes[rear + side],
         nodes[front + 1] + nodes[front + side + 1] - nodes[rear + 1] - nodes[rear + side + 1],
     )
 
 
-def _wheel_plan(p: SoftbodyParameters, corner: Corner, *, front: bool) -> WheelPlan:
-    """A front wheel has its track rod before its axis, a rear one its link behind: both ease the slip angle's rise."""
+def _wheel_plan(p: SoftbodyParameters, corner: CornerNodes, *, front: bool) -> WheelPlan:
+    """Track rods ahead of the front wheels' axis and toe links behind the rear wheels' axis: both add understeer."""
     share = p.front_share if front else 1.0 - p.front_share
     return WheelPlan(
         corner=corner,

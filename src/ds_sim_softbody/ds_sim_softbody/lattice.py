@@ -1,6 +1,6 @@
-"""The car's frame: mass nodes joined by damped beams, seen from above, in a pymunk space without gravity.
+"""Frame of the car: mass nodes joined by damped beams, seen from above, in a pymunk space without gravity.
 
-Coordinates are the car's own at the start of a run: x forward, y left, origin in the middle between the axles.
+The coordinates are those of the car at the start of a run: x forward, y left, origin midway between the axles.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from pymunk import batch
 
 from ds_sim_softbody.parameters import SoftbodyParameters
 
-VALUES = 4
-"""Numbers per node in what `Lattice.read` gives: x, y, and their rates."""
+VALUES_PER_NODE = 4
+"""Values per node returned by `Lattice.read`: x, y, and their rates."""
 _FIELDS = batch.BodyFields.POSITION | batch.BodyFields.VELOCITY
 
 
-class Corner(NamedTuple):
-    """Node numbers of one wheel and of the frame's bushes before and behind its axis."""
+class CornerNodes(NamedTuple):
+    """Indices of the nodes of one wheel and of the frame's bushes ahead of and behind its axis."""
 
     wheel: int
     fore: int
@@ -30,7 +30,7 @@ class Corner(NamedTuple):
 
 
 class Beam(NamedTuple):
-    """A damped spring between two nodes: stiffness in N/m, damping in N s/m."""
+    """Damped spring between two nodes: stiffness in N/m, damping in N s/m."""
 
     first: int
     second: int
@@ -40,23 +40,23 @@ class Beam(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Blueprint:
-    """The frame at rest.
+    """Frame at rest.
 
     Attributes:
-        positions: (n, 2) of the nodes, m; the four wheels first.
-        masses: (n,) kg.
-        beams: between the nodes; their lengths at rest are those of `positions`.
+        positions: (n, 2) positions of the nodes, m; the four wheels first.
+        masses: (n,) masses of the nodes, kg.
+        beams: beams between the nodes; their rest lengths follow from `positions`.
         corners: front left, front right, rear left, rear right.
     """
 
     positions: NDArray[np.float64]
     masses: NDArray[np.float64]
     beams: tuple[Beam, ...]
-    corners: tuple[Corner, Corner, Corner, Corner]
+    corners: tuple[CornerNodes, CornerNodes, CornerNodes, CornerNodes]
 
 
 def blueprint(p: SoftbodyParameters) -> Blueprint:
-    """Lay out four wheels and two side rails of eight nodes, cross-braced, with the car's mass and inertia.
+    """Design the frame: four wheels and two cross-braced side rails of eight nodes, with the car's mass and inertia.
 
     Raises:
         ValueError: no positive node masses give this mass, axle load and yaw inertia together.
@@ -75,7 +75,7 @@ def blueprint(p: SoftbodyParameters) -> Blueprint:
         return len(wheels) + 2 * station + side
 
     front_left, front_right, rear_left, rear_right = (
-        Corner(2 * end + side, rail(first, side), rail(first + 1, side))
+        CornerNodes(2 * end + side, rail(first, side), rail(first + 1, side))
         for end, first in enumerate((1, 5))
         for side in (0, 1)
     )
@@ -89,7 +89,7 @@ def blueprint(p: SoftbodyParameters) -> Blueprint:
 
 
 def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Node masses, kg: wheels and bumpers as given, subframes and floor to meet mass, axle load and inertia."""
+    """Node masses, kg: wheels and bumpers as given; subframes and floor such that mass, axle load and inertia match."""
     masses = np.zeros(len(positions))
     masses[:4] = p.unsprung_mass
     masses[[4, 5, 18, 19]] = p.bumper_mass
@@ -97,8 +97,8 @@ def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np
     ahead = p.centre_of_mass_ahead
     arms = np.sum((positions - (ahead, 0.0)) ** 2, axis=1)
     moments = np.vstack((np.ones(len(masses)), positions[:, 0] - ahead, arms))
-    wanted = np.array([p.mass, 0.0, p.yaw_inertia]) - moments @ masses
-    shares = np.linalg.solve(np.column_stack([moments[:, g].mean(axis=1) for g in groups]), wanted)
+    required = np.array([p.mass, 0.0, p.yaw_inertia]) - moments @ masses
+    shares = np.linalg.solve(np.column_stack([moments[:, g].mean(axis=1) for g in groups]), required)
     if shares.min() <= 0.0:
         raise ValueError(
             f"mass {p.mass:g} kg, front_share {p.front_share:g} and yaw_inertia {p.yaw_inertia:g} kg m^2 leave "
@@ -110,7 +110,7 @@ def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np
 
 
 class RigidMotion(NamedTuple):
-    """How the frame moves as a whole: its middle's place and velocity (m, m/s), yaw (rad), yaw rate (rad/s)."""
+    """Motion of the frame as a whole: position and velocity of its centre (m, m/s), yaw (rad), yaw rate (rad/s)."""
 
     x: float
     y: float
@@ -121,11 +121,11 @@ class RigidMotion(NamedTuple):
 
 
 class Lattice:
-    """The frame in motion.
+    """Frame in motion.
 
     Args:
-        plan: the frame at rest.
-        iterations: of the solver per step.
+        plan: frame at rest.
+        iterations: solver iterations per substep.
     """
 
     def __init__(self, plan: Blueprint, *, iterations: int) -> None:
@@ -141,7 +141,7 @@ class Lattice:
         for beam in plan.beams:
             a, b = self._bodies[beam.first], self._bodies[beam.second]
             dx, dy = b.position.x - a.position.x, b.position.y - a.position.y
-            # As the engine measures it, so that a frame at rest feels no force at all.
+            # Computed as the engine does, so that the forces in a frame at rest are exactly zero.
             length = math.sqrt(dx * dx + dy * dy)
             self._space.add(pymunk.DampedSpring(a, b, (0.0, 0.0), (0.0, 0.0), length, beam.stiffness, beam.damping))
         self._buffer = batch.Buffer()
@@ -149,12 +149,12 @@ class Lattice:
         self._centre = self._weights @ plan.positions
         self._rest = plan.positions - self._centre
         self.push = [self._bodies[corner.wheel].apply_force_at_world_point for corner in plan.corners]
-        """For each wheel: takes a force (x, y) in N, which acts during the next step, and where it acts."""
+        """For each wheel a function that applies a force (x, y) in N at a point during the next substep."""
         self.step = self._space.step
-        """Advances the frame by a time in s."""
+        """Function that advances the frame by a time in s."""
 
     def read(self) -> list[float]:
-        """x, y and their rates of every node, one node after the other; m and m/s."""
+        """Positions and velocities of all nodes as a flat list: x, y (m) and their rates (m/s), node after node."""
         buffer = self._buffer
         buffer.clear()
         batch.get_space_bodies(self._space, _FIELDS, buffer)
@@ -163,8 +163,8 @@ class Lattice:
         return values
 
     def rigid_motion(self) -> RigidMotion:
-        """The motion of the undeformed frame that fits the nodes best, weighted by mass."""
-        nodes = np.array(self.read()).reshape(-1, VALUES)
+        """Motion of the undeformed frame that fits the nodes best, weighted by mass."""
+        nodes = np.array(self.read()).reshape(-1, VALUES_PER_NODE)
         middle = self._weights @ nodes
         offset, velocity = nodes[:, :2] - middle[:2], nodes[:, 2:] - middle[2:]
         w, rest = self._weights, self._rest
@@ -173,7 +173,7 @@ class Lattice:
         yaw = math.atan2(across, along)
         spin = w @ (offset[:, 0] * velocity[:, 1] - offset[:, 1] * velocity[:, 0])
         rate = float(spin / (w @ np.sum(offset**2, axis=1)))
-        # From the centre of mass back to the middle between the axles.
+        # From the centre of mass back to the midpoint between the axles.
         cos, sin = math.cos(yaw), math.sin(yaw)
         back_x = -self._centre[0] * cos + self._centre[1] * sin
         back_y = -self._centre[0] * sin - self._centre[1] * cos

@@ -6,5 +6,5 @@ from ds_sim.executables import start
 
 
 def main() -> None:
-    """Host `softbody` unless the parameter `simulator` says otherwise."""
+    """Host `softbody` unless the parameter `simulator` names another simulator."""
     start("ds_sim.ros.simulator_node", "softbody")

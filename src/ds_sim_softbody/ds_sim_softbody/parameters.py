@@ -1,8 +1,8 @@
-"""Every constant of the soft car and of the engine that integrates it, in SI units.
+"""All constants of the soft car and of the engine that integrates it, in SI units.
 
-Sources that recur below:
+Sources cited repeatedly below:
 
-* *sheet*: data sheet of the Honda e (2020), a small rear-driven electric city car with one-pedal driving.
+* *sheet*: data sheet of the Honda e (2020), a small rear-wheel-drive electric city car with one-pedal driving.
 * *Gillespie*: Fundamentals of Vehicle Dynamics, SAE 1992.
 * *Pacejka*: Tire and Vehicle Dynamics, 3rd edition, 2012.
 """
@@ -19,86 +19,91 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, kw_only=True)
 class SoftbodyParameters:
-    """The car: its frame of nodes and beams, springs, tyres, steering and motor.
+    """Parameters of the car: frame of nodes and beams, springs, tyres, steering and motor.
 
     Attributes:
         length: m; sheet.
         width: m; sheet.
         wheelbase: m; sheet.
-        track: between the wheels of an axle, m; sheet: 1.51 front and 1.505 rear.
-        mass: ready to drive, kg; sheet.
-        front_share: of the static load on the front axle, 0 to 1; sheet: equal on both axles.
-        yaw_inertia: kg m^2; Gillespie ch. 6: close to mass times both distances from axle to centre of mass;
+        track: distance between the wheels of an axle, m; sheet: 1.51 front and 1.505 rear.
+        mass: mass in running order, kg; sheet.
+        front_share: share of the static load on the front axle, 0 to 1; sheet: equal on both axles.
+        yaw_inertia: kg m^2; Gillespie ch. 6: close to the mass times both distances between axle and centre of mass;
             chosen: 0.95 of that.
-        centre_of_mass_height: m; chosen: 0.34 of the height of 1.512 (Gillespie: 0.35 to 0.4 of a car's), the
-            battery lying under the floor.
+        centre_of_mass_height: m; chosen: 0.34 of the car's height of 1.512 (Gillespie: 0.35 to 0.4), because the
+            battery is under the floor.
 
-        unsprung_mass: of one corner, a node of its own, kg; Gillespie ch. 5: 13 to 15 % of the sprung mass is
-            usual; chosen: 40, 12 %, for struts and alloy wheels.
-        bumper_mass: of each of the four outermost frame nodes, kg; chosen: bumper beam, crash box, lamps.
-        rail_half_width: from the middle to a side rail at axles and bumpers, m; chosen: just inside of the wheels.
-        sill_half_width: from the middle to a sill between the axles, m; chosen: 0.13 inside of the skin.
-        bumper_distance: of the outermost frame nodes from the middle, m; chosen: 0.2 inside of the skin.
-        bush_spacing: from a wheel's axis forward and back to the two bushes of its arm, m; chosen: that of
-            lower arms, 0.3 to 0.4 from bush to bush.
-        floor_distance: of the two floor stations from the middle, m; chosen: ends of the battery case.
-        frame_stiffness: of a beam of the frame, N/m; chosen: the first free mode of the frame in the plane,
-            wheels on their bushes included, then lies at 14 Hz, half of a trimmed body's 25 to 40: a soft one.
-        frame_damping: of a beam of the frame, N s/m; chosen: a few per cent of critical at that mode.
-        arm_stiffness: of a beam from wheel to bush, N/m; chosen: 0.7 mm/kN sideways and 1.1 mm/kN along at the
-            wheel, of the 0.3 to 1 and 1 to 3 of rubber-bushed struts.
-        arm_damping: of a beam from wheel to bush, N s/m; chosen: filled rubber, a loss factor of about 0.2.
-        front_arm: from a front wheel's axis forward to its track rod, m; chosen: of the 0.11 to 0.15 usual.
-        rear_arm: from a rear wheel's axis back to its toe link, m; chosen: the strut's wide-based lower links.
+        unsprung_mass: mass of one corner, which is a node of its own, kg; Gillespie ch. 5: usually 13 to 15 % of the
+            sprung mass; chosen: 40, 12 %, for struts and alloy wheels.
+        bumper_mass: mass of each of the four outermost frame nodes, kg; chosen: bumper beam, crash box, lamps.
+        rail_half_width: distance of a side rail from the centre line at axles and bumpers, m; chosen: just inside the
+            wheels.
+        sill_half_width: distance of a sill from the centre line between the axles, m; chosen: 0.13 inside the outer
+            skin.
+        bumper_distance: distance of the outermost frame nodes from the centre, m; chosen: 0.2 inside the outer skin.
+        bush_spacing: distance from a wheel's axis forward and back to the two bushes of its arm, m; chosen: typical
+            of lower arms, 0.3 to 0.4 from bush to bush.
+        floor_distance: distance of the two floor stations from the centre, m; chosen: ends of the battery case.
+        frame_stiffness: stiffness of a frame beam, N/m; chosen: the first free in-plane mode of the frame, including
+            the wheels on their bushes, is then at 14 Hz, about half the 25 to 40 of a trimmed body: a soft frame.
+        frame_damping: damping of a frame beam, N s/m; chosen: a few per cent of critical at that mode.
+        arm_stiffness: stiffness of a beam from wheel to bush, N/m; chosen: compliance of 0.7 mm/kN laterally and
+            1.1 mm/kN longitudinally at the wheel; rubber-bushed struts have 0.3 to 1 and 1 to 3.
+        arm_damping: damping of a beam from wheel to bush, N s/m; chosen: filled rubber, a loss factor of about 0.2.
+        front_arm: distance from a front wheel's axis forward to its track rod, m; chosen: usually 0.11 to 0.15.
+        rear_arm: distance from a rear wheel's axis back to its toe link, m; chosen: the strut's widely spaced lower
+            links.
 
-        ride_frequency: of body on springs, Hz; Gillespie ch. 5: 1 to 1.5.
-        roll_gradient: steady roll, rad per m/s^2; Gillespie ch. 6: 5 to 7 degrees per g for small cars;
-            chosen: 4.5, the battery lies low.
-        roll_front_share: of the roll stiffness on the front axle, 0 to 1; Gillespie ch. 6: the front's share is
-            the larger, so that the car understeers.
+        ride_frequency: natural frequency of the body on its springs, Hz; Gillespie ch. 5: 1 to 1.5.
+        roll_gradient: steady-state roll angle per lateral acceleration, rad per m/s^2; Gillespie ch. 6: 5 to 7 degrees
+            per g for small cars; chosen: 4.5, because the battery is low.
+        roll_front_share: share of the roll stiffness on the front axle, 0 to 1; Gillespie ch. 6: larger at the front,
+            so that the car understeers.
         roll_axis_height: m; chosen: strut axles have 0.05 to 0.15.
-        roll_inertia: of the sprung mass, kg m^2; a uniform box of 1.75 x 1.1 m about the roll axis.
-        pitch_inertia: of the sprung mass, kg m^2; a uniform box of 3.9 x 1.1 m about the ground.
-        body_damping: ratio of the roll and pitch modes; Gillespie ch. 5: 0.2 to 0.4.
+        roll_inertia: inertia of the sprung mass about the roll axis, kg m^2; a uniform box of 1.75 x 1.1 m.
+        pitch_inertia: inertia of the sprung mass about the ground, kg m^2; a uniform box of 3.9 x 1.1 m.
+        body_damping: damping ratio of the roll and pitch modes; Gillespie ch. 5: 0.2 to 0.4.
 
         wheel_radius: m; sheet: 185/60 R16 front (0.314) and 205/55 R16 rear (0.316).
-        wheel_spin_inertia: about the axle, kg m^2; chosen: a 17 kg wheel with 0.6 of its mass at the tread.
-        rotor_inertia: of the motor as seen by one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
-        friction: of tyre on dry asphalt at the static load; Pacejka ch. 1: about 1.
-        load_sensitivity: relative loss of friction per relative gain of load; Pacejka ch. 4: 0.05 to 0.2.
-        front_cornering_stiffness: over load, 1/rad; Pacejka ch. 1: 10 to 20 for passenger tyres.
-        rear_cornering_stiffness: over load, 1/rad; as above, the rear tyres are 10 % wider.
-        slip_stiffness: longitudinal over load; Pacejka ch. 4: about one and a half times the cornering one.
-        lateral_relaxation: m; Pacejka ch. 7: of the order of the wheel's radius.
-        longitudinal_relaxation: m; Pacejka ch. 7: about half the lateral one.
-        carcass_damping: time constant of the carcass as spring and damper, s; chosen: 4 ms, a loss factor of
-            0.2 to 0.8 at the frequencies at which a standing car rocks on its tyres (8 to 30 Hz).
+        wheel_spin_inertia: inertia of a wheel about its axle, kg m^2; chosen: a 17 kg wheel with 0.6 of its mass at the
+            tread.
+        rotor_inertia: inertia of the motor at one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
+        friction: friction coefficient of a tyre on dry asphalt at the static load; Pacejka ch. 1: about 1.
+        load_sensitivity: relative loss of friction per relative increase of load; Pacejka ch. 4: 0.05 to 0.2.
+        front_cornering_stiffness: cornering stiffness over load, 1/rad; Pacejka ch. 1: 10 to 20 for passenger tyres.
+        rear_cornering_stiffness: cornering stiffness over load, 1/rad; as above, the rear tyres are 10 % wider.
+        slip_stiffness: longitudinal slip stiffness over load; Pacejka ch. 4: about 1.5 times the cornering stiffness.
+        lateral_relaxation: relaxation length, m; Pacejka ch. 7: of the order of the wheel's radius.
+        longitudinal_relaxation: relaxation length, m; Pacejka ch. 7: about half the lateral one.
+        carcass_damping: time constant of the carcass as a spring with a damper, s; chosen: 4 ms, a loss factor of 0.2
+            to 0.8 at the frequencies at which a standing car rocks on its tyres (8 to 30 Hz).
         rolling_resistance: force over load; Gillespie ch. 4: 0.012 to 0.015 for radial tyres on asphalt.
-        rolling_threshold: speed from which rolling resistance is whole, m/s; chosen: it eases out below it.
+        rolling_threshold: speed below which rolling resistance fades out, m/s; chosen.
 
         max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; sheet: a turning circle of
-            8.6 m from kerb to kerb puts the rear axle's centre on 2.55 m (45 degrees); chosen: 42, the angle of
-            the rack before its stops.
-        steering_rate: of the mean angle, rad/s; chosen: 100 degrees/s, 1,240 at the wheel (sheet: 3.1 turns
-            for 90 degrees), as steering robots reach (1,000 to 2,500).
+            8.6 m from kerb to kerb gives the rear axle's centre a radius of 2.55 m (45 degrees); chosen: 42, the
+            angle before the rack reaches its stops.
+        steering_rate: largest rate of the mean angle, rad/s; chosen: 100 degrees/s, 1,240 at the steering wheel
+            (sheet: 3.1 turns for 90 degrees), within what steering robots reach (1,000 to 2,500).
         ackermann: share of the exact Ackermann geometry, 0 parallel to 1 exact; chosen: linkages built for a
-            small turning circle come near.
+            small turning circle come close.
 
-        drive_force: at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 s under the paper's equation
-            2; the motor could give 9 kN (sheet: 315 N m).
-        power: at the tyres, W; sheet: 100 kW; no road test comes near it.
-        top_speed: where the motor gives no more drive, m/s; sheet: 145 km/h.
-        regenerative_force: at the tyres with no throttle, N; sheet: one-pedal control slows by up to 0.18 g.
-        fade_speed: below which regeneration fades out, m/s; chosen: a walking pace, 5.4 km/h.
-        motor_lag: time constant from pedal to torque, s; chosen: the filter that spares the driveline, 0.05 to
-            0.1.
+        drive_force: force at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 s under the paper's equation 2;
+            the motor could give 9 kN (sheet: 315 N m).
+        power: power at the tyres, W; sheet: 100 kW; never reached in the tests.
+        top_speed: speed at which the motor stops driving, m/s; sheet: 145 km/h.
+        regenerative_force: braking force at the tyres without throttle, N; sheet: one-pedal control decelerates by up
+            to 0.18 g.
+        fade_speed: speed below which regeneration fades out, m/s; chosen: walking pace, 5.4 km/h.
+        motor_lag: time constant from pedal to torque, s; chosen: the filter that protects the driveline, 0.05 to 0.1.
 
-        frame_substeps: of nodes, beams and tyres per frame of 1/20 s; chosen: 50 (1 kHz); the fastest mode of
-            these beams then is at 0.4 of what the explicit step can follow, and halving the step moves a drive
-            of 12 s by 1 cm.
-        body_substeps: of roll, pitch, steering and motor per frame, a divisor of the former; chosen: 10
-            (200 Hz), a hundred times the body's modes.
-        solver_iterations: of the beams' damping per substep; chosen: 2; ten move that drive by less than 1 um.
+        frame_substeps: substeps of nodes, beams and tyres per step of 1/20 s; chosen: 50 (1 kHz): the fastest mode of
+            the beams is at 0.4 of the stability limit of the explicit integration, and halving the substep moves the
+            end of a drive of 12 s by 1 cm.
+        body_substeps: substeps of roll, pitch, steering and motor per step, a divisor of `frame_substeps`; chosen: 10
+            (200 Hz), a hundred times the frequencies of the body's modes.
+        solver_iterations: solver iterations for the beams' damping per substep; chosen: 2; ten change that drive by
+            less than 1 um.
     """
 
     length: float = 3.894
@@ -177,12 +182,12 @@ class SoftbodyParameters:
 
     @property
     def sprung_mass(self) -> float:
-        """Of the body, kg."""
+        """Mass of the body, kg."""
         return self.mass - 4.0 * self.unsprung_mass
 
     @property
     def centre_of_mass_ahead(self) -> float:
-        """Of the centre of mass before the middle between the axles, m."""
+        """Distance of the centre of mass ahead of the midpoint between the axles, m."""
         return self.wheelbase * (self.front_share - 0.5)
 
 

@@ -1,4 +1,4 @@
-"""The soft car as a simulator: its camera at the front bumper and the look of a dull day."""
+"""Soft-body simulator: the car, a camera at the front bumper, the look of an overcast day."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 
 PREVIEW_DISTANCE = 4.0
-"""m ahead of the car's middle; chosen: about 0.6 s at 23 km/h."""
+"""Distance of the autopilot's preview point ahead of the car's centre, m; chosen: about 0.6 s at 23 km/h."""
 GAINS = AutopilotGains(proportional=0.4)
-"""Chosen by driving random roads; preview stands in for the derivative."""
+"""Chosen by driving random roads; the preview replaces the derivative term."""
 CAMERA = CameraSpec(
     # maxitwo, BeamNG: 120 degrees, 1.7 m forward and 1.0 m up, looking straight ahead; chosen: 3 degrees down.
     horizontal_fov=math.radians(120.0),
@@ -48,10 +48,10 @@ LOOK = Look(
 
 
 class SoftbodySimulator(RoadSimulator):
-    """A small electric car of nodes and damped beams.
+    """Simulator of a small electric car of nodes and damped beams.
 
     Args:
-        parameters: of the car; the nominal ones if left out.
+        parameters: parameters of the car; nominal values if omitted.
     """
 
     def __init__(self, parameters: SoftbodyParameters | None = None) -> None:

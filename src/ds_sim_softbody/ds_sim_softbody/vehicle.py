@@ -1,4 +1,4 @@
-"""The soft car as a `ds_sim.vehicle.Vehicle`."""
+"""Soft-body car as a `ds_sim.vehicle.Vehicle`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ds_sim_softbody.parameters import SoftbodyParameters
 
 
 class SoftbodyVehicle:
-    """A car of nodes and beams on an endless plane.
+    """Car of nodes and beams on an infinite plane.
 
-    The physics run in the car's own axes at the start, so that a run is the same wherever it starts.
+    The physics run in the car's axes at the start, so that a run does not depend on where it starts.
 
     Args:
-        parameters: of the car; the nominal ones if left out.
+        parameters: parameters of the car; nominal values if omitted.
     """
 
     def __init__(self, parameters: SoftbodyParameters | None = None) -> None:
@@ -29,20 +29,20 @@ class SoftbodyVehicle:
 
     @property
     def parameters(self) -> SoftbodyParameters:
-        """Of the car."""
+        """Parameters of the car."""
         return self._parameters
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
-        """Build the car anew, at rest with its middle at (x, y), m, heading yaw; nothing is drawn from `rng`."""
+        """Build the car from scratch, at rest with its centre at (x, y), m, heading yaw (rad); `rng` is not used."""
         self._start = (x, y, yaw)
         self._car = Car(self._parameters, self._plan)
 
     def advance(self, command: Command) -> None:
-        """Hold a command for one frame of 1/20 s."""
+        """Advance by one step of 1/20 s with the command held."""
         self._running().advance(command)
 
     def state(self) -> VehicleState:
-        """The state of the middle between the axles, that of the undeformed frame laid over the nodes."""
+        """State of the midpoint between the axles, of the undeformed frame fitted to the nodes."""
         car = self._running()
         motion = car.motion
         x, y, yaw = self._start
@@ -61,10 +61,10 @@ class SoftbodyVehicle:
         )
 
     def close(self) -> None:
-        """Let go of the frame; `reset` may follow."""
+        """Release the frame; `reset` may follow."""
         self._car = None
 
     def _running(self) -> Car:
         if self._car is None:
-            raise SimulatorError("the soft car stands on no road: call reset first")
+            raise SimulatorError("the soft car has not been placed yet: call reset first")
         return self._car

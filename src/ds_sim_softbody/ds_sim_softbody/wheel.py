@@ -1,30 +1,30 @@
-"""A wheel on its node: where it points, how its tyre slips, how fast it spins."""
+"""Models a wheel at its node: heading, slip of the tyre, spin."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from ds_sim_softbody.lattice import VALUES, Corner
+from ds_sim_softbody.lattice import VALUES_PER_NODE, CornerNodes
 from ds_sim_softbody.parameters import SoftbodyParameters
 
-LEAST_LOAD = 0.01
-"""Share of its static load that a lifted wheel keeps in the formulas; chosen: small, but nothing to divide by is 0."""
+MIN_LOAD_SHARE = 0.01
+"""Smallest load of a wheel over its static load, even when lifted; chosen: small, but avoids divisions by zero."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WheelPlan:
-    """What is particular to one wheel.
+    """Properties of one wheel.
 
     Attributes:
-        corner: its nodes.
+        corner: nodes of the wheel and its bushes.
         static_load: N.
-        cornering_stiffness: over load, 1/rad.
-        toe_per_shift: how a shift of the wheel to the left against its bushes turns it to the left, rad/m.
-        spin_inertia: about the axle with what is geared to it, kg m^2.
+        cornering_stiffness: cornering stiffness over load, 1/rad.
+        toe_per_shift: angle by which the wheel turns left when it shifts left against its bushes, rad/m.
+        spin_inertia: inertia about the axle, including what is geared to it, kg m^2.
     """
 
-    corner: Corner
+    corner: CornerNodes
     static_load: float
     cornering_stiffness: float
     toe_per_shift: float
@@ -32,18 +32,18 @@ class WheelPlan:
 
 
 class Wheel:
-    """One wheel with a brush tyre on a carcass that gives (Pacejka, ch. 3 and 7).
+    """Wheel with a brush tyre on a flexible carcass (Pacejka, ch. 3 and 7).
 
-    The contact patch hangs on the wheel by the carcass. Its deflection grows with the slip velocity and is rolled off
-    within the relaxation length, which gives the slip at any speed, zero included, without dividing by speed: a
-    standing tyre is a spring and damper. The brush formula turns the deflection into a force within the friction
-    circle; beyond full sliding the deflection grows no further.
+    The carcass connects the contact patch to the wheel. Its deflection grows with the slip velocity and decays over
+    the relaxation length, which yields the slip at any speed, including zero, without dividing by speed: a standing
+    tyre is a spring with a damper. The brush formula converts the deflection to a force within the friction circle;
+    beyond full sliding the deflection grows no further.
 
     Args:
-        p: of the car.
-        plan: of this wheel.
-        nodes: of the frame at rest, as `Lattice.read` gives them.
-        dt: of a step, s.
+        p: parameters of the car.
+        plan: properties of this wheel.
+        nodes: nodes of the frame at rest, as returned by `Lattice.read`.
+        dt: substep, s.
     """
 
     __slots__ = (
@@ -54,7 +54,7 @@ class Wheel:
 
     def __init__(self, p: SoftbodyParameters, plan: WheelPlan, nodes: list[float], *, dt: float) -> None:
         self._p, self._plan, self._dt = p, plan, dt
-        self._at, self._fore, self._aft = (VALUES * node for node in plan.corner)
+        self._at, self._fore, self._aft = (VALUES_PER_NODE * node for node in plan.corner)
         self._toe = plan.toe_per_shift
         self._inertia = plan.spin_inertia
         self._radius = p.wheel_radius
@@ -63,39 +63,39 @@ class Wheel:
         # Deflection of the carcass along and across the wheel, m.
         self._along = self._across = 0.0
         self.spin = 0.0
-        """Of the wheel about its axle, forward positive, rad/s."""
+        """Angular velocity about the axle, forward positive, rad/s."""
         self.torque = 0.0
-        """From the motor, N m."""
+        """Torque of the motor, N m."""
         self.heading_x, self.heading_y = 1.0, 0.0
-        """Unit vector to which the wheel points."""
-        # How far the wheel stands to the left of the middle of its bushes, m.
+        """Unit vector in the direction of the wheel."""
+        # Distance of the wheel to the left of the midpoint of its bushes, m.
         self._rest = nodes[self._at + 1] - 0.5 * (nodes[self._fore + 1] + nodes[self._aft + 1])
         self.turn(0.0)
         self.carry(plan.static_load)
 
     def turn(self, angle: float) -> None:
-        """Steer: the angle between the frame at this wheel and the wheel with its arm unloaded, rad, left positive."""
+        """Set the steering angle: that between frame and wheel with the arm unloaded, rad, left positive."""
         self._heading_cos, self._heading_sin = math.cos(angle), math.sin(angle)
 
     def carry(self, load: float) -> None:
         """Set the vertical load, N."""
         p, plan = self._p, self._plan
-        self.load = load = max(load, LEAST_LOAD * plan.static_load)
+        self.load = load = max(load, MIN_LOAD_SHARE * plan.static_load)
         grip = p.friction * (1.0 - p.load_sensitivity * (load / plan.static_load - 1.0))
-        # A stiffness of the carcass that gives C * slip in steady rolling: deflection = slip * relaxation length.
+        # Carcass stiffness that gives a force of C * slip in steady rolling: deflection = slip * relaxation length.
         self._longitudinal = p.slip_stiffness * load / p.longitudinal_relaxation
         self._lateral = plan.cornering_stiffness * load / p.lateral_relaxation
         self._limit = max(grip, 0.1 * p.friction) * load
         self._resistance = p.rolling_resistance * load * p.wheel_radius
 
     def roll(self, nodes: list[float]) -> tuple[float, float]:
-        """Advance the wheel by one step and tell the force of the road on its node (x, y), N.
+        """Advance the wheel by one substep and return the force of the road on its node (x, y), N.
 
         Args:
-            nodes: of the frame now, as `Lattice.read` gives them.
+            nodes: current nodes of the frame, as returned by `Lattice.read`.
         """
         at, fore, aft, dt = self._at, self._fore, self._aft, self._dt
-        # The frame's direction between the two bushes, turned by the steering and by what the arm gives.
+        # Direction of the frame between the two bushes, rotated by the steering and by the flex of the arm.
         frame_x, frame_y = nodes[fore] - nodes[aft], nodes[fore + 1] - nodes[aft + 1]
         scale = 1.0 / math.sqrt(frame_x * frame_x + frame_y * frame_y)
         frame_x *= scale
@@ -123,16 +123,16 @@ class Wheel:
         sliding = 3.0 * self._limit
         force_along = self._longitudinal * (along + self._damping * (along - self._along))
         force_across = self._lateral * (across + self._damping * (across - self._across))
-        wanted = math.sqrt(force_along * force_along + force_across * force_across)
-        share = wanted / sliding
+        demanded_force = math.sqrt(force_along * force_along + force_across * force_across)
+        share = demanded_force / sliding
         if share < 1.0:
             grip = 1.0 - share + share * share / 3.0
         else:
-            grip = self._limit / wanted
-            held = math.hypot(self._longitudinal * along, self._lateral * across)
-            if held > sliding:
-                along *= sliding / held
-                across *= sliding / held
+            grip = self._limit / demanded_force
+            elastic_force = math.hypot(self._longitudinal * along, self._lateral * across)
+            if elastic_force > sliding:
+                along *= sliding / elastic_force
+                across *= sliding / elastic_force
         self._along, self._across = along, across
         force_along *= grip
         force_across *= grip

@@ -1,4 +1,4 @@
-"""The soft car against textbooks, hand-worked numbers and itself."""
+"""Compares the soft car with textbook formulas, values worked out by hand, and itself."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
 from ds_sim_softbody.attitude import Attitude
 from ds_sim_softbody.car import Car
-from ds_sim_softbody.lattice import VALUES, Lattice, blueprint
+from ds_sim_softbody.lattice import VALUES_PER_NODE, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 
@@ -39,7 +39,7 @@ def drive(vehicle: SoftbodyVehicle, frames: int, steering: float, throttle: floa
 
 
 def path(vehicle: SoftbodyVehicle, frames: int) -> NDArray[np.float64]:
-    """x, y, yaw, speed of a drive with everything in it."""
+    """Drive with varying steering and throttle; returns (frames, 4) of x, y, yaw, speed."""
     rows = []
     for i in range(frames):
         vehicle.advance(Command(0.8 * math.sin(0.1 * i), 0.4 + 0.3 * math.cos(0.035 * i)))
@@ -53,7 +53,7 @@ def radius(state: VehicleState) -> float:
 
 
 def slip_angle(lateral_acceleration: float, stiffness: float) -> float:
-    """Of an axle that carries an acceleration in g, rad: the brush formula solved by hand for the slip."""
+    """Slip angle of an axle at a lateral acceleration in g, rad: the brush formula solved for the slip."""
     share = 1.0 - (1.0 - lateral_acceleration / P.friction) ** (1.0 / 3.0)
     return 3.0 * P.friction * share / stiffness
 
@@ -74,7 +74,7 @@ def test_the_same_commands_give_the_same_bytes_in_a_fresh_process() -> None:
     assert fresh.strip() == hashlib.sha256(path(standing(), 100).tobytes()).hexdigest()
 
 
-def test_a_reset_forgets_what_was_before() -> None:
+def test_a_reset_clears_all_state() -> None:
     used = standing()
     list(drive(used, 60, -1.0, 0.8))
     used.reset(3.0, -2.0, 0.7, np.random.default_rng(5))
@@ -94,7 +94,7 @@ def test_a_run_is_the_same_wherever_it_starts() -> None:
     np.testing.assert_array_equal(there[:, 3], here[:, 3])
 
 
-def test_without_a_reset_it_says_what_is_missing() -> None:
+def test_driving_before_reset_is_refused() -> None:
     vehicle = SoftbodyVehicle()
     with pytest.raises(SimulatorError, match="call reset"):
         vehicle.advance(Command(0.0, 0.0))
@@ -115,7 +115,7 @@ def test_minus_one_is_left() -> None:
     assert (right.yaw, right.roll) == pytest.approx((-left.yaw, -left.roll), rel=1e-3)
 
 
-def test_yaw_counts_on_beyond_a_turn() -> None:
+def test_yaw_is_not_wrapped() -> None:
     *_, last = drive(standing(), 400, -1.0, 0.4)
     assert last.yaw > math.tau
 
@@ -157,8 +157,8 @@ def test_a_tenth_of_throttle_moves_it_at_full_lock(steering: float) -> None:
     assert math.hypot(last.speed, last.lateral_speed) > 0.1
 
 
-def test_lifting_the_throttle_slows_it_as_generator_and_tyres_say() -> None:
-    """Deceleration by hand: (regeneration + rolling resistance) / (mass + what spins / radius^2)."""
+def test_coasting_decelerates_by_regeneration_and_rolling_resistance() -> None:
+    """Deceleration by hand: (regeneration + rolling resistance) / (mass + spinning inertia / radius^2)."""
     vehicle = standing()
     list(drive(vehicle, 100, 0.0, 0.6))
     states = list(drive(vehicle, 40, 0.0, 0.0))
@@ -171,15 +171,17 @@ def test_lifting_the_throttle_slows_it_as_generator_and_tyres_say() -> None:
 
 @pytest.mark.parametrize("steering", [-0.2, -0.5, -1.0])
 def test_a_slow_circle_is_the_kinematic_one(steering: float) -> None:
-    """The rear axle at L / tan(angle), the middle half a wheelbase ahead of it."""
+    """The centre of the rear axle has radius L / tan(angle), the car's centre is half a wheelbase ahead."""
     *_, last = drive(standing(replace(P, ackermann=1.0)), 160, steering, 0.2)
     by_hand = math.hypot(P.wheelbase / math.tan(-steering * P.max_steering_angle), P.wheelbase / 2.0)
     assert radius(last) == pytest.approx(by_hand, rel=0.04)
 
 
-def test_a_faster_circle_understeers_as_tyres_and_bushes_say() -> None:
-    """The front axle's angle that is lost on the way from a slow circle to a fast one, by hand: the slip angles'
-    difference, and what the wheels are turned by when they shift in their bushes."""
+def test_a_faster_circle_understeers_by_tyre_slip_and_bush_flex() -> None:
+    """Steering angle lost from a slow circle to a fast one, by hand.
+
+    It is the difference of the slip angles plus the angle by which the wheels turn when they shift in their bushes.
+    """
     parallel = replace(P, ackermann=0.0)
     reach = P.track / 2.0 - P.rail_half_width
     sideways = 2.0 * P.arm_stiffness * reach**2 / (reach**2 + P.bush_spacing**2)
@@ -199,14 +201,14 @@ def test_a_faster_circle_understeers_as_tyres_and_bushes_say() -> None:
 
 
 def test_softer_arms_turn_the_car_less() -> None:
-    """The frame is part of the steering: the flex is no decoration."""
+    """The flex of the frame affects the steering."""
     *_, soft = drive(standing(replace(P, arm_stiffness=0.5e6)), 200, -0.3, 0.5)
     *_, stiff = drive(standing(replace(P, arm_stiffness=6e6)), 200, -0.3, 0.5)
     assert radius(soft) > 1.05 * radius(stiff)
 
 
-def test_grip_ends_where_friction_says() -> None:
-    """Full throttle at full lock: the car slides over its front wheels with at most the friction's acceleration."""
+def test_friction_limits_the_grip() -> None:
+    """At full throttle and full lock the front wheels slide; friction limits the lateral acceleration."""
     states = list(drive(standing(), 300, -1.0, 1.0))[200:]
     lateral = np.mean([math.hypot(s.speed, s.lateral_speed) * s.yaw_rate for s in states]) / GRAVITY
     assert 0.5 < lateral < P.friction
@@ -249,39 +251,39 @@ def test_the_frame_has_the_cars_mass_centre_and_inertia() -> None:
 
 
 def modes() -> NDArray[np.float64]:
-    """Angular frequencies of the free frame, rad/s, from its stiffness matrix."""
+    """Angular frequencies of the free frame's modes, rad/s, from its stiffness matrix."""
     stiffness = np.zeros((2 * len(PLAN.masses),) * 2)
     for beam in PLAN.beams:
-        way = PLAN.positions[beam.second] - PLAN.positions[beam.first]
-        way /= np.hypot(*way)
-        both = np.concatenate((-way, way))
+        direction = PLAN.positions[beam.second] - PLAN.positions[beam.first]
+        direction /= np.hypot(*direction)
+        both = np.concatenate((-direction, direction))
         at = [2 * beam.first, 2 * beam.first + 1, 2 * beam.second, 2 * beam.second + 1]
         stiffness[np.ix_(at, at)] += beam.stiffness * np.outer(both, both)
     squares = eigh(stiffness, np.diag(np.repeat(PLAN.masses, 2)), eigvals_only=True)
     return np.asarray(np.sqrt(np.clip(squares, 0.0, None)))
 
 
-def test_the_frame_holds_together_and_the_step_follows_its_fastest_mode() -> None:
-    """Three rigid motions and no other mechanism; the explicit step's limit is 2 / frequency."""
+def test_the_frame_is_rigid_and_the_substep_resolves_its_fastest_mode() -> None:
+    """Three rigid motions and no other mechanism; the explicit step is stable up to 2 / frequency."""
     found = modes()
     assert found[2] < 0.1 < 50.0 < found[3]
     assert found[3] / math.tau == pytest.approx(14.3, abs=0.5)
     assert found[-1] * FRAME_TIME / P.frame_substeps < 1.0
 
 
-def test_the_engine_gives_the_nodes_in_our_order() -> None:
+def test_the_engine_returns_the_nodes_in_the_order_of_the_blueprint() -> None:
     lattice = Lattice(PLAN, iterations=2)
-    nodes = np.array(lattice.read()).reshape(-1, VALUES)
+    nodes = np.array(lattice.read()).reshape(-1, VALUES_PER_NODE)
     np.testing.assert_array_equal(nodes[:, :2], PLAN.positions)
     lattice.push[1]((0.0, 100.0), (0.0, 0.0))
     lattice.step(0.001)
-    nodes = np.array(lattice.read()).reshape(-1, VALUES)
+    nodes = np.array(lattice.read()).reshape(-1, VALUES_PER_NODE)
     assert nodes[1, 3] == pytest.approx(100.0 * 0.001 / P.unsprung_mass, rel=0.1)
     assert np.abs(nodes[[0, 2, 3], 2:]).max() < 1e-6
 
 
 def test_a_push_moves_the_frame_as_newton_says() -> None:
-    """Momentum and angular momentum are the push's, whatever the beams do among themselves."""
+    """Momentum and angular momentum equal those of the push, whatever the internal forces."""
     lattice = Lattice(PLAN, iterations=2)
     for _ in range(100):
         lattice.push[0]((0.0, 500.0), (0.0, 0.0))
@@ -291,7 +293,7 @@ def test_a_push_moves_the_frame_as_newton_says() -> None:
     assert motion.yaw_rate * P.yaw_inertia == pytest.approx(P.wheelbase / 2.0 * 500.0 * 0.1, rel=5e-3)
 
 
-def test_without_throttle_no_energy_appears() -> None:
+def test_without_throttle_energy_never_grows() -> None:
     vehicle = standing()
     list(drive(vehicle, 100, -0.7, 0.7))
     energy = []
@@ -304,10 +306,10 @@ def test_without_throttle_no_energy_appears() -> None:
     assert energy[-1] < 0.01 * energy[0]
 
 
-def test_halving_the_step_moves_nothing_that_matters() -> None:
+def test_halving_the_substep_changes_the_path_little() -> None:
     fine = replace(P, frame_substeps=2 * P.frame_substeps, body_substeps=2 * P.body_substeps)
-    apart = np.abs(path(standing(), 120) - path(standing(fine), 120))
-    assert apart[:, :2].max() < 0.05
+    differences = np.abs(path(standing(), 120) - path(standing(fine), 120))
+    assert differences[:, :2].max() < 0.05
 
 
 def test_full_throttle_straight_ahead_ends_at_the_top_speed() -> None:
@@ -333,7 +335,7 @@ def test_impossible_parameters_are_refused(name: str, value: float) -> None:
         dataclasses.replace(P, **{name: value})  # type: ignore[arg-type]
 
 
-def test_a_lifted_wheel_pulls_nothing_worth_mentioning() -> None:
+def test_a_lifted_wheel_carries_the_minimum_load() -> None:
     car = Car(replace(P, centre_of_mass_height=1.2, roll_axis_height=0.1), PLAN)
     for _ in range(200):
         car.advance(Command(-0.6, 0.8))
