@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
-# The linters, as `make lint` and `make test` run them.
+# The linters, as `make lint`, `make test` and the pre-commit hooks run them.
 set -euo pipefail
 cd "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")/.."
 . .venv/env.sh
 ruff check .
+ruff format --check .
+codespell
 mypy

@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
-# The linters, then all tests; arguments go to pytest.
+# The linters, then the tests in parallel, one worker per core; arguments go to pytest (`-n 0`: one process).
+# Tests marked `long` run only when asked for: `make test-long`, or ARGS="-m long".
 set -euo pipefail
 cd "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")/.."
 tools/lint.sh
 . .venv/env.sh
-exec python -m pytest "$@"
+# Files stay whole, as their tests share graphs; conftest.py puts the longest files first.
+exec python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations=25 "$@"

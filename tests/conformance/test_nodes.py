@@ -45,6 +45,7 @@ def test_a_node_drives_as_its_simulator_does(graph: Any, simulator_name: str) ->
     assert [run.outcome for run in runs] == [Outcome.COMPLETED] * 3
     assert [trajectory_sha256(run) == trajectory_sha256(here) for run in runs] == [True, False, True]
     assert runs[0].commands == here.commands
+    assert runs[0].fitness == here.fitness
 
 
 def test_a_node_tells_what_its_simulator_is(graph: Any, simulator_name: str) -> None:

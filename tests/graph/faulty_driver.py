@@ -1,8 +1,7 @@
-"""A driver in a process of its own that drives straight on, and goes wrong as the parameter or a file tells it.
+"""A driver in a process of its own that drives straight on and fails as a parameter or a file asks for.
 
-Parameters: `fault`, or `orders`, a file that is read at the start of each run; `at`, the frame at which it goes wrong;
-`delay`, s by which `late` answers late; `once`, a file that is made when it goes wrong, and keeps it from doing so
-again.
+Parameters: `fault`, or `orders`, a file that is read at the start of each run; `at`, the frame at which it fails;
+`delay`, s by which `late` answers late; `once`, a file that is created at the failure and prevents another one.
 """
 
 from __future__ import annotations
@@ -17,7 +16,8 @@ from ds_interfaces.msg import DriveCommand, VehicleState
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-FAULTS = ("none", "crash", "hang", "twice", "late", "old", "nan", "range", "silent")
+FAULTS = ("none", "crash", "hang", "twice", "late", "old", "nan", "range", "beyond", "silent")
+"""`twice` answers the frame before once more, then this frame twice; `range` and `beyond` leave the valid range."""
 
 
 class FaultyDriver(Node):
@@ -30,6 +30,7 @@ class FaultyDriver(Node):
         self._at = self.declare_parameter("at", 20).value
         self._delay = self.declare_parameter("delay", 0.0).value
         self._once = Path(self.declare_parameter("once", "/nowhere").value)
+        self._previous = Header()
         self._publisher = self.create_publisher(DriveCommand, "drive", 10)
         self.create_subscription(VehicleState, "state", self._drive, 10)
 
@@ -55,16 +56,21 @@ class FaultyDriver(Node):
             time.sleep(3600.0)
         if fault == "late" and state.step == self._at:
             time.sleep(self._delay)
+        if fault == "twice":
+            self._say(self._previous, steering=1.0, throttle=1.0)
         if fault == "old":
             self._say(Header(stamp=self.get_clock().now().to_msg()))
         elif fault == "nan":
             self._say(state.header, steering=math.nan)
         elif fault == "range":
             self._say(state.header, throttle=7.0)
+        elif fault == "beyond":
+            self._say(state.header, steering=-1.5)
         elif fault != "silent":
             self._say(state.header)
         if fault == "twice":
             self._say(state.header, steering=1.0)
+        self._previous = state.header
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Drivers that crash, hang, answer twice, late, with old stamps or with NaN: the run ends rightly and in time."""
+"""Drivers that crash, hang, or answer twice, late or wrongly: the run ends in time, with the right outcome."""
 
 from __future__ import annotations
 
@@ -77,28 +77,33 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize(
-    ("fault", "named"),
+    ("fault", "at", "named"),
     [
-        ("silent", "no command within 2 s"),
-        ("old", "no command within 2 s"),
-        ("nan", "steering is nan"),
-        ("range", "throttle is 7"),
+        ("silent", 0, "no command within 2 s"),
+        ("silent", 20, "no command within 2 s"),
+        ("old", 20, "no command within 2 s"),
+        ("nan", 20, "steering is nan"),
+        ("range", 20, "throttle is 7"),
+        ("beyond", 0, "-1.5"),
     ],
 )
-def test_a_driver_that_gives_no_usable_answer_ends_the_run_in_time(bench: Bench, fault: str, named: str) -> None:
-    """In the middle of a run."""
-    bench.order(fault)
+def test_a_driver_that_gives_no_usable_answer_ends_the_run_in_time(
+    bench: Bench, fault: str, at: int, named: str
+) -> None:
+    """At the first frame, and in the middle of a run."""
+    bench.order(fault, at=at)
     run, seconds = bench.drive()
     assert run.outcome is Outcome.DRIVER_SILENT and named in run.message
-    assert run.steps == 20
+    assert run.steps == at
     assert LIMIT <= seconds < LIMIT + BUSY
 
 
 def test_only_the_first_answer_to_a_frame_counts(bench: Bench) -> None:
+    """Lock-step by stamp: neither a second answer nor one to the frame before is executed."""
     bench.order("twice", at=0)
     run, _ = bench.drive()
     assert run.outcome is Outcome.COMPLETED
-    assert {c.steering for c in run.commands} == {0.0}
+    assert {(c.steering, c.throttle) for c in run.commands} == {(0.0, 0.5)}
 
 
 def test_a_late_answer_within_the_limit_changes_nothing(bench: Bench) -> None:

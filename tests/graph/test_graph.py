@@ -15,12 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.control.autopilot import Autopilot
-from ds_orchestrator.campaign.runner import trajectory_sha256
 from ds_road import Road, generate
-from ds_sim.registry import make_simulator
 from ds_sim.ros import conversions as messages
-from ds_sim.session import Session
 from ds_sim.simulator import Outcome
 
 pytestmark = pytest.mark.graph
@@ -29,53 +25,39 @@ ROAD = generate(np.random.default_rng(21), max_angle=120)
 SPACE = {"donkey": "/ds1"}
 
 
-@pytest.fixture
-def graph(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
+@pytest.fixture(scope="module")
+def shared_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A donkey with the autopilot."""
     from ds_orchestrator.graph.session import running_graph
 
+    logs = tmp_path_factory.mktemp("logs")
     with running_graph(SPACE, "autopilot", command_timeout=5.0, logs=logs) as executor:
-        join(executor)
         yield executor
 
 
 @pytest.fixture
+def graph(shared_graph: Any, join: Callable[..., None]) -> Any:
+    """The module's graph, joined by this process."""
+    join(shared_graph)
+    return shared_graph
+
+
+@pytest.fixture
 def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
-    """A donkey that waits 1.5 s for a driver that the test brings; gives (executor, ROS domain)."""
+    """A donkey without a driver; yields (executor, ROS domain)."""
     from ds_orchestrator.graph.executor import GraphExecutor
     from ds_orchestrator.graph.process_specs import simulator_processes
     from ds_orchestrator.graph.ros_domain import RosDomain
     from ds_orchestrator.graph.supervisor import Supervisor
 
     domain = RosDomain()
-    supervisor = Supervisor(simulator_processes(SPACE, 1.5), domain=domain.number, logs=logs)
-    executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=1.5, supervisor=supervisor)
+    supervisor = Supervisor(simulator_processes(SPACE, 10.0), domain=domain.number, logs=logs)
+    executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
     join(executor)
     yield executor, domain.number
     executor.close()
     supervisor.close()
     domain.close()
-
-
-def test_a_run_through_ros_equals_a_run_in_this_process(graph: Any) -> None:
-    """Bit for bit: the transport adds nothing and loses nothing; and again, and after another road in between."""
-    simulator = make_simulator("donkey")
-    session, pilot = Session(simulator), Autopilot(simulator.spec.autopilot)
-    observation = session.start(ROAD, 5)
-    while session.driving and observation is not None:
-        command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
-        observation = session.advance(command)
-    assert session.run is not None and session.run.outcome is Outcome.COMPLETED
-    runs = [
-        graph.execute("donkey", ROAD, 5),
-        graph.execute("donkey", ROAD.reversed(), 6),
-        graph.execute("donkey", ROAD, 5),
-    ]
-    assert [run.outcome for run in runs] == [Outcome.COMPLETED] * 3
-    expected = trajectory_sha256(session.run)
-    assert [trajectory_sha256(run) == expected for run in runs] == [True, False, True]
-    assert runs[0].commands == session.run.commands
-    assert runs[0].fitness == session.run.fitness
 
 
 def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
@@ -130,8 +112,11 @@ def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
     graph.check_simulators()
     graph._namespaces["bullet"] = "/ds1"
     graph._simulators["bullet"] = graph._simulators["donkey"]
-    with pytest.raises(GraphError, match="/ds1 is donkey, expected bullet"):
-        graph.check_simulators()
+    try:
+        with pytest.raises(GraphError, match="/ds1 is donkey, expected bullet"):
+            graph.check_simulators()
+    finally:
+        del graph._namespaces["bullet"], graph._simulators["bullet"]
 
 
 def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:
@@ -165,73 +150,6 @@ def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> 
         assert not answer.accepted and answer.reason and "\n" not in answer.reason, name
     node.destroy_node()
     assert graph.execute("donkey", ROAD, 1).outcome is Outcome.COMPLETED
-
-
-def test_a_silent_driver_is_an_error_within_its_limit(lonely_simulator: Any) -> None:
-    from ds_interfaces.msg import DriveCommand
-    from rclpy.node import Node
-
-    executor, _ = lonely_simulator
-    node = Node("silent_driver")
-    node.create_publisher(DriveCommand, "/ds1/drive", 1)
-    started = time.monotonic()
-    executor.wait_until_ready(30.0)
-    run = executor.execute("donkey", ROAD, 1)
-    assert run.outcome is Outcome.DRIVER_SILENT and "no command within 1.5 s" in run.message
-    assert time.monotonic() - started < 40.0
-    node.destroy_node()
-
-
-@pytest.mark.parametrize(
-    ("steering", "throttle", "named"),
-    [(math.nan, 0.5, "steering is nan"), (0.0, 7.0, "throttle is 7"), (-1.5, 0.1, "-1.5")],
-)
-def test_commands_that_cannot_be_executed_are_refused_by_name(
-    lonely_simulator: Any, spin: Callable[..., None], steering: float, throttle: float, named: str
-) -> None:
-    from ds_interfaces.msg import DriveCommand
-    from rclpy.node import Node
-    from sensor_msgs.msg import Image
-
-    executor, _ = lonely_simulator
-    node = Node("bad_driver")
-    publisher = node.create_publisher(DriveCommand, "/ds1/drive", 1)
-
-    def answer(image: Image) -> None:
-        publisher.publish(DriveCommand(header=image.header, steering=steering, throttle=throttle))
-
-    node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
-    spin(node)
-    run = executor.execute("donkey", ROAD, 1)
-    assert run.outcome is Outcome.DRIVER_SILENT and named in run.message
-    node.destroy_node()
-
-
-def test_answers_to_other_frames_do_not_count(lonely_simulator: Any, spin: Callable[..., None]) -> None:
-    """Lock-step by stamp: a driver that answers twice, and once with an old stamp, drives as if it answered once."""
-    from ds_interfaces.msg import DriveCommand
-    from rclpy.node import Node
-    from sensor_msgs.msg import Image
-    from std_msgs.msg import Header
-
-    executor, _ = lonely_simulator
-    node = Node("chatty_driver")
-    publisher = node.create_publisher(DriveCommand, "/ds1/drive", 10)
-    last = [Header()]
-
-    def answer(image: Image) -> None:
-        publisher.publish(DriveCommand(header=last[0], steering=1.0, throttle=1.0))
-        for _ in range(2):
-            publisher.publish(DriveCommand(header=image.header, steering=0.0, throttle=0.3))
-        last[0] = image.header
-
-    node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
-    spin(node)
-    straight = Road([(125.0, 25.0 * i) for i in range(9)])
-    run = executor.execute("donkey", straight, 1)
-    assert run.outcome is Outcome.COMPLETED
-    assert {(c.steering, c.throttle) for c in run.commands} == {(0.0, 0.3)}
-    node.destroy_node()
 
 
 def test_another_driver_takes_the_wheel_without_touching_anything_else(lonely_simulator: Any) -> None:
@@ -269,10 +187,10 @@ def test_a_driver_that_answers_nan_is_an_error_that_says_so(
         "class Late:\n    def drive(self, seen):\n        return float('nan') if seen.step == 5 else 0.0\n"
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    with running_graph(SPACE, "late:Late", command_timeout=3.0, logs=logs) as executor:
+    with running_graph(SPACE, "late:Late", command_timeout=6.0, logs=logs) as executor:
         run = executor.execute("donkey", ROAD, 1)
     assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 5
-    assert "no command within 3 s" in run.message and "steering is nan" in run.message
+    assert "no command within 6 s" in run.message and "steering is nan" in run.message
     log = (logs / "driver.log").read_text()
     assert "the network's steering is nan" in log and "5 frames answered: median" in log and "Traceback" not in log
 

@@ -26,14 +26,15 @@ pytestmark = pytest.mark.graph
 
 SEED = 2
 ORDER = ("orchestrator", "driver", "sigint", "simulator", "worker", "two", "sigterm")
-"""The first ones are in every run of the tests, `--moments` asks for more."""
+"""What is killed at each moment, in turn. The first one is in every run of the tests, the others are marked `long`."""
 PROCESSES = 4
 """Of a graph: three simulators and a driver."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "number" in metafunc.fixturenames:
-        metafunc.parametrize("number", range(metafunc.config.getoption("--moments")))
+        moments = range(metafunc.config.getoption("--moments"))
+        metafunc.parametrize("number", [pytest.param(n, marks=[pytest.mark.long] * (n > 0)) for n in moments])
 
 
 @pytest.fixture(scope="module")

@@ -35,6 +35,7 @@ def executions(folder: Path) -> dict[tuple[str, str], tuple[str, str]]:
     return {(test_id, simulator): (outcome, sha) for test_id, simulator, outcome, sha in rows}
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)  # the machine is made busy on purpose
 def test_the_same_seed_gives_the_same_bytes_also_on_a_busy_machine(tmp_path: Path) -> None:
     """Two fresh graphs of all simulators with the network; both cores busy with something else the second time."""

@@ -1,0 +1,27 @@
+"""Settings of all tests: threads per process, and the order of files for parallel workers."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+# Workers run in parallel and start further processes: one thread each for linear algebra. NumPy and PyTorch read this
+# when they are imported.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+LONGEST_FIRST = ("tests/graph/test_kill.py", "tests/graph/test_graph.py", "tests/conformance/test_as_sibling.py")
+"""Files that take longest, so that no worker starts one when the other workers have finished."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort files: the longest first, then those that start graphs, then the others; order within a file stays."""
+
+    def rank(item: pytest.Item) -> tuple[int, bool]:
+        file = item.nodeid.partition("::")[0]
+        place = LONGEST_FIRST.index(file) if file in LONGEST_FIRST else len(LONGEST_FIRST)
+        return place, file not in with_graphs
+
+    with_graphs = {item.nodeid.partition("::")[0] for item in items if item.get_closest_marker("graph")}
+    items.sort(key=rank)
