@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 RUN_SETUP = $${PYTHON:-python3} tools/setup.py
 
-.PHONY: help setup demo test test-long lint clean
+.PHONY: help setup demo test test-long fuzz lint clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,6 +20,10 @@ test:  ## run the linters and the tests (ARGS="..." for pytest)
 test-long:  ## run the tests that take minutes each (CONTRIBUTING.md says what they cover)
 	@$(RUN_SETUP) --dev
 	@./tools/test.sh -m long --timeout 1800 $(ARGS)
+
+fuzz:  ## damage received files by the ten thousand (DS_FUZZ=N inputs of each kind, ARGS="..." for pytest)
+	@$(RUN_SETUP) --dev
+	@. .venv/env.sh && DS_FUZZ=$${DS_FUZZ:-20000} python -m pytest tests/fuzz -n auto --maxprocesses 4 $(ARGS)
 
 lint:  ## run the linters only
 	@$(RUN_SETUP) --dev
