@@ -11,7 +11,11 @@ import pytest
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-LONGEST_FIRST = ("tests/graph/test_kill.py", "tests/graph/test_runs_and_roads.py", "tests/conformance/test_as_sibling.py")
+LONGEST_FIRST = (
+    "tests/graph/test_kill.py",
+    "tests/graph/test_runs_and_roads.py",
+    "tests/conformance/test_as_sibling.py",
+)
 """Files that take longest, so that no worker starts one when the other workers have finished."""
 
 
