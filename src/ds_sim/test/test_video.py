@@ -61,5 +61,5 @@ def test_a_run_that_was_recorded_elsewhere_is_noticed(run: RunRecord) -> None:
 def test_a_bad_place_for_a_video_is_named(tmp_path: Path) -> None:
     with pytest.raises(VideoError, match="ends with .mp4"):
         check_path(tmp_path / "run.avi")
-    with pytest.raises(VideoError, match="no folder"):
+    with pytest.raises(VideoError, match="is not a folder"):
         check_path(tmp_path / "none" / "run.mp4")
