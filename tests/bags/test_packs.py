@@ -15,6 +15,7 @@ from ds_bags.packs import pack, topic_prefix, unpack
 from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
 from ds_orchestrator.campaign.bag_groups import groups_of
+from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Execution, Store, Test
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -47,8 +48,8 @@ def test_a_campaign_s_bags_are_grouped_by_cell_or_by_run(run: RunRecord, tmp_pat
             store.add_execution(
                 Execution(
                     test_id=name, simulator=simulator, outcome=Outcome.COMPLETED, message="", fitness=1.0,
-                    max_lateral_position=0.5, steps=0, simulated_seconds=0.0, trajectory_sha256="",
-                    trajectory=np.zeros((0, 5)), bag=bag,
+                    max_lateral_position=0.5, steps=0, simulated_seconds=0.0,
+                    trajectory_sha256=trajectory_sha256(np.zeros((0, 5))), trajectory=np.zeros((0, 5)), bag=bag,
                 )
             )  # fmt: skip
     store.close()

@@ -134,11 +134,14 @@ def test_a_store_that_cannot_be_used_is_left_as_it_is(campaign: Path, config: Pa
 
 
 def test_damage_within_a_run_is_named(campaign: Path, ds: Ds) -> None:
-    change(campaign, "UPDATE executions SET trajectory=x'00' WHERE test_id='donkey-0-0001'")
+    change(campaign, "UPDATE executions SET trajectory=x'ffff' WHERE test_id='donkey-0-0001'")
     before = content(campaign)
     for verb in (("campaign", "status"), ("maps",), ("report",)):
         status, said = ds(*verb, campaign)
-        assert status == 2 and "is damaged (the run of donkey-0-0001 on donkey cannot be read)" in said
+        assert (
+            status == 2
+            and "is damaged (the run of donkey-0-0001 on donkey cannot be read: trajectory is damaged)" in said
+        )
         assert content(campaign) == before
 
 

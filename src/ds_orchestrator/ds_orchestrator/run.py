@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +90,8 @@ def run_campaign(
         in_error = 0
         if not is_driven(config, store):
             in_error = _drive(config, folder, store, listener or SilentListener(), attach=attach)
-        report = write_all(folder, store, again=False, say=say)
+        # The caller's configuration names them, not the folder's.
+        report = write_all(folder, store, again=False, say=say, trusted=config.simulators)
         return CampaignOutcome(
             folder=folder,
             report=report,
@@ -100,18 +101,43 @@ def run_campaign(
         )
 
 
-def rebuild_report(folder: Path, *, say: Callable[[str], None] = lambda line: None) -> Path:
+def rebuild_report(
+    folder: Path, *, say: Callable[[str], None] = lambda line: None, trusted: Collection[str] = ()
+) -> Path:
     """Write maps, pictures, tables and report of a campaign again.
 
     Args:
         folder: campaign folder.
         say: called with one line for each stage.
+        trusted: simulators of the user's own whose code may run; see `check_trust`.
 
     Returns:
         Path of the report.
     """
     with closing(open_store(folder)) as store:
-        return write_all(folder, store, say=say)
+        return write_all(folder, store, say=say, trusted=trusted)
+
+
+def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
+    """Refuse a configuration from a campaign folder whose code nobody confirmed.
+
+    A folder may come from somebody else, so that its configuration alone never decides which code runs. The caller's
+    own configuration needs no such check.
+
+    Args:
+        config: configuration as stored in the folder.
+        trusted: simulators and drivers that the user named.
+
+    Raises:
+        ds_sim.registry.UntrustedSimulatorError: a simulator is neither shipped nor trusted.
+        ds_driver.networks.pilot.DriverError: the driver is code that is not trusted.
+    """
+    from ds_driver.networks.received import received_driver
+    from ds_sim.registry import received_simulator
+
+    for name in config.simulators:
+        received_simulator(name, confirmed=trusted, option="--trust")
+    received_driver(config.driver, confirmed=trusted)
 
 
 def _record_provenance(store: Store, config: CampaignConfig, folder: Path) -> None:

@@ -11,6 +11,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.evaluation.correlation import Correlation, evaluate
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road, generate
 from ds_sim.registry import label_of
@@ -41,7 +42,7 @@ def make_execution(test: Test, simulator: str, offset: float) -> Execution:
         test_id=test.test_id, simulator=simulator,
         outcome=Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED,
         message="", fitness=2.0 - worst, max_lateral_position=worst, steps=steps - 1,
-        simulated_seconds=(steps - 1) / 20, trajectory_sha256="", trajectory=trajectory,
+        simulated_seconds=(steps - 1) / 20, trajectory_sha256=trajectory_sha256(trajectory), trajectory=trajectory,
         steering=rng.normal(0.0, 0.05, steps - 1),
     )  # fmt: skip
 

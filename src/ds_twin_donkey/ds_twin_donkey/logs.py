@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import TubError, is_tub, number, read_tub
+from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.parameters import SCALE
@@ -163,9 +163,9 @@ def _read_bag(path: Path) -> Log:
 def _simulator_of(path: Path) -> str:
     """Which simulator our bag says it is of; nothing if it does not say."""
     try:
-        information = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        information = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
         return str((information.get("custom_data") or {}).get("simulator", ""))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError):
+    except (OSError, BoundedYamlError, KeyError, TypeError, AttributeError):
         return ""  # the reader of the bag says what is wrong with the file
 
 

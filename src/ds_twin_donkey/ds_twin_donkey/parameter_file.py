@@ -1,4 +1,4 @@
-"""The file of a fitted car: YAML that a person can read and `donkey@FILE` drives with."""
+"""Parameter file of a fitted car: readable YAML, with which `donkey@FILE` drives."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from ds_sim.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
 from ds_twin_donkey.fit import Fit
 from ds_twin_donkey.logs import CHANNELS, Log
 from ds_twin_donkey.parameters import DonkeyParameters
@@ -20,11 +21,11 @@ _UNITS = dict(zip(CHANNELS, ("m", "m", "rad", "m/s", "rad/s"), strict=True))
 
 
 class ParameterFileError(ValueError):
-    """A file that holds no parameters of this car."""
+    """File that holds no parameters of this car."""
 
 
 def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
-    """A fit as JSON values: each parameter with what is known about it, the logs, and what the fit leaves over."""
+    """Fit as JSON values: each parameter with its status and interval, the logs, and the residuals."""
     estimates = {estimate.name: estimate for estimate in fit.estimates}
     parameters: dict[str, dict[str, Any]] = {}
     for field in dataclasses.fields(DonkeyParameters):
@@ -54,7 +55,7 @@ def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
 
 
 def write_parameters(path: Path, document: dict[str, Any]) -> None:
-    """Write what `document_of` gives; SI units of the model car.
+    """Write a document of `document_of`; SI units of the model car.
 
     Raises:
         OSError: the file cannot be written.
@@ -68,32 +69,34 @@ def write_parameters(path: Path, document: dict[str, Any]) -> None:
 
 
 def read_parameters(path: Path) -> tuple[DonkeyParameters, str]:
-    """The car of a file and the file's SHA-256.
+    """Read the parameters of a car and the SHA-256 of their file.
 
     Raises:
-        ParameterFileError: in one line, what is wrong with it.
+        ParameterFileError: not a regular file, larger than 1 MiB, not YAML, or not parameters of this car.
     """
     try:
-        content = path.read_bytes()
-        raw = yaml.safe_load(content)
+        content = read_bounded(path, DEFAULT_LIMITS.size)
+        raw = load_yaml(content, unique_keys=True)
     except OSError as error:
         raise ParameterFileError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterFileError(f"{path}: not YAML ({' '.join(str(error).split())})") from None
+    except BoundedYamlError as error:
+        raise ParameterFileError(f"{path}: not YAML ({error})") from None
     if not isinstance(raw, dict) or raw.get("format") != FORMAT or not isinstance(raw.get("parameters"), dict):
         raise ParameterFileError(f"{path}: not a file of {FORMAT!r}: write one with `ds twin fit`")
     values = {}
     for name, row in raw["parameters"].items():
         value = row.get("value") if isinstance(row, dict) else None
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ParameterFileError(f"{path}: {name} has the value {value!r}, expected a number under `value`")
+            raise ParameterFileError(
+                f"{path}: {name!s:.60} has the value {value!r:.60}, expected a number under `value`"
+            )
         values[str(name)] = value
     try:
         return DonkeyParameters().changed(**values), hashlib.sha256(content).hexdigest()
     except ValueError as error:
-        raise ParameterFileError(f"{path}: {error}") from None
+        raise ParameterFileError(f"{path}: {' '.join(str(error).split()):.1000}") from None
 
 
 def _short(value: float) -> float:
-    """Six digits; more say nothing."""
+    """Round to six digits."""
     return float(f"{value:.6g}")

@@ -1,4 +1,4 @@
-"""Driving data on disk: one Parquet file per drive, images as JPEG inside, so that pandas, Arrow or DuckDB open it."""
+"""Data sets on disk: one Parquet file per drive with JPEG images inside, readable with pandas, Arrow or DuckDB."""
 
 from __future__ import annotations
 
@@ -37,18 +37,28 @@ SCHEMA = pa.schema(
 lateral_position: m, null in a recording, as is the throttle."""
 
 
+LARGEST_FILE = 2**30
+"""Bytes of one drive's file; chosen: a drive of 2000 frames has 20 MiB."""
+LARGEST_DATASET = 8 * 2**30
+"""Bytes of all images together, which training holds in memory; chosen: five times the paper's data."""
+MOST_ROWS = 1_000_000
+"""Rows of one drive."""
+LONGEST_NAME = 4096
+"""Characters of a simulator's name, which may hold a path, or of a road's id."""
+
+
 class DatasetError(ValueError):
-    """A data set that cannot be used."""
+    """Data set that cannot be used."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """One labelled image, still encoded.
+    """Labelled image, still encoded.
 
     Attributes:
-        jpeg: the image.
+        jpeg: JPEG of (160, 320, 3) RGB.
         steering: label in [-1, 1].
-        simulator: name of the simulator it comes from.
+        simulator: name of its simulator, or of the recordings it comes from.
         road_id: road on which it was taken.
     """
 
@@ -59,7 +69,7 @@ class Sample:
 
 
 def decode(jpeg: bytes) -> NDArray[np.uint8]:
-    """RGB image of JPEG bytes.
+    """Decode a JPEG to RGB.
 
     Raises:
         DatasetError: the bytes are damaged.
@@ -71,15 +81,15 @@ def decode(jpeg: bytes) -> NDArray[np.uint8]:
 
 
 def drive_path(folder: Path, simulator: str, road_id: str, direction: str) -> Path:
-    """Where the file of one drive belongs."""
+    """Path of the file of one drive."""
     return folder / simulator / f"{road_id}-{direction}.parquet"
 
 
 def keep_plan(folder: Path, plan: dict[str, object]) -> None:
-    """Write down with which plan a data set is collected.
+    """Store the plan with which a data set is collected.
 
     Raises:
-        DatasetError: it was begun with another one.
+        DatasetError: the folder was begun with another plan.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
@@ -90,12 +100,12 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
 
 
 def keep_import(folder: Path, name: str, about: dict[str, object]) -> None:
-    """Write down that images under a name come from recordings, whole, and not from a simulator of that name."""
+    """Store that images under a name come from recordings, uncropped, and not from a simulator of that name."""
     (folder / name / IMPORTED).write_text(json.dumps(about, indent=1) + "\n")
 
 
 def imported_names(folder: Path) -> set[str]:
-    """Names in a data set that stand for recordings."""
+    """Names in a data set that stand for recordings instead of simulators."""
     return {path.parent.name for path in folder.glob(f"*/{IMPORTED}")}
 
 
@@ -108,27 +118,22 @@ def write_drive(path: Path, rows: list[dict[str, object]]) -> None:
 
 
 def read_samples(folder: Path) -> list[Sample]:
-    """Every sample of a data set, ordered by simulator, road, direction and step.
+    """Read every sample of a data set, ordered by simulator, road, direction and step.
 
     Raises:
-        DatasetError: nothing there, a file that is not ours, an image missing or cut, or a label out of range.
+        DatasetError: nothing there, a file of another program or with other types, an image missing or cut, a label
+            out of range, a number that is not finite, or more than `LARGEST_DATASET`.
     """
     files = sorted(folder.glob("*/*.parquet"))
     if not files:
         raise DatasetError(f"no drives in {folder}: collect some with `ds collect --out {folder}`")
-    samples = []
+    samples: list[Sample] = []
+    size = 0
     for file in files:
-        try:
-            table = pq.read_table(file, columns=["image", "steering", "simulator", "road_id"])
-        except (pa.ArrowException, OSError, KeyError) as error:
-            raise DatasetError(f"{file} cannot be read ({str(error).splitlines()[0]}): collect it again") from None
-        steering = table["steering"].to_numpy()
-        if not (np.isfinite(steering).all() and (np.abs(steering) <= 1.0).all()):
-            raise DatasetError(f"{file} has a steering label outside [-1, 1]: collect it again")
-        for row, jpeg in enumerate(table["image"].to_pylist()):
-            if not jpeg or jpeg[:2] != JPEG_BEGIN or jpeg[-2:] != JPEG_END:
-                state = "cut or no JPEG" if jpeg else "missing"
-                raise DatasetError(f"{file}, row {row}: the image is {state}: delete the file and collect it again")
+        table = read_drive(file)
+        size += int(table.nbytes)
+        if size > LARGEST_DATASET:
+            raise DatasetError(f"{folder} has more than {LARGEST_DATASET // 2**30} GiB of images: divide it")
         columns = (table[name].to_pylist() for name in ("image", "steering", "simulator", "road_id"))
         samples += [
             Sample(jpeg=jpeg, steering=label, simulator=simulator, road_id=road_id)
@@ -137,8 +142,68 @@ def read_samples(folder: Path) -> list[Sample]:
     return samples
 
 
+def read_drive(file: Path) -> pa.Table:
+    """Read and check the file of one drive; columns `image`, `steering`, `simulator` and `road_id`.
+
+    Raises:
+        DatasetError: see `read_samples`.
+    """
+    if not file.is_file():
+        raise DatasetError(f"{file} is not a regular file: remove it")
+    try:
+        with pq.ParquetFile(file) as parquet:
+            _check_schema(file, parquet)
+            table = parquet.read()
+            table.validate(full=True)
+    except DatasetError:
+        raise
+    except Exception as error:  # a damaged file raises whatever its reader stumbles on
+        text = (" ".join(str(error).split()) or type(error).__name__)[:200]
+        raise DatasetError(f"{file} cannot be read ({text}): collect it again") from None
+    for name in ("steering", "throttle", "speed", "lateral_position"):
+        if name in table.column_names and not np.isfinite(table[name].drop_null().to_numpy()).all():
+            if name == "steering":
+                raise DatasetError(f"{file} has a steering label outside [-1, 1]: collect it again")
+            raise DatasetError(f"{file} has a {name} that is not a finite number: collect it again")
+    for name in ("steering", "simulator", "road_id"):
+        if table[name].null_count:
+            raise DatasetError(f"{file} has rows without {name}: collect it again")
+    if len(table) and np.abs(table["steering"].to_numpy()).max() > 1.0:
+        raise DatasetError(f"{file} has a steering label outside [-1, 1]: collect it again")
+    for row, jpeg in enumerate(table["image"].to_pylist()):
+        if not jpeg or jpeg[:2] != JPEG_BEGIN or jpeg[-2:] != JPEG_END:
+            state = "cut or no JPEG" if jpeg else "missing"
+            raise DatasetError(f"{file}, row {row}: the image is {state}: delete the file and collect it again")
+    for name in ("simulator", "road_id"):
+        longest = max(map(len, table[name].unique().to_pylist()), default=0)
+        if longest > LONGEST_NAME:
+            raise DatasetError(f"{file} has a {name} of {longest} characters, expected at most {LONGEST_NAME}")
+    return table.select(["image", "steering", "simulator", "road_id"])
+
+
+def _check_schema(file: Path, parquet: pq.ParquetFile) -> None:
+    """Refuse other columns or types, and sizes beyond the limits, before anything is decompressed."""
+    found = parquet.schema_arrow
+    for name in ("image", "steering", "simulator", "road_id"):
+        if found.names.count(name) != 1:
+            raise DatasetError(f"{file} has no column {name}: collect it again")
+    for field in found:
+        if found.names.count(field.name) != 1 or field.name not in SCHEMA.names:
+            raise DatasetError(f"{file} has a column {field.name!r:.60} that no data set has: collect it again")
+        expected = SCHEMA.field(field.name).type
+        if field.type != expected:
+            kind = f"{field.type}"[:60]
+            raise DatasetError(f"{file} has {kind} in the column {field.name}, expected {expected}: collect it again")
+    about = parquet.metadata
+    size = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
+    if about.num_rows > MOST_ROWS or not 0 <= size <= LARGEST_FILE:
+        raise DatasetError(
+            f"{file} has {about.num_rows} rows and {size} bytes, expected at most {MOST_ROWS} and {LARGEST_FILE}"
+        )
+
+
 def check_equal(samples: list[Sample]) -> None:
-    """Refuse simulators that are too unequally represented to be made equal by leaving images out.
+    """Refuse a data set in which one simulator is too rare to balance it by leaving images out.
 
     Raises:
         DatasetError: one has less than half the images of another.
@@ -155,9 +220,9 @@ def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | Non
     """The same number of samples from every simulator (paper 3.2.2), drawn without replacement.
 
     Args:
-        samples: any number per simulator.
-        rng: draws the samples.
-        limit: at most so many per simulator.
+        samples: samples, any number per simulator.
+        rng: generator that draws the samples.
+        limit: samples per simulator at most.
     """
     by_simulator: dict[str, list[Sample]] = {}
     for sample in samples:
@@ -171,7 +236,7 @@ def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | Non
 
 
 def write_manifest(folder: Path, about: dict[str, object]) -> None:
-    """Describe a data set beside its drives: how it was made, and how its steering is spread."""
+    """Write `manifest.json`: how the data set was made, and the histogram of its steering."""
     edges = np.linspace(-1.0, 1.0, 11)
     counts: dict[str, int] = {}
     histograms: dict[str, list[int]] = {}

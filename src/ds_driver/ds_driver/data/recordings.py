@@ -17,9 +17,10 @@ from ds_bags.layout import BagError
 from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.control.autopilot import Autopilot
+from ds_driver.data.crops import TRUST
 from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.networks.preprocessing import Crop, ImageError
-from ds_sim.registry import spec_of
+from ds_sim.registry import received_simulator, spec_of
 
 NEAR = 0.1
 """s that an image and a steering value may be apart in someone else's bag; chosen: two frames at 20 Hz."""
@@ -36,6 +37,7 @@ class Reading:
         factor: that makes of it a steering from -1 full left to +1 full right.
         rows: of the images that are kept, see `ds_driver.data.pixels.fit_to_network`.
         truth: what a driver is compared with: the recorded steering, or what the autopilot would have done (our bags).
+        trusted: simulators of the user's own whose code may run.
     """
 
     camera: str | None = None
@@ -43,6 +45,7 @@ class Reading:
     factor: float = 1.0
     rows: tuple[int, int] | None = None
     truth: Truth = "recorded"
+    trusted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,9 +113,10 @@ def open_recording(path: Path, reading: Reading) -> Recording:
             raise BagError(f"{path} is no bag of ours: what the autopilot would do is known for those alone")
         if not ours:
             return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
-        spec = spec_of(bag.facts["simulator"])
+        simulator = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
+        spec = spec_of(simulator)
         crop = Crop(spec.crop_top, spec.crop_bottom)
-        return Recording(path=path, group=bag.facts["simulator"], kind="bag of ours", crop=crop, reading=reading)
+        return Recording(path=path, group=simulator, kind="bag of ours", crop=crop, reading=reading)
 
 
 def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:

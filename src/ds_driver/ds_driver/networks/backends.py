@@ -1,4 +1,4 @@
-"""What computes a network: PyTorch, ONNX Runtime or OpenVINO, with one thread and in single precision.
+"""Backends that compute a network: PyTorch, ONNX Runtime or OpenVINO, with one thread and in single precision.
 
 A driver's name may end in `@torch`, `@onnx`, `@openvino`, or `@cuda` (PyTorch on a GPU): `dave2@openvino`.
 """
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ds_driver.networks.pilot import DriverError
 
 BACKENDS = ("auto", "torch", "onnx", "openvino")
-"""auto takes `network_driver.OWN_BACKEND` for our networks, and for a file what its kind was made for."""
+"""auto is `network_driver.OWN_BACKEND` for built-in networks, and the native backend of a file's kind."""
 DEVICES = ("cpu", "cuda")
 OPENVINO_INSTALL = ".venv/bin/python -m pip install --no-deps -r requirements/openvino.txt"
 
@@ -97,7 +97,7 @@ def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -
     def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
             found = network(torch.from_numpy(batch).to(device))
-        except RuntimeError as error:
+        except Exception as error:  # TorchScript raises what its program raises: IndexError, KeyError, ...
             raise BackendError(f"the network cannot compute {_words(batch)}: {last_line(error)}") from None
         parts: Sequence[Any] = found if isinstance(found, (tuple, list)) else [found]
         if not parts or not all(isinstance(part, torch.Tensor) for part in parts):
@@ -117,11 +117,45 @@ def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runn
         warnings.simplefilter("ignore")  # PyTorch deprecates TorchScript, but reads it
         try:
             network = torch.jit.load(BytesIO(content), map_location=device).eval()
-        except (RuntimeError, ValueError) as error:
+        except Exception as error:  # a damaged archive raises whatever its reader stumbles on
             raise BackendError(
                 f"{where} is not TorchScript ({last_line(error)}): save it with torch.jit.trace(network, image).save"
             ) from None
     return torch_runner(network, device)
+
+
+def check_onnx(content: bytes, where: str) -> None:
+    """Refuse an ONNX file that is damaged, or keeps numbers in other files.
+
+    A runtime would look for those beside the working directory, and the digest of the network would not cover them.
+
+    Raises:
+        BackendError: no ONNX graph, or one with external data.
+    """
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    model = onnx.ModelProto()
+    try:
+        model.ParseFromString(content)
+    except (DecodeError, RecursionError) as error:
+        raise BackendError(
+            f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
+        ) from None
+    graphs = [model.graph, *(info.algorithm for info in model.training_info)]
+    nodes = [node for function in model.functions for node in function.node]
+    while graphs or nodes:
+        tensors: list[Any] = []
+        for graph in graphs:
+            nodes += graph.node
+            tensors += [*graph.initializer, *(t for s in graph.sparse_initializer for t in (s.values, s.indices))]
+        graphs, attributes, nodes = [], [a for node in nodes for a in node.attribute], []
+        for attribute in attributes:
+            graphs += [attribute.g, *attribute.graphs] if attribute.HasField("g") or attribute.graphs else []
+            sparse = [attribute.sparse_tensor, *attribute.sparse_tensors]
+            tensors += [attribute.t, *attribute.tensors, *(t for s in sparse for t in (s.values, s.indices))]
+        if any(t.external_data or t.data_location == onnx.TensorProto.EXTERNAL for t in tensors):
+            raise BackendError(f"{where} keeps its weights in other files: save it with all of them inside")
 
 
 def onnx_runner(content: bytes, where: str) -> Runner:
@@ -132,6 +166,7 @@ def onnx_runner(content: bytes, where: str) -> Runner:
     """
     import onnxruntime
 
+    check_onnx(content, where)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what it has to say comes as an exception too
@@ -174,6 +209,8 @@ def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner
     Raises:
         BackendError: OpenVINO is not installed, or cannot read the file.
     """
+    if kind == "onnx":
+        check_onnx(content, where)
     try:
         import openvino
     except ImportError:

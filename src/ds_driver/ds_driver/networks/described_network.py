@@ -1,13 +1,13 @@
-"""A network that somebody brings: an ONNX, TorchScript or TensorFlow Lite file, described by a YAML file, no code."""
+"""Drives by an ONNX, TorchScript or TensorFlow Lite file that a YAML file describes."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -19,8 +19,10 @@ from ds_driver.networks.backends import (
     torch_device,
     torchscript_runner,
 )
+from ds_driver.networks.memory_limit import limited_memory
 from ds_driver.networks.pilot import DriverError, Frame, Prediction
 from ds_driver.networks.preprocessing import Crop, checked
+from ds_sim.bounded_yaml import BoundedYamlError, read_bounded, read_yaml
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 KINDS = {
@@ -36,6 +38,10 @@ _COMPUTED_BY = {"onnx": ("onnx", "openvino"), "torchscript": ("torch", "openvino
 _COLOURS = {"bgr": cv2.COLOR_RGB2BGR, "yuv": cv2.COLOR_RGB2YUV, "grey": cv2.COLOR_RGB2GRAY}
 _RESIZING = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA, "nearest": cv2.INTER_NEAREST}
 GUIDE = "docs/bring_your_own_network.md"
+LARGEST_FILE = 2**29
+"""Bytes of a network file; chosen: five times the largest shipped network."""
+_LONGEST = 500
+"""Characters about what is wrong with a description."""
 
 
 class _Strict(BaseModel):
@@ -132,11 +138,11 @@ def read_description(path: Path) -> DescribedNetwork:
         DriverError: in one line, the key, what is wrong with it, and what is allowed.
     """
     try:
-        raw = yaml.safe_load(path.read_text())
+        raw = read_yaml(path, unique_keys=True)
     except OSError as error:
         raise DriverError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise DriverError(f"{path}: not YAML ({' '.join(str(error).split())})") from None
+    except BoundedYamlError as error:
+        raise DriverError(f"{path}: not YAML ({error})") from None
     try:
         return DescribedNetwork.model_validate(raw)
     except ValidationError as error:
@@ -152,7 +158,10 @@ def read_description(path: Path) -> DescribedNetwork:
             f" (keys of {place or 'the file'}: {', '.join(models.get(place, OutputSpec).model_fields)})"
             for place in sorted(unknown)
         )
-        raise DriverError(f"{path}: {'; '.join(sorted(problems))}{hint}: see {GUIDE}") from None
+        text = " ".join(f"{'; '.join(sorted(problems))}{hint}".split())
+        printable = "".join(c if c.isprintable() else "?" for c in text)
+        shown = printable if len(printable) <= _LONGEST else f"{printable[:_LONGEST]}..."
+        raise DriverError(f"{path}: {shown}: see {GUIDE}") from None
 
 
 def file_of(path: Path, description: DescribedNetwork) -> Path:
@@ -162,9 +171,9 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
         DriverError: it is missing, or of a kind that is not known.
     """
     file = path.parent / description.file
-    if file.suffix.lower() not in KINDS:
+    if file.suffix.lower() not in KINDS or "\0" in description.file or len(description.file) > 4096:
         raise DriverError(
-            f"{path}: file {description.file!r}: expected {', '.join(KINDS)}; {GUIDE} says how to convert"
+            f"{path}: file {description.file!r:.100}: expected {', '.join(KINDS)}; {GUIDE} says how to convert"
         )
     if not file.is_file():
         raise DriverError(f"{path}: file {description.file!r} is missing: its path is relative to {path.name}")
@@ -187,15 +196,23 @@ class DescribedNetworkPilot:
     def __init__(self, path: Path, backend: str = "auto", device: str = "cpu") -> None:
         self._spec = read_description(path)
         file = file_of(path, self._spec)
-        self._runner = _runner(file, backend, device)
-        self._check(file.name)
+        # On a GPU the address space says nothing of the memory taken.
+        self._bounded = nullcontext if device == "cuda" else limited_memory
+        try:
+            with self._bounded():
+                self._runner = _runner(file, backend, device)
+                self._check(file.name)
+        except MemoryError:
+            raise DriverError(f"{file.name} needs more memory than a network may take: make it smaller") from None
 
     def start(self) -> None:
         """A file keeps nothing of a run."""
 
     def predict(self, seen: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
-        outputs = self._runner.compute(self.batch(seen))
+        batch = self.batch(seen)
+        with self._bounded():
+            outputs = self._runner.compute(batch)
         throttle = self._spec.outputs.throttle
         return Prediction(
             self._number(outputs, "steering", self._spec.outputs.steering),
@@ -263,7 +280,10 @@ def _runner(file: Path, backend: str, device: str) -> Runner:
     chosen = able[0] if backend == "auto" else backend
     if chosen not in able:
         raise BackendError(f"{file.name} cannot be computed by {chosen}: expected {' or '.join(able)}")
-    content = file.read_bytes()
+    try:
+        content = read_bounded(file, LARGEST_FILE)
+    except (BoundedYamlError, OSError) as error:
+        raise DriverError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error})") from None
     if chosen == "openvino":
         return openvino_runner(content, file.name, kind=kind)
     if chosen == "onnx":

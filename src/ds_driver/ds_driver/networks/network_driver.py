@@ -116,7 +116,7 @@ def driver_sha256(driver: str) -> str:
         parts = [source_of(name)]
     else:
         return weights_sha256(name)
-    return hashlib.sha256(b"".join(hashlib.sha256(part.read_bytes()).digest() for part in parts)).hexdigest()
+    return hashlib.sha256(b"".join(_digest(part) for part in parts)).hexdigest()
 
 
 def _runner(name: str, backend: str, device: str) -> Runner:
@@ -132,3 +132,8 @@ def _runner(name: str, backend: str, device: str) -> Runner:
 
 def _within(value: float, low: float) -> float:
     return min(max(value, low), 1.0)
+
+
+def _digest(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()

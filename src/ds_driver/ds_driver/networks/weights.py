@@ -1,4 +1,4 @@
-"""Network weights as safetensors: no pickle, the architecture's name inside, half precision on disk."""
+"""Stores network weights as safetensors: no pickle, the architecture in the metadata, half precision."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import hashlib
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import nn
 
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError, make_network
 
 SHIPPED = Path(__file__).parents[1] / "models"
-"""Where the networks that come with the package lie."""
+"""Folder of the shipped networks."""
+LARGEST_FILE = 2**29
+"""Bytes of a weights file; chosen: ten times the largest shipped one."""
+_NUMBERS = ("F16", "BF16", "F32", "F64")
 
 
 class WeightsError(ValueError):
@@ -21,12 +24,12 @@ class WeightsError(ValueError):
 
 
 def shipped_networks() -> dict[str, Path]:
-    """Name -> weights file of every network that comes with the package."""
+    """Name -> weights file of every shipped network."""
     return {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
 
 
 def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: dict[str, str] | None = None) -> None:
-    """Write a network's weights as float16, which halves the file; `load_network` gives float32 back."""
+    """Write a network's weights as float16, which halves the file; `load_network` returns float32."""
     tensors = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
     partial = path.with_suffix(".partial")
     save_file(tensors, partial, metadata={"architecture": architecture, **(notes or {})})
@@ -34,8 +37,19 @@ def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: di
 
 
 def weights_sha256(name_or_path: str) -> str:
-    """Hash of the weights file that `load_network` would read."""
+    """SHA-256 of the weights file that `load_network` would read."""
     return hashlib.sha256(_path_of(name_or_path).read_bytes()).hexdigest()
+
+
+def architecture_in(path: Path) -> str:
+    """Architecture that a weights file names in its metadata; "" if it names none, or is no such file."""
+    if not path.is_file():
+        return ""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return str((file.metadata() or {}).get("architecture", ""))
+    except Exception:  # what is no weights file may raise anything
+        return ""
 
 
 def _path_of(name_or_path: str) -> Path:
@@ -57,34 +71,44 @@ def _path_of(name_or_path: str) -> Path:
         )
     elif not path.is_file():
         raise WeightsError(f"weights {name_or_path!r} are missing: check the path")
+    if path.stat().st_size > LARGEST_FILE:
+        raise WeightsError(
+            f"weights {path.name} have more than {LARGEST_FILE // 2**20} MiB: expected those of a network"
+        )
     return path
 
 
 def load_network(name_or_path: str) -> nn.Module:
-    """Load a shipped network by name, or any weights file of ours by path; in evaluation mode, float32.
+    """Load a shipped network by name, or a weights file by path; in evaluation mode, float32.
 
     Raises:
-        WeightsError: the file is missing, truncated, not ours, or does not fit its architecture.
+        WeightsError: the file is missing, truncated, of another program, or does not fit its architecture.
         UnknownNetworkError: neither a known name nor an existing file.
     """
     path = _path_of(name_or_path)
     try:
         with safe_open(path, framework="pt") as file:
             architecture = (file.metadata() or {}).get("architecture", "")
-            tensors = {key: file.get_tensor(key).float() for key in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError) as error:
+            if architecture not in NETWORKS:
+                raise WeightsError(
+                    f"weights {path.name} name the architecture {architecture!r:.60}: expected one of "
+                    f"{', '.join(NETWORKS)}"
+                )
+            network = make_network(architecture)
+            expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+            slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            found = {name: tuple(part.get_shape()) for name, part in slices.items()}
+            if found != expected or any(part.get_dtype() not in _NUMBERS for part in slices.values()):
+                raise WeightsError(f"weights {path.name} do not fit {architecture}: they belong to another network")
+            tensors = {name: file.get_tensor(name).float() for name in found}
+    except WeightsError:
+        raise
+    except Exception as error:  # damage makes the reader raise more than its own errors
         raise WeightsError(
-            f"weights {path.name} cannot be read ({error}): the file is damaged, copy it again"
+            f"weights {path.name} cannot be read ({' '.join(str(error).split()):.200}): the file is damaged, copy it "
+            "again"
         ) from None
-    if architecture not in NETWORKS:
-        raise WeightsError(
-            f"weights {path.name} name the architecture {architecture!r}: expected one of {', '.join(NETWORKS)}"
-        )
-    network = make_network(architecture)
-    try:
-        network.load_state_dict(tensors)
-    except RuntimeError:
-        raise WeightsError(f"weights {path.name} do not fit {architecture}: they belong to another network") from None
     if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
         raise WeightsError(f"weights {path.name} hold NaN or infinity: train the network again")
+    network.load_state_dict(tensors)
     return network.eval()

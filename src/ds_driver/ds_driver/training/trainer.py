@@ -10,7 +10,7 @@ import ctypes
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -98,7 +98,13 @@ class Epoch:
 
 
 def train(
-    data: Path, out: Path, plan: TrainingPlan, report: Report, crops: dict[str, Crop] | None = None
+    data: Path,
+    out: Path,
+    plan: TrainingPlan,
+    report: Report,
+    crops: dict[str, Crop] | None = None,
+    *,
+    trusted: Collection[str] = (),
 ) -> list[Epoch]:
     """Train a network; stopped at any time it goes on after the last whole epoch.
 
@@ -108,6 +114,7 @@ def train(
         plan: how to train.
         report: takes a line now and then.
         crops: rows cut off per simulator; those of `ds_driver.data.crops` if left out.
+        trusted: simulators of the user's own that the data set may name.
 
     Raises:
         DatasetError: the data set cannot be used.
@@ -123,7 +130,7 @@ def train(
     check_equal(samples)
     training, validation = split(samples, plan)
     del samples  # those left out need not stay in memory
-    crops = crops or crops_of(data, {s.simulator for s in training})
+    crops = crops or crops_of(data, {s.simulator for s in training}, trusted=trusted)
     if len(training) < plan.batch_size:
         raise DatasetError(
             f"{len(training)} images to train on, expected at least one batch of {plan.batch_size}: collect more"

@@ -1,4 +1,4 @@
-"""What a campaign is told to do: a YAML file, checked before anything starts."""
+"""Configuration of a campaign: a YAML file, validated before anything starts."""
 
 from __future__ import annotations
 
@@ -6,24 +6,25 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ds_orchestrator.campaign.config_errors import load_yaml, problems, yaml_problem
+from ds_orchestrator.campaign.config_errors import problems
 from ds_orchestrator.maps.campaign_maps import MapPlan
 from ds_orchestrator.maps.merge_operators import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.base import SearchSettings
 from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, feature_of
+from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.registry import SIMULATORS
 
 Record = Literal["none", "telemetry", "compressed", "raw"]
 MOST_WORKERS = 64
-"""Chosen: each is four processes and more; nobody has that many cores to give."""
-
+"""Chosen: each worker is four processes or more."""
+MOST_NAMES = 20
+"""Siblings or operators; chosen: each pair of siblings has a map of its own."""
 
 RENAMED_KEYS = {"published": "maxitwo_compatible", "operators.quality": "operators.quality_loss"}
-"""Keys of earlier versions, which are still accepted, and what they are called now."""
+"""Key of an earlier version, which is still accepted, and its present name."""
 
 
 class ConfigError(ValueError):
@@ -41,14 +42,14 @@ def _one_of(value: str, allowed: Any, what: str) -> str:
 
 
 class SearchConfig(_Strict):
-    """The search on each sibling (paper 4.2.4: DeepHyperion, population 20, iterations 150, 5 runs).
+    """Search on each sibling (paper 4.2.4: DeepHyperion, population 20, iterations 150, 5 runs).
 
     Attributes:
         method: `deephyperion` as in the paper, `deephyperion_cs` with its successor's selection by contribution score,
             or `random`, the baseline.
-        population: random roads to begin with.
-        iterations: roads after that.
-        runs: searches on each sibling, each with a seed of its own.
+        population: random roads at the start.
+        iterations: roads after those.
+        runs: searches on each sibling, each with its own seed.
         min_angle: degrees, smallest maximum angle of random roads.
         max_angle: degrees, largest maximum angle of random roads.
         extent: m, largest move of a control point.
@@ -74,7 +75,7 @@ class SearchConfig(_Strict):
         return self
 
     def settings(self, *, maxitwo_compatible: bool = False) -> SearchSettings:
-        """The hyper-parameters of one run."""
+        """Hyper-parameters of one run."""
         return SearchSettings(**self.model_dump(exclude={"runs", "method"}), maxitwo_compatible=maxitwo_compatible)
 
 
@@ -82,14 +83,14 @@ class OperatorsConfig(_Strict):
     """How the siblings' union maps are merged (paper 3.5).
 
     Attributes:
-        probability: operator of the failure probabilities.
-        quality_loss: operator of the lack of driving quality.
-        compare: further operators, each of which makes a map of its own beside the merged one.
+        probability: operator on failure probabilities.
+        quality_loss: operator on the loss of driving quality.
+        compare: further operators, each of which yields another merged map.
     """
 
     probability: str = "product"
     quality_loss: str = "minimum"
-    compare: list[str] = []
+    compare: Annotated[list[str], Field(max_length=MOST_NAMES)] = []
 
     @field_validator("probability", "quality_loss")
     @classmethod
@@ -107,28 +108,28 @@ class OperatorsConfig(_Strict):
 
 
 class CampaignConfig(_Strict):
-    """A whole campaign.
+    """Whole campaign.
 
     Attributes:
         siblings: names of the simulators that act as digital siblings, in order DS1, DS2, ...
         twin: name of the simulator that acts as the digital twin, or none.
-        driver: `autopilot`, a network by name, weights file or description, or module:Class; as for `ds drive`, and
-            with what computes it if that matters: `dave2@onnx`.
+        driver: `autopilot`, a network by name, weights file or description, or module:Class, as for `ds drive`; a
+            backend may follow, as in `dave2@onnx`.
         sim2real: translate every image to a pseudo-real one before the network sees it.
-        search: the search on each sibling.
+        search: search on each sibling.
         maxitwo_compatible: reproduce the five known quirks of the authors' package (docs/method.md).
-        features: axes of the feature maps, two or three; `minimum_radius:20` takes twenty bins as one.
-        migration: `all` drives every executed test on the other siblings and the twin, `elites` only those that a run
-            of the search ends with.
-        operators: of the merge.
-        seed: of everything.
-        workers: graphs that drive at the same time; the results do not depend on it, so it may change on the way.
-        retries: further attempts at a run that ended in an error.
-        command_timeout: s of wall clock that a simulator waits for its driver.
-        record: what a run's bag holds, `telemetry`, `compressed` or `raw`; `none` leaves no bag.
+        features: axes of the feature maps, two or three; `minimum_radius:20` joins twenty bins into one.
+        migration: `all` drives every executed test on the other siblings and the twin, `elites` only the elites of
+            each search run.
+        operators: merge operators.
+        seed: seed from which every other seed follows.
+        workers: ROS graphs that drive in parallel; results do not depend on it, so a resumed campaign may change it.
+        retries: further attempts after a run that ended in an error.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
+        record: content of a run's bag, `telemetry`, `compressed` or `raw`; `none` records no bag.
     """
 
-    siblings: Annotated[list[str], Field(min_length=1)] = ["bullet", "softbody"]
+    siblings: Annotated[list[str], Field(min_length=1, max_length=MOST_NAMES)] = ["bullet", "softbody"]
     twin: str | None = "donkey"
     driver: str = "dave2"
     sim2real: bool = False
@@ -157,7 +158,7 @@ class CampaignConfig(_Strict):
     @classmethod
     def _no_model_yet(cls, value: bool) -> bool:
         if value:
-            raise ValueError("there is no model that makes images look real: expected false")
+            raise ValueError("there is no sim2real model yet: expected false")
         return value
 
     @field_validator("features")
@@ -181,27 +182,27 @@ class CampaignConfig(_Strict):
 
     @property
     def simulators(self) -> list[str]:
-        """Siblings first, then the twin if there is one."""
+        """Siblings, then the twin if there is one."""
         return [*self.siblings, *([self.twin] if self.twin else [])]
 
     @property
     def elites_only(self) -> bool:
-        """Whether only elites leave the sibling on which they were found."""
+        """Whether only elites migrate."""
         return self.maxitwo_compatible or self.migration == "elites"
 
     @property
     def settings(self) -> SearchSettings:
-        """The hyper-parameters of one run of the search."""
+        """Hyper-parameters of one search run."""
         return self.search.settings(maxitwo_compatible=self.maxitwo_compatible)
 
     @property
     def executions_at_most(self) -> int:
-        """Executions of the whole campaign; fewer where only elites are migrated."""
+        """Upper bound of the number of executions; fewer are needed where only elites migrate."""
         tests = self.search.runs * self.settings.budget * len(self.siblings)
         return tests * len(self.simulators)
 
     def map_plan(self, ignored: frozenset[str] = frozenset()) -> MapPlan:
-        """How the maps are made; `ignored` are the tests without whose outcome a search went on."""
+        """How maps are built; `ignored` are the tests without whose outcome a search continued."""
         return MapPlan(
             features=tuple(self.features),
             elites_only=self.elites_only,
@@ -213,7 +214,7 @@ class CampaignConfig(_Strict):
         )
 
     def identity(self) -> str:
-        """The configuration as JSON text without what changes no result; a campaign goes on with the same one only."""
+        """JSON text of every key that affects results; a campaign resumes only with an equal one."""
         return self.model_dump_json(exclude={"workers"})
 
 
@@ -221,18 +222,18 @@ def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) 
     """Read and validate a configuration.
 
     Args:
-        path: of the YAML file.
-        hint: called with one line for every key that has been renamed since.
+        path: path of the YAML file.
+        hint: called with one line for every renamed key.
 
     Raises:
-        ConfigError: in one line, the key, what is wrong with it, and what is allowed.
+        ConfigError: one line with the key, what is wrong with it, and what is allowed.
     """
     try:
-        raw = load_yaml(path.read_text())
+        raw = read_yaml(path, unique_keys=True)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not YAML: {yaml_problem(error)}") from None
+    except BoundedYamlError as error:
+        raise ConfigError(f"{path}: not YAML: {error}") from None
     if raw is None:
         raise ConfigError(
             f"{path}: empty, expected a campaign's keys (such as {', '.join(CampaignConfig.model_fields)})"
@@ -241,12 +242,12 @@ def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) 
 
 
 def parse_config(raw: object, source: str, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:
-    """Validate a configuration that was read already; see `read_config`.
+    """Validate a configuration that is parsed already; see `read_config`.
 
     Args:
         raw: value of the YAML or JSON document.
         source: name of the file, for error messages.
-        hint: called with one line for every key that has been renamed since.
+        hint: called with one line for every renamed key.
     """
     try:
         return CampaignConfig.model_validate(_with_new_names(raw, source, hint))
@@ -255,7 +256,7 @@ def parse_config(raw: object, source: str, *, hint: Callable[[str], None] = lamb
 
 
 def _with_new_names(raw: object, source: str, hint: Callable[[str], None]) -> object:
-    """A copy of a configuration in which renamed keys have their present names."""
+    """Copy of a configuration in which renamed keys have their present names."""
     if not isinstance(raw, dict):
         return raw
     renamed = dict(raw)
@@ -267,7 +268,7 @@ def _with_new_names(raw: object, source: str, hint: Callable[[str], None]) -> ob
         new_key = new.rpartition(".")[2]
         if new_key in holder:
             raise ConfigError(f"{source}: {old} and {new} are the same key: keep {new}")
-        hint(f"{source}: the key {old} is called {new} now")
+        hint(f"{source}: the key {old} is now {new}")
         changed = {new_key if key == old_key else key: value for key, value in holder.items()}
         if section:
             renamed[section] = changed

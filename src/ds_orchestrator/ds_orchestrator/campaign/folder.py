@@ -1,4 +1,4 @@
-"""The folder of a campaign: who may use it, what lies in it, and its store."""
+"""Campaign folder: lock, contents and store."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ds_orchestrator.campaign.config import CampaignConfig, parse_config
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.store.store import Store, StoreError
 
 
 class LockError(RuntimeError):
-    """A folder that another process uses."""
+    """Folder that another process uses."""
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder; the kernel lets go of it when this process ends.
+    """Lock a folder; the kernel releases it when this process ends.
 
     Raises:
         LockError: another process holds it, or nothing can be written there.
@@ -41,15 +41,13 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 STAGES = ("maps", "evaluation", "report")
-"""What is made of the executions, in order."""
-
-
+"""Results that follow from the executions, in order."""
 WRITTEN = ("bags", "logs", "maps", "evaluation", "report.html")
-"""What a campaign writes into its folder beside the store."""
+"""Entries that a campaign writes into its folder beside the store."""
 
 
 def open_store(folder: Path) -> Store:
-    """The store of a campaign that was run already.
+    """Open the store of an existing campaign.
 
     Raises:
         StoreError: there is none.
@@ -60,10 +58,10 @@ def open_store(folder: Path) -> Store:
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make a folder for a campaign if need be, and see that nobody else's files lie where it writes.
+    """Create a campaign folder if it is missing, and check that nothing else would be overwritten.
 
     Raises:
-        StoreError: it cannot be made, or would be written over.
+        StoreError: it cannot be created, or holds files that a campaign would overwrite.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -74,23 +72,69 @@ def prepare_folder(folder: Path) -> None:
     foreign = [name for name in WRITTEN if (folder / name).exists()]
     if foreign and not (folder / "campaign.sqlite").exists():
         raise StoreError(f"{folder} holds {foreign[0]} and no campaign, it would be written over: choose another --out")
+    refuse_foreign_files(folder)
+
+
+def refuse_foreign_files(folder: Path) -> None:
+    """Refuse a folder in which writing would follow a link to somewhere else, or wait for a FIFO.
+
+    Raises:
+        StoreError: something where a campaign writes is a link that leaves the folder, or no file and no folder.
+    """
+    home = folder.resolve()
+    places = [folder / name for name in ("campaign.sqlite", ".lock", *WRITTEN)]
+    inside = [entry for place in places if place.is_dir() for entry in place.iterdir()]
+    for path in (*places, *inside):
+        if path.is_symlink() and not path.resolve().is_relative_to(home):
+            raise StoreError(f"{path} is a link to {path.resolve()}, outside the campaign's folder: remove it")
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise StoreError(f"{path} is neither a file nor a folder: remove it")
 
 
 def store_of(folder: Path, config: CampaignConfig) -> Store:
-    """The store of a campaign that begins or goes on with this configuration.
+    """Open the store of a campaign that begins or resumes with this configuration.
 
     A configuration that an earlier version wrote is rewritten with the present names of its keys.
 
     Raises:
         StoreError: the folder holds a campaign with another configuration, or cannot be used.
     """
-    return Store(folder / "campaign.sqlite", config=config.identity(), present=_with_present_keys)
+    store = Store(folder / "campaign.sqlite", config=config.identity(), present=_with_present_keys)
+    try:
+        _check_names(store, config)
+    except StoreError:
+        store.close()
+        raise
+    return store
 
 
 def _with_present_keys(identity: str) -> str:
-    return parse_config(json.loads(identity), "campaign.sqlite").identity()
+    try:
+        return _parsed(identity).identity()
+    except ConfigError:
+        return identity  # it cannot be equal to a valid one; the store says in what they differ
 
 
 def config_of(store: Store) -> CampaignConfig:
-    """The configuration as run."""
-    return parse_config(json.loads(store.config), "campaign.sqlite")
+    """Read the configuration of a stored campaign, and check the store's names against it.
+
+    Raises:
+        ConfigError: the stored configuration is not valid.
+        StoreError: the store has tests or executions that this campaign cannot have.
+    """
+    config = _parsed(store.config)
+    _check_names(store, config)
+    return config
+
+
+def _check_names(store: Store, config: CampaignConfig) -> None:
+    store.check_names(config.siblings, config.simulators, runs=config.search.runs, budget=config.settings.budget)
+
+
+def _parsed(text: str) -> CampaignConfig:
+    source = "the configuration in campaign.sqlite"
+    try:
+        raw = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ConfigError(f"{source} is not JSON: restore the file from a copy") from None
+    return parse_config(raw, source)

@@ -16,12 +16,14 @@ from queue import Empty, SimpleQueue
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ds_bags.run_writer import write_bag
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import cell_of
+from ds_orchestrator.store import rows
 from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road
 from ds_sim.registry import label_of
@@ -279,13 +281,7 @@ def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") ->
         steps=run.steps,
         simulated_seconds=run.simulated_seconds,
         trajectory_sha256=trajectory_sha256(run),
-        trajectory=np.array(
-            [
-                (o.vehicle.x, o.vehicle.y, o.vehicle.yaw, o.vehicle.speed, o.lane.lateral_position)
-                for o in run.observations
-            ],
-            dtype=np.float64,
-        ).reshape(-1, 5),
+        trajectory=_trajectory_of(run),
         bag=bag,
         steering=np.array([command.steering for command in run.commands], dtype=np.float64),
     )
@@ -297,9 +293,16 @@ def _as_driven(road: Road) -> Road:
 
 
 def trajectory_sha256(run: RunRecord) -> str:
-    """SHA-256 over the little-endian float64 bytes of x, y, yaw and speed of every step, the one at rest included."""
-    rows = [(o.vehicle.x, o.vehicle.y, o.vehicle.yaw, o.vehicle.speed) for o in run.observations]
-    return hashlib.sha256(np.array(rows, dtype="<f8").tobytes()).hexdigest()
+    """Digest of a run; see `ds_orchestrator.store.rows.trajectory_sha256`."""
+    return rows.trajectory_sha256(_trajectory_of(run))
+
+
+def _trajectory_of(run: RunRecord) -> NDArray[np.float64]:
+    """Return x, y, yaw, speed and lateral position of every step, (steps + 1, 5)."""
+    values = [
+        (o.vehicle.x, o.vehicle.y, o.vehicle.yaw, o.vehicle.speed, o.lane.lateral_position) for o in run.observations
+    ]
+    return np.array(values, dtype=np.float64).reshape(-1, 5)
 
 
 def _seed(*parts: int | str) -> int:

@@ -16,7 +16,7 @@ from rich.table import Table
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, read_config
 from ds_orchestrator.campaign.folder import config_of, open_store
 from ds_orchestrator.campaign.runner import Stopped
-from ds_orchestrator.cli.options import AttachFlag, Folder, JsonFlag, OutFolder
+from ds_orchestrator.cli.options import AttachFlag, Folder, JsonFlag, OutFolder, Trust
 from ds_orchestrator.cli.output import Interrupted, Result, answer, end, say
 from ds_orchestrator.cli.progress import ScreenListener
 from ds_orchestrator.evaluation.campaign_evaluation import maps_of, network_of
@@ -74,10 +74,14 @@ def campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Resu
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
 
 
-def stored_config(folder: Path) -> CampaignConfig:
-    """The configuration of a campaign that was begun."""
+def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
+    """Read the configuration of a campaign folder; the code that it names is shipped or trusted."""
+    from ds_orchestrator.run import check_trust
+
     with closing(open_store(folder)) as store:
-        return config_of(store)
+        config = config_of(store)
+    check_trust(config, trust or [])
+    return config
 
 
 def status(folder: Path) -> Result:
@@ -190,10 +194,14 @@ def campaign_run_command(
 
 @campaign_app.command("resume")
 def campaign_resume_command(
-    folder: Folder, workers: Workers = None, attach: AttachFlag = False, as_json: JsonFlag = False
+    folder: Folder,
+    workers: Workers = None,
+    attach: AttachFlag = False,
+    trust: Trust = None,
+    as_json: JsonFlag = False,
 ) -> None:
     """Go on with a campaign that was stopped."""
-    end(campaign(_with(stored_config(folder), workers), folder, attach=attach), as_json)
+    end(campaign(_with(stored_config(folder, trust), workers), folder, attach=attach), as_json)
 
 
 @campaign_app.command("status")
@@ -209,8 +217,8 @@ def maps_command(folder: Folder, as_json: JsonFlag = False) -> None:
 
 
 @app.command("report")
-def report_command(folder: Folder) -> None:
+def report_command(folder: Folder, trust: Trust = None) -> None:
     """Write the report of a campaign again."""
     from ds_orchestrator.run import rebuild_report
 
-    print(rebuild_report(folder, say=say))
+    print(rebuild_report(folder, say=say, trusted=trust or []))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +11,7 @@ import typer
 from rich.console import Console
 
 from ds_orchestrator.campaign.folder import config_of, open_store
-from ds_orchestrator.cli.options import Folder, JsonFlag
+from ds_orchestrator.cli.options import Folder, JsonFlag, Trust
 from ds_orchestrator.cli.output import Result, answer, countdown
 from ds_orchestrator.evaluation.campaign_evaluation import (
     correlations_of,
@@ -28,7 +29,9 @@ from ds_orchestrator.report.build import RQ1
 app = typer.Typer()
 
 
-def evaluation(folder: Path, *, data: Path | None, images: int | None, out: Path | None) -> Result:
+def evaluation(
+    folder: Path, *, data: Path | None, images: int | None, out: Path | None, trusted: Collection[str] = ()
+) -> Result:
     """The tables of a campaign: RQ2 and RQ3, and RQ1 if there is a data set."""
     with closing(open_store(folder)) as store:
         config = config_of(store)
@@ -37,25 +40,43 @@ def evaluation(folder: Path, *, data: Path | None, images: int | None, out: Path
         raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []
     if data is not None:
-        tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, network_of(config))
+        from ds_driver.networks.received import received_driver
+
+        received_driver(config.driver, confirmed=trusted)
+        tables += _offline_tables(
+            data, config.driver, config.siblings, config.twin, images, network_of(config), trusted
+        )
         keep_tables(tables, folder / RQ1)
     tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
     return _answer(tables, out or folder / "evaluation")
 
 
 def offline(
-    data: Path, driver: str, *, siblings: list[str] | None, twin: str, images: int | None, out: Path | None
+    data: Path,
+    driver: str,
+    *,
+    siblings: list[str] | None,
+    twin: str,
+    images: int | None,
+    out: Path | None,
+    trusted: Collection[str] = (),
 ) -> Result:
     """RQ1 of any network on any data set."""
     architecture = architecture_of(driver)
     network: Network | None = (architecture, "sim") if architecture in NETWORKS else None
-    return _answer(_offline_tables(data, driver, siblings, twin, images, network), out)
+    return _answer(_offline_tables(data, driver, siblings, twin, images, network, trusted), out)
 
 
 def _offline_tables(
-    data: Path, driver: str, siblings: list[str] | None, twin: str, images: int | None, network: Network | None
+    data: Path,
+    driver: str,
+    siblings: list[str] | None,
+    twin: str,
+    images: int | None,
+    network: Network | None,
+    trusted: Collection[str],
 ) -> list[Table]:
-    found = predict(data, driver, countdown(), images=images)
+    found = predict(data, driver, countdown(), images=images, trusted=trusted)
     names = siblings if siblings is not None else [name for name in found if name != twin]
     missing = [name for name in (*names, twin) if name not in found]
     if missing:
@@ -91,10 +112,11 @@ def evaluate_command(
     data: Annotated[Path | None, typer.Option(help="Data set for RQ1; see `ds offline`.")] = None,
     images: Images = None,
     out: Annotated[Path | None, typer.Option(help="Folder for CSV and LaTeX; DIR/evaluation if left out.")] = None,
+    trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
     """How well the siblings and their merge foretell the twin: the paper's tables, its numbers beside ours."""
-    answer(evaluation(folder, data=data, images=images, out=out), as_json)
+    answer(evaluation(folder, data=data, images=images, out=out, trusted=trust or []), as_json)
 
 
 @app.command("offline")
@@ -105,8 +127,9 @@ def offline_command(
     twin: Annotated[str, typer.Option(help="Simulator that acts as the twin.")] = "donkey",
     images: Images = None,
     out: Tables = None,
+    trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
     """RQ1: a network's steering errors on the siblings' images against those on the twin's, without driving."""
     names = siblings.split(",") if siblings is not None else None
-    answer(offline(data, driver, siblings=names, twin=twin, images=images, out=out), as_json)
+    answer(offline(data, driver, siblings=names, twin=twin, images=images, out=out, trusted=trust or []), as_json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,6 +22,7 @@ from ds_orchestrator.cli.options import (
     Seed,
     Simulators,
     SteeringFactor,
+    Trust,
     driver_named,
     rows_of,
     simulators_of,
@@ -59,13 +61,13 @@ def import_drives(folders: list[Path], out: Path, name: str, reading: Reading) -
     return Result(document=asdict(found), show=show)
 
 
-def train(data: Path, out: Path, **settings: Any) -> None:
+def train(data: Path, out: Path, *, trusted: Collection[str] = (), **settings: Any) -> None:
     """Train a network; the settings are those of `ds_driver.training.trainer.TrainingPlan`."""
     from ds_driver.training.trainer import TrainingPlan
     from ds_driver.training.trainer import train as train_network
 
     plan = TrainingPlan(**settings)
-    train_network(data, out, plan, say)
+    train_network(data, out, plan, say, trusted=trusted)
     print(out / f"{plan.network}.safetensors")
 
 
@@ -144,12 +146,13 @@ def import_command(
     steering: RecordedSteering = None,
     factor: SteeringFactor = 1.0,
     rows: ImageRows = None,
+    trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Recorded drives of a real car into a data set, to train or compare networks on."""
     from ds_driver.data.recordings import Reading
 
-    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows))
+    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), trusted=tuple(trust or ()))
     answer(import_drives(folders, out, name, reading), as_json)
 
 
@@ -165,6 +168,7 @@ def train_command(
     learning_rate: Annotated[float, typer.Option(min=1e-7, max=1.0, help="Of Adam.")] = 1e-4,
     threads: Annotated[int, typer.Option(min=1, help="Of the mathematics.")] = 2,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    trust: Trust = None,
 ) -> None:
     """Train one network for all simulators of a data set."""
     from ds_driver.training.trainer import schedule_of
@@ -173,7 +177,7 @@ def train_command(
     train(
         data, out, network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs,
         patience=chosen.patience, images_per_simulator=images, learning_rate=learning_rate, threads=threads,
-        device=device,
+        device=device, trusted=trust or [],
     )  # fmt: skip
 
 

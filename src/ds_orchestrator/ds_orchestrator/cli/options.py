@@ -29,6 +29,15 @@ RecordedSteering = Annotated[
 SteeringFactor = Annotated[float, typer.Option(help="Makes of that -1 full left to +1 full right.")]
 ImageRows = Annotated[str | None, typer.Option(help="FIRST:LAST image rows to keep; the lower part if left out.")]
 
+Trust = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--trust",
+        metavar="NAME",
+        help="Simulator or driver named in the folder that may run code of its own, such as module:Class; repeatable.",
+    ),
+]
+
 
 def rows_of(text: str | None) -> tuple[int, int] | None:
     """`FIRST:LAST` as two numbers."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +35,12 @@ class Predictions:
 
 
 def predict(
-    data: Path, network: str, progress: Callable[[int, int, str], None], *, images: int | None = None
+    data: Path,
+    network: str,
+    progress: Callable[[int, int, str], None],
+    *,
+    images: int | None = None,
+    trusted: Collection[str] = (),
 ) -> dict[str, Predictions]:
     """Run a network over a data set, one image at a time as when it drives.
 
@@ -44,6 +49,7 @@ def predict(
         network: any name that `ds_driver.networks.network_driver.NetworkDriver` takes.
         progress: told images done, images in all, and the simulator.
         images: at most so many of each simulator, evenly spread over its drives; all if left out.
+        trusted: simulators of the user's own that the data set may name.
 
     Returns:
         Simulator -> its predictions, in the order of the data set.
@@ -67,7 +73,7 @@ def predict(
     if images is not None:
         groups = {name: _spread(group, images) for name, group in groups.items()}
     total, done = sum(map(len, groups.values())), 0
-    found, crops = {}, crops_of(data, groups)
+    found, crops = {}, crops_of(data, groups, trusted=trusted)
     for name, group in groups.items():
         steering = np.empty(len(group))
         for index, sample in enumerate(group):
@@ -90,14 +96,8 @@ def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
 
 def architecture_of(network: str) -> str:
     """The architecture of a shipped network or a weights file, "" if it has none."""
-    from safetensors import SafetensorError, safe_open
-
     from ds_driver.networks.backends import split_backend
-    from ds_driver.networks.weights import shipped_networks
+    from ds_driver.networks.weights import architecture_in, shipped_networks
 
     network = split_backend(network)[0]
-    try:
-        with safe_open(shipped_networks().get(network, network), framework="np") as file:
-            return str((file.metadata() or {}).get("architecture", ""))
-    except (OSError, SafetensorError):
-        return ""
+    return architecture_in(shipped_networks().get(network, Path(network)))

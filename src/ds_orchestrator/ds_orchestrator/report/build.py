@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict
 from pathlib import Path
 
-from ds_orchestrator.campaign.folder import STAGES, config_of
+from ds_orchestrator.campaign.folder import STAGES, config_of, refuse_foreign_files
 from ds_orchestrator.evaluation.campaign_evaluation import (
     correlations_of,
     maps_of,
@@ -19,7 +19,7 @@ from ds_orchestrator.evaluation.campaign_evaluation import (
 from ds_orchestrator.evaluation.table import read_tables, write_tables
 from ds_orchestrator.maps.feature_map import FeatureMap, to_json
 from ds_orchestrator.store.store import Store
-from ds_sim.registry import label_of
+from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
 
 RQ1 = Path("evaluation/rq1.json")
 """Where `ds evaluate --data` leaves the tables of RQ1 for the report, relative to the campaign's folder."""
@@ -38,7 +38,12 @@ def write_json(folder: Path, maps: dict[str, FeatureMap]) -> None:
 
 
 def write_all(
-    folder: Path, store: Store, *, again: bool = True, say: Callable[[str], None] = lambda line: None
+    folder: Path,
+    store: Store,
+    *,
+    again: bool = True,
+    say: Callable[[str], None] = lambda line: None,
+    trusted: Collection[str] = (),
 ) -> Path:
     """Make maps, evaluation and report of what the store holds.
 
@@ -47,6 +52,7 @@ def write_all(
         store: what was done, finished or not.
         again: also what was made already of as many executions; otherwise only what is missing.
         say: told the stage that begins.
+        trusted: simulators of the user's own whose code may run; of others no camera picture is made.
 
     Returns:
         The path of the report.
@@ -59,6 +65,12 @@ def write_all(
     made = {stage for stage, executions in store.results().items() if executions == count}
     if not again and made >= set(STAGES) and report.exists():
         return report
+    refuse_foreign_files(folder)
+    for name in config.simulators:
+        try:
+            received_simulator(name, confirmed=trusted, option="--trust")
+        except UntrustedSimulatorError as error:
+            say(f"report without its pictures: {error}")
     began = time.monotonic()
     maps = maps_of(store)
     # Half written is not made; a process that ends amid this leaves it to be made again.
@@ -83,7 +95,15 @@ def write_all(
     # RQ1 needs a data set: it is there if `ds evaluate --data` was given one.
     tables = [*read_tables(folder / RQ1), *tables]
     write_report(
-        folder, store, config, maps, correlations, paired_differences=added, tables=tables, network=network_of(config)
+        folder,
+        store,
+        config,
+        maps,
+        correlations,
+        paired_differences=added,
+        tables=tables,
+        network=network_of(config),
+        trusted=trusted,
     )
     store.set_result("report", count)
     return report

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.store import Execution, Test
 from ds_sim.camera.ground import Ground, paint_ground
 from ds_sim.camera.renderer import Camera, Sensor
-from ds_sim.registry import make_simulator, spec_of
+from ds_sim.registry import make_simulator, received_simulator, spec_of
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, SimulatorSpec, VehicleState
 
 CAMERA_PLACE = 45.0
@@ -79,14 +79,14 @@ def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test 
     return max(tests, key=lambda test: completed[test.test_id], default=None)
 
 
-def camera_pictures(names: Sequence[str], test: Test) -> list[CameraPicture]:
+def camera_pictures(names: Sequence[str], test: Test, trusted: Collection[str] = ()) -> list[CameraPicture]:
     """The same place of the same road as every simulator shows it, with the autopilot at the wheel."""
-    return [_camera_picture(name, test) for name in names]
+    return [_camera_picture(name, test, trusted) for name in names]
 
 
-def _camera_picture(name: str, test: Test) -> CameraPicture:
+def _camera_picture(name: str, test: Test, trusted: Collection[str]) -> CameraPicture:
     try:
-        simulator = make_simulator(name)
+        simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
         try:
             seen = _drive_to(simulator, test, CAMERA_PLACE)
             physics = simulator.spec.physics
@@ -142,21 +142,21 @@ def telling_tests(
 
 
 def drive_pictures(
-    names: Sequence[str], tests: Sequence[Test], executions: Sequence[Execution]
+    names: Sequence[str], tests: Sequence[Test], executions: Sequence[Execution], trusted: Collection[str] = ()
 ) -> dict[str, list[Drive | None]]:
     """Test -> its drive on every simulator, or None where there was none."""
     done = {(e.test_id, e.simulator): e for e in executions}
     wanted = [(test, name, done.get((test.test_id, name))) for test in tests for name in names]
     cv2.setNumThreads(1)
     with ThreadPoolExecutor(_THREADS) as pool:
-        drives = list(pool.map(lambda one: None if one[2] is None else _drive(one[1], one[0], one[2]), wanted))
+        drives = list(pool.map(lambda one: None if one[2] is None else _drive(one[1], one[0], one[2], trusted), wanted))
     rows = [drives[k : k + len(names)] for k in range(0, len(drives), len(names))]
     return {test.test_id: row for test, row in zip(tests, rows, strict=True)}
 
 
-def _drive(name: str, test: Test, execution: Execution) -> Drive:
+def _drive(name: str, test: Test, execution: Execution, trusted: Collection[str]) -> Drive:
     try:
-        spec = spec_of(name)
+        spec = spec_of(received_simulator(name, confirmed=trusted, option="--trust"))
         ground = paint_ground(test.road, spec.look)
         camera = Camera(spec.camera, spec.look)
         frames = [_frame(spec, camera, ground, test.seed, execution, k) for k in moments(execution)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,7 @@ def write_report(
     paired_differences: Sequence[PairedDifference] = (),
     tables: Sequence[Table] = (),
     network: Network | None = None,
+    trusted: Collection[str] = (),
 ) -> Path:
     """Write `report.html`; the same store gives the same bytes.
 
@@ -60,6 +61,7 @@ def write_report(
         paired_differences: what merging adds to each sibling.
         tables: of the evaluation.
         network: whose numbers of the paper stand beside ours, or None.
+        trusted: simulators of the user's own whose code may run; the others have no pictures.
 
     Returns:
         The path of the report.
@@ -69,7 +71,7 @@ def write_report(
     data = page_data(config, maps, tests, executions)
     cells = cells_by_test(config, tests, executions)
     shown = telling_tests(tests, executions, cells)
-    pictures = drive_pictures(config.simulators, shown, executions)
+    pictures = drive_pictures(config.simulators, shown, executions, trusted)
     data["pictures"] = {
         test_id: [drive and {"frames": drive.frames, "note": drive.note} for drive in drives]
         for test_id, drives in pictures.items()
@@ -85,7 +87,7 @@ def write_report(
             config, maps, correlations, executions, tests=len(tests), paired_differences=paired_differences
         ),
         tiles=_tiles(config, correlations, tests, executions),
-        cameras=camera_pictures(config.simulators, place) if place else [],
+        cameras=camera_pictures(config.simulators, place, trusted) if place else [],
         camera_test=place,
         camera_cell=cells.get(place.test_id, ()) if place else (),
         camera_place=CAMERA_PLACE,

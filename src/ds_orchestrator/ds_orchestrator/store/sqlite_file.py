@@ -1,4 +1,4 @@
-"""The SQLite file of a campaign: opened without harm to what is not ours, and one clear line for what goes wrong."""
+"""SQLite file of a campaign: never changes a file that is not one, and reports every failure in one line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,13 @@ CREATE TABLE searches (
     PRIMARY KEY (sibling, run));
 CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL);
 """
-_TABLES = {line.split()[2] for line in SCHEMA.splitlines() if line.startswith("CREATE")}
+LARGEST_FILE = 4 * 2**30
+"""Bytes; chosen: 200,000 executions and more."""
+LARGEST_VALUE = 64 * 2**20
+"""Bytes of one value or row; chosen: a run of `rows.MOST_STEPS` frames fits."""
+_TABLES = {" ".join(statement.split()) for statement in SCHEMA.split(";") if statement.strip()}
+_JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
+"""Ends a rollback journal that names another file, which SQLite would delete (SQLite file format, 3)."""
 Row = tuple[Any, ...]
 
 
@@ -41,11 +47,14 @@ class StoreError(ValueError):
 
 
 class SqliteFile:
-    """Asks one file, from any thread; nothing is written to a file that turns out not to be a campaign's.
+    """Runs statements on one file, from any thread; a file that is not a campaign's stays as it is.
+
+    The file may come from somebody else: its tables must be exactly those of `SCHEMA`, so that no view, trigger or
+    virtual table of its author takes part in a statement, and its size and the size of every value are bounded.
 
     Args:
-        path: of the file.
-        begin: facts to begin a new campaign with where there is none; None to read one only.
+        path: path of the file.
+        begin: facts to begin a new campaign with where there is none; None to open an existing one.
 
     Raises:
         StoreError: there is no campaign, or it is of another version, damaged, or cannot be written.
@@ -57,17 +66,18 @@ class SqliteFile:
         folder = path.parent
         if begin is None and not path.exists():
             raise StoreError(f"no campaign in {folder}: run one there first")
-        if path.is_dir():
-            raise StoreError(f"{path} is a folder, expected a campaign's file: choose another --out")
+        self._check_file()
         self._db = self._connect(reading=begin is None)
         try:
-            tables = {name for (name,) in self.ask("SELECT name FROM sqlite_master WHERE type='table'")}
+            for setting in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0"):
+                self.ask(f"PRAGMA {setting}")
+            tables = self._tables()
             version = self.ask("PRAGMA user_version")[0][0]
             if not tables and version == 0:  # made just now, or by a process that was killed before it made the tables
                 if begin is None:
                     raise StoreError(f"no campaign in {folder}: it was stopped before it began, run it again")
                 self._begin(begin)
-            elif version == 0 or (version == SCHEMA_VERSION and not tables >= _TABLES):
+            elif version == 0 or (version == SCHEMA_VERSION and tables != _TABLES):
                 raise StoreError(f"{path} is not a campaign's file: choose another --out")
             elif version != SCHEMA_VERSION:
                 age = "an older" if version < SCHEMA_VERSION else "a newer"
@@ -80,6 +90,31 @@ class SqliteFile:
         except BaseException:
             self._db.close()
             raise
+
+    def _check_file(self) -> None:
+        """Refuse what SQLite must not open."""
+        path = self.path
+        if path.is_dir():
+            raise StoreError(f"{path} is a folder, expected a campaign's file: choose another --out")
+        if path.exists() and not path.is_file():
+            raise StoreError(f"{path} is not a regular file, expected a campaign's: choose another --out")
+        if path.exists() and path.stat().st_size > LARGEST_FILE:
+            raise StoreError(f"{path} has more than {LARGEST_FILE // 2**30} GiB, the limit for a campaign")
+        for ending in ("-journal", "-wal", "-shm"):
+            beside = path.with_name(f"{path.name}{ending}")
+            if beside.is_symlink() or (beside.exists() and not beside.is_file()):
+                raise StoreError(f"{beside} is not a regular file: remove it, and copy the campaign again")
+        journal = path.with_name(f"{path.name}-journal")
+        if journal.exists():
+            with journal.open("rb") as file:
+                file.seek(max(0, journal.stat().st_size - len(_JOURNAL_MAGIC)))
+                if file.read() == _JOURNAL_MAGIC:
+                    raise StoreError(f"{journal} refers to other files, which no campaign's does: remove it")
+
+    def _tables(self) -> set[str]:
+        """SQL of everything in the file that SQLite did not make by itself, blanks aside."""
+        rows = self.ask("SELECT type, name, sql FROM sqlite_master")
+        return {" ".join(str(sql).split()) for kind, name, sql in rows if not (kind == "index" and sql is None)}
 
     def _connect(self, *, reading: bool) -> sqlite3.Connection:
         name = quote(str(self.path.absolute()))
@@ -95,25 +130,27 @@ class SqliteFile:
                 )
             flags = "?mode=ro&immutable=1"
         try:
-            return sqlite3.connect(f"file:{name}{flags}", uri=True, check_same_thread=False, isolation_level=None)
+            found = sqlite3.connect(f"file:{name}{flags}", uri=True, check_same_thread=False, isolation_level=None)
         except sqlite3.Error as error:
             raise self._refusal(error) from None
+        found.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+        return found
 
     def _begin(self, facts: Mapping[str, str]) -> None:
-        """Tables, version and facts, all or nothing."""
+        """Write tables, version and facts, all or nothing."""
         self.ask("PRAGMA journal_mode=WAL")
         statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMA.split(";") if s.strip()]
         statements.append((f"PRAGMA user_version={SCHEMA_VERSION}", ()))
         self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
 
     def _check_whole(self) -> None:
-        """Before anything is added, see that what is there is sound."""
+        """Check the pages of the file before anything is added to it."""
         found = self.ask("PRAGMA quick_check(1)")[0][0]
         if found != "ok":
             raise self._refusal(sqlite3.DatabaseError(found))
 
     def ask(self, statement: str, values: Sequence[object] = ()) -> list[Row]:
-        """The rows that a statement gives, which may write as well.
+        """Run one statement, which may write, and return its rows.
 
         Raises:
             StoreError: the file is damaged, or the disk is full, or it cannot be written.
@@ -125,7 +162,7 @@ class SqliteFile:
                 raise self._refusal(error) from None
 
     def change(self, *statements: tuple[str, Sequence[object]]) -> None:
-        """Several statements, all or nothing.
+        """Run several statements, all or nothing.
 
         Raises:
             StoreError: the file is damaged, or the disk is full, or it cannot be written.
@@ -142,21 +179,22 @@ class SqliteFile:
                 raise self._refusal(error) from None
 
     def damaged(self, what: str) -> StoreError:
-        """For content that cannot be what was written."""
+        """Make the error for content that cannot be what was written."""
         return StoreError(f"{self.path} is damaged ({what}): restore it from a copy, or choose another --out")
 
     def _refusal(self, error: sqlite3.Error) -> StoreError:
         name = getattr(error, "sqlite_errorname", "SQLITE_CORRUPT")
         if name.startswith("SQLITE_FULL"):
             return StoreError(f"{self.path} cannot grow, the disk is full: make room, and give the same command again")
-        if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
-            return self.damaged(" ".join(str(error).split()))
+        said = "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))[:200]
+        if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG")) or "decode" in said:
+            return self.damaged(said)
         if name.startswith("SQLITE_BUSY"):
             return StoreError(f"{self.path} is locked by another process: end it, and give the same command again")
         return StoreError(
-            f"{self.path} cannot be used ({error}): check the disk and the folder, or choose another --out"
+            f"{self.path} cannot be used ({said}): check the disk and the folder, or choose another --out"
         )
 
     def close(self) -> None:
-        """Write everything out."""
+        """Close the file; everything is written."""
         self._db.close()

@@ -1,35 +1,44 @@
-"""The campaign's memory: one SQLite file in which every test and every outcome stands as soon as it is known."""
+"""Stores every test and every outcome of a campaign as soon as it is known, in one SQLite file."""
 
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_orchestrator.store import rows as check
+from ds_orchestrator.store.rows import pack_numbers
 from ds_orchestrator.store.sqlite_file import Row, SqliteFile, StoreError
 from ds_road import Road
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import FRAME_TIME, Outcome
+
+MOST_TRAJECTORY_STEPS = 100_000_000
+"""Frames of all runs that are read at once, 4 GiB; chosen: 200,000 runs of the usual length."""
+_VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
+_ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
+_TOLERANCE = 1e-6
+"""m and s; between a number and what it follows from."""
 
 __all__ = ["Execution", "Store", "StoreError", "Test"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Test:
-    """A road that the search made on one sibling.
+    """Road that the search generated on one sibling.
 
     Attributes:
         test_id: `<sibling>-<run>-<number>`.
-        sibling: name of the sibling whose search made it.
-        run: which run of the search, from 0.
-        number: which test of the run, from 0.
-        road: to drive.
-        seed: of every execution of this test.
+        sibling: simulator whose search generated the road.
+        run: index of the search run, from 0.
+        number: index of the test within the run, from 0.
+        road: road to drive.
+        seed: seed of every execution of this test.
     """
 
     __test__ = False  # not a test case for pytest
@@ -44,11 +53,20 @@ class Test:
 
 @dataclass(frozen=True, kw_only=True)
 class Execution:
-    """What happened when one simulator ran one test.
+    """Outcome of one test on one simulator.
 
     Attributes:
+        test_id: id of the test.
+        simulator: name of the simulator.
+        outcome: how the run ended.
+        message: reason in one line, where the outcome alone does not tell.
+        fitness: smallest lateral distance of the run, m.
+        max_lateral_position: largest absolute lateral position of the run, m.
+        steps: frames driven.
+        simulated_seconds: simulated time driven, s.
+        trajectory_sha256: digest of the trajectory; see `ds_orchestrator.store.rows.trajectory_sha256`.
         trajectory: (steps + 1, 5) float64: x, y, yaw, speed, lateral position; m, rad, m/s.
-        bag: folder of the bag relative to the campaign's, or "".
+        bag: folder of the bag relative to the campaign folder, or "".
         steering: (steps,) float64, the commands in [-1, 1].
     """
 
@@ -67,12 +85,16 @@ class Execution:
 
 
 class Store:
-    """Reads and writes one campaign's file; may be used from several threads.
+    """Reads and writes the file of one campaign; may be used from several threads.
+
+    Every row is checked when it is read: types, ranges, known outcomes, finite numbers, and each trajectory against
+    its SHA-256. What does not fit raises a `StoreError` of one line.
 
     Args:
-        path: of the file; it is made if it does not exist.
-        config: the campaign's configuration as JSON text, written once and compared afterwards.
-        present: the text that an earlier version's configuration has now.
+        path: path of the file, created if missing and `config` is given.
+        config: configuration of the campaign as JSON text, written once and compared afterwards; None to open an
+            existing campaign.
+        present: turns the text of a configuration that an earlier version wrote into today's.
 
     Raises:
         StoreError: the file is of another campaign or version, damaged, or cannot be written.
@@ -85,7 +107,10 @@ class Store:
         if config is not None and (known := self.config) != config and present(known) == config:
             self._file.ask("UPDATE about SET value=? WHERE key='config'", (config,))
         if config is not None and self.config != config:
-            different = _differences(self.config, config)
+            try:
+                different = _differences(self.config, config)
+            except (ValueError, RecursionError, AttributeError):
+                different = "what is there is not a configuration"
             self.close()
             raise StoreError(
                 f"{path.parent} holds a campaign with another configuration ({different}): restore it, or choose "
@@ -98,15 +123,18 @@ class Store:
         found = self._file.ask("SELECT value FROM about WHERE key='config'")
         if not found:
             raise self._file.damaged("it has no configuration")
-        return str(found[0][0])
+        try:
+            return check.text(found[0][0], "config", longest=2**20)
+        except check.RowError as error:
+            raise self._file.damaged(str(error)) from None
 
     def note(self, key: str, value: str) -> str:
-        """Keep a fact about the campaign, such as versions; the one that is known already stays. What is known."""
+        """Store a fact about the campaign, such as a version, unless it is known already; returns the stored one."""
         self._file.ask("INSERT OR IGNORE INTO about VALUES (?, ?)", (key, value))
         return str(self._file.ask("SELECT value FROM about WHERE key=?", (key,))[0][0])
 
     def add_seconds(self, stage: str, seconds: float) -> None:
-        """Add to the time by the wall clock that a stage has taken so far."""
+        """Add to the wall-clock time of a stage."""
         self._file.ask(
             "INSERT INTO about VALUES (?, printf('%.1f', ?)) ON CONFLICT(key) DO UPDATE SET "
             "value = printf('%.1f', CAST(value AS REAL) + CAST(excluded.value AS REAL))",
@@ -115,10 +143,19 @@ class Store:
 
     def notes(self) -> dict[str, str]:
         """Every fact about the campaign."""
-        return dict(self._file.ask("SELECT key, value FROM about ORDER BY key"))
+        found = {}
+        for key, value in self._file.ask("SELECT key, value FROM about ORDER BY key"):
+            longest = 2**20 if key == "config" else check.LONGEST_TEXT
+            try:
+                found[check.text(key, "a fact's name")] = check.text(value, f"fact {key!r:.60}", longest=longest)
+                if str(key).startswith("seconds "):
+                    check.seconds(value, str(key))
+            except check.RowError as error:
+                raise self._file.damaged(str(error)) from None
+        return found
 
     def add_test(self, test: Test) -> None:
-        """Remember a test; one that is known already stays as it is.
+        """Store a test unless it is known already.
 
         Raises:
             StoreError: a test of this name is known with another road.
@@ -137,78 +174,125 @@ class Store:
             )
 
     def add_execution(self, execution: Execution) -> None:
-        """Remember what happened; the last thing that is done for an execution, so what stands here is whole."""
+        """Store an execution; comes after its bag is written, so that a stored execution is complete."""
         row = (
             execution.test_id, execution.simulator, execution.outcome.name, execution.message, execution.fitness,
             execution.max_lateral_position, execution.steps, execution.simulated_seconds,
-            execution.trajectory_sha256, zlib.compress(execution.trajectory.tobytes()),
-            zlib.compress(execution.steering.tobytes()), execution.bag,
+            execution.trajectory_sha256, pack_numbers(execution.trajectory), pack_numbers(execution.steering),
+            execution.bag,
         )  # fmt: skip
         self._file.ask("INSERT OR REPLACE INTO executions VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
 
     def add_error(self, test_id: str, simulator: str, attempt: int, outcome: Outcome, message: str) -> None:
-        """Remember an attempt that ended in an error."""
+        """Store an attempt that ended in an error."""
         row = (test_id, simulator, attempt, outcome.name, message)
         self._file.ask("INSERT INTO errors VALUES (?,?,?,?,?)", row)
 
     def take_back(self, test_ids: Sequence[str]) -> None:
-        """Forget tests without an outcome, the first of which alone stays, to be tried again."""
+        """Delete tests without an outcome except the first, which is tried again."""
         self._file.change(
             *(("DELETE FROM given_up WHERE test_id=?", (test_id,)) for test_id in test_ids),
             *(("DELETE FROM tests WHERE test_id=?", (test_id,)) for test_id in test_ids[1:]),
         )
 
     def give_up(self, test_id: str) -> None:
-        """Remember that the search went on without the outcome of a test."""
+        """Store that the search continued without the outcome of a test."""
         self._file.ask("INSERT OR IGNORE INTO given_up VALUES (?)", (test_id,))
 
     def given_up(self) -> set[str]:
-        """Tests without whose outcome the search went on; they may have one now."""
-        return {row[0] for row in self._file.ask("SELECT test_id FROM given_up")}
+        """Tests without whose outcome the search continued; they may have one by now."""
+        return {str(row[0]) for row in self._checked("SELECT test_id FROM given_up", check.text)}
 
     def add_search(self, sibling: str, run: int, method: str, seed: int) -> None:
-        """Remember how one run of a search was begun."""
+        """Store method and seed of one run of a search."""
         self._file.ask("INSERT OR IGNORE INTO searches VALUES (?,?,?,?)", (sibling, run, method, seed))
 
     def searches(self) -> list[tuple[str, int, str, int]]:
         """Every run of a search: sibling, run, method, seed."""
-        rows = self._file.ask("SELECT sibling, run, method, seed FROM searches ORDER BY sibling, run")
-        return [(sibling, run, method, seed) for sibling, run, method, seed in rows]
+        statement = "SELECT sibling, run, method, seed FROM searches ORDER BY sibling, run"
+        found = self._checked(statement, check.text, check.whole, check.text, check.whole)
+        return [(sibling, run, method, seed) for sibling, run, method, seed in found]
 
     def set_result(self, stage: str, executions: int) -> None:
-        """Remember that a result was made of so many executions."""
+        """Store that a result was made of so many executions."""
         self._file.ask("INSERT OR REPLACE INTO results VALUES (?,?)", (stage, executions))
 
     def results(self) -> dict[str, int]:
         """Result -> number of executions of which it was made."""
-        return dict(self._file.ask("SELECT stage, executions FROM results"))
+        found = self._checked("SELECT stage, executions FROM results", check.text, partial(check.whole, low=-1))
+        return dict(found)
 
     def errors(self) -> list[tuple[str, str, int, str, str]]:
         """Attempts that ended in an error: test, simulator, attempt, outcome, message."""
         columns = "test_id, simulator, attempt, outcome, message"
-        rows = self._file.ask(f"SELECT {columns} FROM errors ORDER BY test_id, simulator, attempt")
-        return [(test, simulator, attempt, outcome, message) for test, simulator, attempt, outcome, message in rows]
+        found = self._checked(
+            f"SELECT {columns} FROM errors ORDER BY test_id, simulator, attempt",
+            check.text, check.text, check.whole, partial(check.one_of, known=_ERRORS), check.text,
+        )  # fmt: skip
+        return [(test, simulator, attempt, outcome, message) for test, simulator, attempt, outcome, message in found]
+
+    def _checked(self, statement: str, *checks: Callable[..., object]) -> list[Row]:
+        """Rows of a statement, each of whose values passes the check of its column."""
+        found = self._file.ask(statement)
+        columns = [name.strip() for name in statement.removeprefix("SELECT ").partition(" FROM ")[0].split(",")]
+        for row in found:
+            for checked, value, column in zip(checks, row, columns, strict=True):
+                try:
+                    checked(value, column)
+                except check.RowError as error:
+                    table = statement.partition(" FROM ")[2].split()[0]
+                    raise self._file.damaged(f"a row of {table}: {error}") from None
+        return found
 
     def tests(self) -> list[Test]:
         """Every test, ordered by sibling, run and number."""
         rows = self._file.ask(
-            "SELECT test_id, sibling, run, number, control_points, seed, published FROM tests"
+            "SELECT test_id, sibling, run, number, control_points, seed, published, road_id FROM tests"
             " ORDER BY sibling, run, number"
         )
-        return [
-            Test(
-                test_id=i,
-                sibling=s,
-                run=r,
-                number=n,
-                road=Road(json.loads(points), maxitwo_compatible=bool(maxitwo_compatible)),
-                seed=seed,
+        return [self._test_of(row) for row in rows]
+
+    def _test_of(self, row: Row) -> Test:
+        test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id = row
+        try:
+            sibling = check.text(sibling, "sibling")
+            run, number = check.whole(run, "run"), check.whole(number, "number")
+            if not check.file_name(test_id, "test_id").endswith(f"-{run}-{number:04d}"):
+                raise check.RowError(f"test_id does not end in -{run}-{number:04d}")
+            quirk = bool(check.whole(maxitwo_compatible, "published", high=1))
+            road = Road(check.control_points(points), maxitwo_compatible=quirk)
+            if road.road_id != road_id:
+                raise check.RowError("its control points are those of another road than its road_id")
+            return Test(
+                test_id=test_id, sibling=sibling, run=run, number=number, road=road, seed=check.whole(seed, "seed")
             )
-            for i, s, r, n, points, seed, maxitwo_compatible in rows
-        ]
+        except ValueError as error:
+            raise self._file.damaged(f"the test {test_id!r:.60}: {error}") from None
+
+    def check_names(self, siblings: Sequence[str], simulators: Sequence[str], *, runs: int, budget: int) -> None:
+        """Refuse tests and executions that a campaign over these simulators cannot have.
+
+        Args:
+            siblings: simulators with a search.
+            simulators: all simulators.
+            runs: search runs on each sibling.
+            budget: tests of a run.
+
+        Raises:
+            StoreError: another simulator, a run or number out of range, or an execution without its test.
+        """
+        for table, column, known in (("tests", "sibling", siblings), ("executions", "simulator", simulators)):
+            for (name,) in self._file.ask(f"SELECT DISTINCT {column} FROM {table}"):
+                if name not in known:
+                    raise self._file.damaged(f"{table} of {name!r:.60}, which is no simulator of its configuration")
+        if self._file.ask("SELECT 1 FROM tests WHERE run >= ? OR number >= ? LIMIT 1", (runs, budget)):
+            raise self._file.damaged("tests of another run or number than its configuration has")
+        lost = self._file.ask("SELECT test_id FROM executions WHERE test_id NOT IN (SELECT test_id FROM tests) LIMIT 1")
+        if lost:
+            raise self._file.damaged(f"an execution of {lost[0][0]!r:.60}, which is no test")
 
     def execution(self, test_id: str, simulator: str) -> Execution | None:
-        """What happened on one simulator, or None if it did not happen yet."""
+        """The execution of a test on one simulator, or None if there is none yet."""
         found = self._executions("WHERE test_id=? AND simulator=?", (test_id, simulator))
         return found[0] if found else None
 
@@ -221,6 +305,11 @@ class Store:
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
     def _executions(self, where: str, values: tuple[str, ...]) -> list[Execution]:
+        if (
+            not where
+            and float(self._file.ask("SELECT total(abs(steps)) FROM executions")[0][0]) > MOST_TRAJECTORY_STEPS
+        ):
+            raise self._file.damaged(f"more than {MOST_TRAJECTORY_STEPS} steps of all runs, the limit for a campaign")
         rows = self._file.ask(
             "SELECT test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds,"
             f" trajectory_sha256, trajectory, bag, steering FROM executions {where} ORDER BY simulator, test_id",
@@ -230,37 +319,46 @@ class Store:
 
     def _execution_of(self, row: Row) -> Execution:
         try:
-            return Execution(
-                test_id=row[0],
-                simulator=row[1],
-                outcome=Outcome[row[2]],
-                message=row[3],
-                fitness=row[4],
-                max_lateral_position=row[5],
-                steps=row[6],
-                simulated_seconds=row[7],
+            steps = check.whole(row[6], "steps", high=check.MOST_STEPS)
+            execution = Execution(
+                test_id=check.text(row[0], "test_id"),
+                simulator=check.text(row[1], "simulator"),
+                outcome=Outcome[check.one_of(row[2], "outcome", _VERDICTS)],
+                message=check.text(row[3], "message"),
+                fitness=check.real(row[4], "fitness"),
+                max_lateral_position=check.real(row[5], "max_lateral_position"),
+                steps=steps,
+                simulated_seconds=check.real(row[7], "simulated_seconds"),
                 trajectory_sha256=row[8],
-                trajectory=np.frombuffer(zlib.decompress(row[9])).reshape(-1, 5),
-                bag=row[10],
-                steering=np.frombuffer(zlib.decompress(row[11])),
+                trajectory=check.unpack_trajectory(row[9], row[8], steps=steps),
+                bag=check.bag_folder(row[10]),
+                steering=check.unpack_numbers(row[11], "steering", count=steps),
             )
-        except (zlib.error, ValueError, TypeError, KeyError):
-            raise self._file.damaged(f"the run of {row[0]} on {row[1]} cannot be read") from None
+            if abs(execution.simulated_seconds - steps * FRAME_TIME) > _TOLERANCE:
+                raise check.RowError(f"simulated_seconds is {execution.simulated_seconds:g} for {steps} steps")
+            lateral = np.abs(execution.trajectory[:, 4])
+            if lateral.size and abs(lateral.max() - execution.max_lateral_position) > _TOLERANCE:
+                raise check.RowError("max_lateral_position is not the largest one of its trajectory")
+            if np.abs(execution.steering).max(initial=0.0) > 1.0:
+                raise check.RowError("steering leaves [-1, 1]")
+            return execution
+        except check.RowError as error:
+            raise self._file.damaged(f"the run of {row[0]!s:.60} on {row[1]!s:.60} cannot be read: {error}") from None
 
     def close(self) -> None:
-        """Write everything out."""
+        """Close the file; everything is written."""
         self._file.close()
 
 
 def _differences(known: str, given: str) -> str:
-    """Which keys of two configurations differ, and how."""
+    """Keys in which two configurations differ, with both values."""
     old, new = _flat(json.loads(known)), _flat(json.loads(given))
     keys = [key for key in new | old if old.get(key) != new.get(key)]
     return "; ".join(f"{key}: {old.get(key)} there, {new.get(key)} now" for key in keys)
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Keys within keys as `search.runs`."""
+    """Flatten nested keys, as in `search.runs`."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}

@@ -1,0 +1,163 @@
+"""Checks rows of a campaign's store: SQLite enforces no column type, and a received file may hold anything."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import zlib
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LONGEST_TEXT = 10_000
+"""Characters of a message, a name or a fact; chosen: far above the longest one that is written."""
+LONGEST_ROAD = 200_000
+"""Characters of a road's control points as JSON: four times 1000 points with all their digits."""
+MOST_STEPS = 1_000_000
+"""Frames of one run; chosen: 500 times the limit of the built-in oracle."""
+_COLUMNS = 5
+_SHA256 = 64
+
+
+class RowError(ValueError):
+    """A value that no campaign can have written; the message names the column."""
+
+
+def text(value: object, name: str, *, longest: int = LONGEST_TEXT) -> str:
+    """A text of bounded length."""
+    if not isinstance(value, str):
+        raise RowError(f"{name} is {_kind(value)}, expected text")
+    if len(value) > longest:
+        raise RowError(f"{name} has {len(value)} characters, expected at most {longest}")
+    return value
+
+
+def one_of(value: object, name: str, known: Collection[str]) -> str:
+    """One of some known words."""
+    if text(value, name) not in known:
+        raise RowError(f"{name} is {value!r:.60}, expected one of {', '.join(known)}")
+    return str(value)
+
+
+def file_name(value: object, name: str) -> str:
+    """A text that is safe as a part of a file's name."""
+    if not re.fullmatch(r"[A-Za-z0-9_.-]{1,200}", text(value, name)):
+        raise RowError(f"{name} is {value!r:.60}, expected letters, digits, _, - and .")
+    return str(value)
+
+
+def whole(value: object, name: str, *, low: int = 0, high: int = 2**63 - 1) -> int:
+    """A whole number within bounds."""
+    if not isinstance(value, int):
+        raise RowError(f"{name} is {_kind(value)}, expected a whole number")
+    if not low <= value <= high:
+        raise RowError(f"{name} is {value}, expected {low} to {high}")
+    return value
+
+
+def real(value: object, name: str) -> float:
+    """A finite number; SQLite keeps NaN as nothing at all."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        shown = value if isinstance(value, float) else _kind(value)
+        raise RowError(f"{name} is {shown}, expected a finite number")
+    return float(value)
+
+
+def seconds(value: str, name: str) -> float:
+    """A duration that is kept as text."""
+    try:
+        found = float(value) if len(value) < 30 else math.nan
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found) or found < 0:
+        raise RowError(f"{name!r:.60} is {value!r:.60}, expected seconds")
+    return found
+
+
+def bag_folder(value: object) -> str:
+    """The folder of a bag, which lies in the campaign's folder `bags`, or ""."""
+    path = text(value, "bag")
+    if path and not re.fullmatch(r"bags/(?!\.+$)[A-Za-z0-9_.-]{1,255}", path):
+        raise RowError(f"bag is {path!r:.60}, expected a folder in bags")
+    return path
+
+
+def control_points(value: object) -> list[Any]:
+    """Control points of a road, unchecked beyond being a JSON list."""
+    try:
+        points = json.loads(text(value, "control_points", longest=LONGEST_ROAD))
+    except RowError:
+        raise
+    except (ValueError, RecursionError):
+        raise RowError("control_points is not JSON") from None
+    if not isinstance(points, list):
+        raise RowError("control_points is not a list")
+    return points
+
+
+def pack_numbers(values: NDArray[np.float64]) -> bytes:
+    """Numbers as the store keeps them."""
+    return zlib.compress(values.tobytes())
+
+
+def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float64]:
+    """Numbers that `pack_numbers` packed; no more memory is taken than so many need.
+
+    Args:
+        packed: value of the column.
+        name: of the column.
+        count: how many there must be.
+
+    Raises:
+        RowError: damaged, another number of values, or one that is not finite.
+    """
+    if not isinstance(packed, bytes):
+        raise RowError(f"{name} is {_kind(packed)}, expected bytes")
+    expected = 8 * count
+    unpacker = zlib.decompressobj()
+    try:
+        content = unpacker.decompress(packed, expected + 1)
+        if len(content) == expected and not unpacker.eof:
+            content += unpacker.decompress(unpacker.unconsumed_tail, 1)
+    except zlib.error:
+        raise RowError(f"{name} is damaged") from None
+    if len(content) != expected or not unpacker.eof or unpacker.unused_data:
+        raise RowError(f"{name} does not hold {count} numbers")
+    values = np.frombuffer(content, dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise RowError(f"{name} holds NaN or infinity")
+    return values
+
+
+def unpack_trajectory(packed: object, sha256: object, *, steps: int) -> NDArray[np.float64]:
+    """A trajectory whose digest is the stored one; (steps + 1, 5), or (0, 5) of a run without observations.
+
+    Raises:
+        RowError: damaged, of another length, not finite, or with another digest.
+    """
+    digest = text(sha256, "trajectory_sha256", longest=_SHA256)
+    empty = steps == 0 and digest == trajectory_sha256(np.empty((0, _COLUMNS)))
+    rows = 0 if empty else steps + 1
+    trajectory = unpack_numbers(packed, "trajectory", count=_COLUMNS * rows).reshape(rows, _COLUMNS)
+    if trajectory_sha256(trajectory) != digest:
+        raise RowError("its trajectory has another SHA-256 than when it was driven")
+    return trajectory
+
+
+def trajectory_sha256(trajectory: NDArray[np.float64]) -> str:
+    """SHA-256 over the little-endian float64 bytes of x, y, yaw and speed of every step, the one at rest included.
+
+    Args:
+        trajectory: (n, 4 or more); further columns do not enter.
+    """
+    return hashlib.sha256(np.ascontiguousarray(trajectory[:, :4], dtype="<f8").tobytes()).hexdigest()
+
+
+def _kind(value: object) -> str:
+    return {type(None): "empty", bytes: "a blob", str: "text", float: "a fraction", int: "a whole number"}.get(
+        type(value), type(value).__name__
+    )

@@ -1,0 +1,304 @@
+"""Configurations, stores, roads, networks, data sets and parameter files."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import zlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_json, replace_with_no_file
+from tests.fuzz.harness import Kind
+
+from ds_driver.data.dataset import DatasetError, read_samples, write_drive
+from ds_driver.networks.described_network import DescribedNetworkPilot
+from ds_driver.networks.pilot import DriverError
+from ds_driver.networks.weights import WeightsError, load_network, save_weights
+from ds_orchestrator.campaign.config import ConfigError, read_config
+from ds_orchestrator.campaign.folder import config_of
+from ds_orchestrator.campaign.status import stages_of
+from ds_orchestrator.evaluation.campaign_evaluation import maps_of
+from ds_orchestrator.store.store import Store, StoreError
+from ds_road import RoadError
+from ds_road.files import read_roads
+from ds_sim.camera.jpeg import encode
+from ds_twin_donkey.parameter_file import ParameterFileError, read_parameters
+
+_CONFIG = """\
+siblings: [bullet, softbody]
+twin: donkey
+driver: autopilot
+search: {method: deephyperion, population: 2, iterations: 1, runs: 1, min_angle: 40, max_angle: 90, extent: 6}
+operators: {probability: product, quality_loss: minimum, compare: [average]}
+features: [turns_count, "minimum_radius:20"]
+seed: 7
+command_timeout: 10.0
+record: none
+"""
+_ROADS = [
+    [[125.0, 0.0], [125.0, 25.0], [125.0, 50.0], [135.0, 75.0], [120.0, 95.0]],
+    {"road_points": [[0, 0], [10, 0], [20, 1], [30, 3]], "lane_width": 3.5},
+    {"control_points": [[0, 0], [10, 0], [20, 1], [30, 3], [40, 9]], "maxitwo_compatible": True},
+]
+_CAR = """\
+format: ds_twin_donkey parameters 1
+parameters:
+  friction: {value: 0.8, unit: '1', status: fitted, interval_95: [0.7, 0.9], start: 0.85}
+  steering_pulse_steps: {value: 85, status: held}
+logs: [{name: drive, kind: tub, sha256: '00', seconds: 10.0}]
+"""
+_DESCRIPTION = """\
+file: network.onnx
+input: {size: [16, 32], colour: grey, layout: nchw, crop: {top: 60, bottom: 0}, subtract: 127.5, divide: 127.5}
+outputs: {steering: {output: steering, index: 0, scale: -1.0, offset: 0.0}, throttle: {output: 0, index: 0}}
+"""
+
+
+def _text(name: str, text: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(text)
+        return folder / name
+
+    return write
+
+
+def _write_store(folder: Path) -> Path:
+    """A small campaign with errors, drives, notes and results."""
+    from report_campaigns import make_tests
+
+    _text("config.yaml", _CONFIG)(folder)
+    config = read_config(folder / "config.yaml")
+    (folder / "config.yaml").unlink()
+    store = Store(folder / "campaign.sqlite", config=config.identity())
+    store.note("version numpy", "2")
+    store.add_seconds("search", 12.5)
+    for test, executions in make_tests(config, 3):
+        store.add_test(test)
+        for execution in executions:
+            store.add_execution(execution)
+    store.add_search("bullet", 0, "deephyperion", 3)
+    store.set_result("maps", 3)
+    store.close()
+    return folder / "campaign.sqlite"
+
+
+def _damage_store(path: Path, rng: Rng) -> None:
+    """Another value in one cell mostly, else another table, or damage to bytes."""
+    chance = rng.random()
+    if chance < 0.02:
+        replace_with_no_file(path, rng)
+    elif chance < 0.2:
+        path.write_bytes(damaged_bytes(path.read_bytes(), rng))
+    else:
+        db = sqlite3.connect(path, isolation_level=None)
+        db.execute("PRAGMA foreign_keys=OFF")
+        tables = ["about", "tests", "executions", "errors", "given_up", "searches", "results"]
+        try:
+            for _ in range(int(rng.integers(1, 4))):
+                _change_store(db, tables[int(rng.integers(len(tables)))], rng)
+        except (sqlite3.IntegrityError, sqlite3.OperationalError, OverflowError):
+            pass  # SQLite itself does not take this value
+        db.close()
+
+
+def _change_store(db: sqlite3.Connection, table: str, rng: Rng) -> None:
+    columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
+    rows = db.execute(f"SELECT rowid, * FROM {table}").fetchall()
+    if rng.random() < 0.05:
+        statements = [
+            f"DROP TABLE {table}",
+            f"DELETE FROM {table}",
+            f"ALTER TABLE {table} RENAME TO other",
+            f"CREATE TRIGGER t AFTER INSERT ON {table} BEGIN DELETE FROM tests; END",
+            f"INSERT INTO {table} SELECT * FROM {table}",
+            "CREATE VIEW v AS WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT x FROM n",
+        ]
+        db.execute(statements[int(rng.integers(len(statements)))])
+    elif not rows:
+        values = [_cell("", rng) for _ in columns]
+        db.execute(f"INSERT INTO {table} VALUES ({','.join('?' * len(columns))})", values)
+    else:
+        row = rows[int(rng.integers(len(rows)))]
+        at = int(rng.integers(len(columns)))
+        db.execute(f"UPDATE {table} SET {columns[at]} = ? WHERE rowid = ?", (_cell(row[at + 1], rng), row[0]))
+
+
+def _cell(value: Any, rng: Rng) -> Any:
+    """Another value for a cell: of another type, a damaged blob, or one that opens to much more."""
+    chance = rng.random()
+    if isinstance(value, str) and value[:1] in ("{", "[") and chance < 0.7:
+        return damaged_json(value, rng)[:1_000_000].decode("utf-8", "replace")
+    if isinstance(value, bytes) and chance < 0.3:
+        return damaged_bytes(value, rng)
+    if isinstance(value, bytes) and chance < 0.5:
+        numbers = np.frombuffer(zlib.decompress(value)).copy()
+        numbers[int(rng.integers(len(numbers)))] = [np.nan, np.inf, 1e300, 0.0][int(rng.integers(4))]
+        return zlib.compress(numbers.tobytes())
+    if isinstance(value, bytes) and chance < 0.6:
+        return _bomb()
+    found = STRANGE[int(rng.integers(len(STRANGE)))]
+    return found if isinstance(found, str | float | int | None) and not isinstance(found, bool) else json.dumps(found)
+
+
+@cache
+def _bomb() -> bytes:
+    """A gigabyte of zeros in a megabyte."""
+    packer = zlib.compressobj(9)
+    block = bytes(2**24)
+    return b"".join([*(packer.compress(block) for _ in range(64)), packer.flush()])
+
+
+def _read_store(path: Path) -> object:
+    """As `ds campaign status`, `ds maps` and `ds report` read it."""
+    store = Store(path)
+    try:
+        config = config_of(store)
+        store.notes(), store.errors(), store.searches(), store.results()
+        return stages_of(config, store), maps_of(store)
+    finally:
+        store.close()
+
+
+def _write_weights(folder: Path) -> Path:
+    import torch
+
+    from ds_driver.networks.architectures import make_network
+
+    torch.manual_seed(1)
+    save_weights(make_network("chauffeur"), folder / "weights.safetensors", architecture="chauffeur")
+    return folder / "weights.safetensors"
+
+
+def _damage_weights(path: Path, rng: Rng) -> None:
+    """Damage to the header, a JSON document, mostly."""
+    if rng.random() < 0.4:
+        damaged_file(path, rng)
+        return
+    content = path.read_bytes()
+    length = int.from_bytes(content[:8], "little")
+    header = damaged_json(content[8 : 8 + length].decode(), rng)
+    path.write_bytes(len(header).to_bytes(8, "little") + header + content[8 + length :])
+
+
+def _write_network(folder: Path) -> Path:
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    weight = numpy_helper.from_array(np.linspace(-1e-3, 1e-3, 512, dtype=np.float32).reshape(512, 1), "weight")
+    graph = helper.make_graph(
+        [
+            helper.make_node("Flatten", ["image"], ["flat"]),
+            helper.make_node("MatMul", ["flat", "weight"], ["steering"]),
+        ],
+        "network",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 1, 16, 32])],
+        [helper.make_tensor_value_info("steering", TensorProto.FLOAT, [1, 1])],
+        [weight],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    (folder / "network").mkdir()
+    onnx.save(model, folder / "network" / "network.onnx")
+    _text("network.yaml", _DESCRIPTION)(folder / "network")
+    return folder / "network"
+
+
+def _damage_of(name: str) -> Callable[[Path, Rng], None]:
+    return lambda folder, rng: damaged_file(folder / name, rng)
+
+
+def _read_network(folder: Path) -> object:
+    return DescribedNetworkPilot(folder / "network.yaml")
+
+
+def _write_data(folder: Path) -> Path:
+    jpeg = encode(np.zeros((160, 320, 3), np.uint8))
+    rows: list[dict[str, object]] = [
+        {"image": jpeg, "steering": 0.1 * k, "throttle": 0.5, "speed": 3.0, "lateral_position": 0.1, "step": k,
+         "simulator": "donkey", "road_id": "0123456789ab", "direction": "forward"}
+        for k in range(4)
+    ]  # fmt: skip
+    write_drive(folder / "data" / "donkey" / "0123456789ab-forward.parquet", rows)
+    return folder / "data"
+
+
+def _damage_data(folder: Path, rng: Rng) -> None:
+    """Columns of other types and strange values mostly, else damage to bytes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = next(folder.glob("*/*.parquet"))
+    if rng.random() < 0.4:
+        damaged_file(path, rng)
+        return
+    table = pq.read_table(path)
+    for _ in range(int(rng.integers(1, 3))):
+        at = int(rng.integers(table.num_columns))
+        name = table.column_names[at]
+        found = STRANGE[int(rng.integers(len(STRANGE)))]
+        values: list[Any] = [None, *table[name].to_pylist()[1:]] if rng.random() < 0.2 else [found] * len(table)
+        try:
+            column = pa.array(values, table.schema.field(name).type if rng.random() < 0.5 else None)
+        except (pa.ArrowException, OverflowError, ValueError, TypeError):
+            continue  # Arrow itself does not take this value
+        table = table.drop_columns([name]) if rng.random() < 0.1 else table.set_column(at, name, column)
+        if not table.num_columns:
+            break
+    pq.write_table(table, path)
+
+
+KINDS = [
+    Kind(
+        name="campaign-yaml",
+        write=_text("campaign.yaml", _CONFIG),
+        damage=damaged_file,
+        read=read_config,
+        errors=(ConfigError,),
+    ),
+    Kind(
+        name="campaign-sqlite",
+        write=_write_store,
+        damage=_damage_store,
+        read=_read_store,
+        errors=(StoreError, ConfigError),
+    ),
+    Kind(
+        name="roads",
+        write=_text("roads.json", json.dumps(_ROADS)),
+        damage=damaged_file,
+        read=read_roads,
+        errors=(RoadError, OSError),
+    ),
+    Kind(
+        name="weights",
+        write=_write_weights,
+        damage=_damage_weights,
+        read=lambda path: load_network(str(path)),
+        errors=(WeightsError,),
+    ),
+    Kind(
+        name="network-description",
+        write=_write_network,
+        damage=_damage_of("network.yaml"),
+        read=_read_network,
+        errors=(DriverError,),
+    ),
+    Kind(
+        name="network-onnx",
+        write=_write_network,
+        damage=_damage_of("network.onnx"),
+        read=_read_network,
+        errors=(DriverError,),
+    ),
+    Kind(name="data-set", write=_write_data, damage=_damage_data, read=read_samples, errors=(DatasetError,)),
+    Kind(
+        name="twin-parameters",
+        write=_text("car.yaml", _CAR),
+        damage=damaged_file,
+        read=read_parameters,
+        errors=(ParameterFileError,),
+    ),
+]
