@@ -33,7 +33,7 @@ siblings: [bullet, softbody]
 twin: donkey
 driver: autopilot
 search: {method: deephyperion, population: 2, iterations: 1, runs: 1, min_angle: 40, max_angle: 90, extent: 6}
-operators: {probability: product, quality_loss: minimum, compare: [average]}
+operators: {probability: product, quality_loss: minimum, compare: [mean]}
 features: [turns_count, "minimum_radius:20"]
 seed: 7
 command_timeout: 10.0

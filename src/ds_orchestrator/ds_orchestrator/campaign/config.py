@@ -158,7 +158,7 @@ class CampaignConfig(_Strict):
     @classmethod
     def _no_model_yet(cls, value: bool) -> bool:
         if value:
-            raise ValueError("there is no sim2real model yet: expected false")
+            raise ValueError("there is no model that makes images look real yet: expected false")
         return value
 
     @field_validator("features")
