@@ -212,7 +212,7 @@ def test_a_wrong_configuration_is_refused_in_one_line(raw: object, named: str) -
         (None, "cannot be read .No such file or directory.: check the path"),
         ("siblings: [bullet\n: :", "not YAML: line 2"),
         ("search:\n\truns: 1", "not YAML: line 2, column 1: .*indent with spaces"),
-        ("seed: 1\nsearch: {runs: 1, runs: 2}", "line 2, column 9: the key runs comes twice"),
+        ("seed: 1\nsearch: {runs: 1, runs: 2}", "line 2, column 19: the key runs comes twice"),
         ("# nothing but a comment", "empty, expected a campaign's keys"),
         ("\xff", "not YAML"),
     ],

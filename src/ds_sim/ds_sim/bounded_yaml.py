@@ -111,7 +111,10 @@ def load_yaml(text: str | bytes, *, limits: YamlLimits = DEFAULT_LIMITS, unique_
         finally:
             loader.dispose()
     except yaml.MarkedYAMLError as error:
-        tab = " (a tab: indent with spaces)" if "\\t" in str(error.problem) else ""
+        mark = error.problem_mark
+        line = "".join(text.split("\n")[mark.line : mark.line + 1]) if mark is not None else ""
+        at_tab = mark is not None and line[mark.column : mark.column + 1] == "\t"
+        tab = " (a tab: indent with spaces)" if at_tab else ""
         raise BoundedYamlError(f"{error.problem or error.context}{tab}", error.problem_mark) from None
     except yaml.YAMLError as error:
         raise BoundedYamlError(str(error)) from None
