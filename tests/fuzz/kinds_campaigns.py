@@ -247,7 +247,10 @@ def _damage_data(folder: Path, rng: Rng) -> None:
         table = table.drop_columns([name]) if rng.random() < 0.1 else table.set_column(at, name, column)
         if not table.num_columns:
             break
-    pq.write_table(table, path)
+    try:
+        pq.write_table(table, path)
+    except pa.ArrowException:
+        damaged_file(path, rng)  # Parquet itself does not take this table
 
 
 KINDS = [
