@@ -2,12 +2,37 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
-from tests.fuzz.damage import damaged_file
+import cv2
+import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_typestore
+from tests.fuzz.damage import Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_value
 from tests.fuzz.harness import Kind
 
+from ds_bags.donkey_tub import TubError, read_tub
+from ds_bags.info import describe, in_words
+from ds_bags.layout import BagError
+from ds_bags.packs import pack, unpack
+from ds_bags.reader import BagReader, read_run
+from ds_bags.recovery import recover
+from ds_bags.run_writer import write_bag
+from ds_driver.data.recordings import Reading, open_recording
+from ds_road import Road
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
+from ds_sim.registry import UntrustedSimulatorError, make_simulator
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import Command
+from ds_twin_donkey.logs import LogError, read_log
 
 _YAML = """\
 name: a campaign
@@ -16,6 +41,19 @@ gains: {low: 0.5, high: 1.5e3, on: true, none: ~}
 base: &base {seed: 7, roads: [[0, 1.5], [2, 3]]}
 more: {<<: *base, seed: 8}
 """
+_ERRORS = (BagError, UntrustedSimulatorError)
+FRAMES = 4
+
+
+@lru_cache
+def _run() -> RunRecord:
+    session = Session(make_simulator("donkey"))
+    session.start(Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)]), 3)
+    for _ in range(FRAMES):
+        session.advance(Command(0.1, 0.5))
+    session.simulator.close()
+    assert session.run is not None
+    return session.run
 
 
 def _write_yaml(folder: Path) -> Path:
@@ -23,6 +61,190 @@ def _write_yaml(folder: Path) -> Path:
     return folder / "file.yaml"
 
 
+def _write_bag(folder: Path) -> Path:
+    write_bag(folder / "bag", "/twin", "donkey", _run(), {"driver": "autopilot"}, "telemetry")
+    return folder / "bag"
+
+
+def _write_image_bag(folder: Path) -> Path:
+    write_bag(folder / "bag", "/twin", "donkey", _run(), {"driver": "autopilot"}, "compressed")
+    return folder / "bag"
+
+
+def _write_unfinished(folder: Path) -> Path:
+    file = _write_bag(folder) / "bag.mcap"
+    shutil.copy(file, folder / "left.mcap")
+    return folder / "left.mcap"
+
+
+def _write_pack(folder: Path) -> Path:
+    (folder / "bags").mkdir()
+    bags = []
+    for name in ("one", "two"):
+        write_bag(folder / "bags" / name, "/twin", "donkey", _run(), {}, "telemetry")
+        bags.append(folder / "bags" / name)
+    pack(bags, folder / "pack", {"group": "all"})
+    return folder / "pack"
+
+
+def _write_foreign(folder: Path) -> Path:
+    """A rosbag2 of SQLite, as other projects have it."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    make = store.types["std_msgs/msg/String"]
+    with Ros2Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+        for number in range(5):
+            message = make(data="x" * number)  # type: ignore[call-arg]
+            writer.write(connection, number, store.serialize_cdr(message, "std_msgs/msg/String"))
+    return folder / "bag"
+
+
+def _write_ros1(folder: Path) -> Path:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    make = store.types["std_msgs/msg/String"]
+    with Ros1Writer(folder / "file.bag") as writer:
+        writer.set_compression(Ros1Writer.CompressionFormat.LZ4)
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+        for number in range(5):
+            message = make(data="x" * number)  # type: ignore[call-arg]
+            writer.write(connection, number, store.serialize_ros1(message, "std_msgs/msg/String"))
+    return folder / "file.bag"
+
+
+def _write_tub(folder: Path) -> Path:
+    tub = folder / "tub"
+    (tub / "images").mkdir(parents=True)
+    rows = []
+    for index in range(6):
+        name = f"{index}_cam_image_array_.jpg"
+        cv2.imwrite(str(tub / "images" / name), np.full((40, 80, 3), 30 * index, np.uint8))
+        commands = {"user/angle": 0.1 * index, "user/throttle": 0.3, "user/mode": "user", "cam/image_array": name}
+        place = {"pos/pos_x": 0.1 * index, "pos/pos_z": 0.0, "pos/speed": 2.0}
+        rows.append({"_index": index, "_timestamp_ms": 1_700_000_000_000 + 50 * index} | commands | place)
+    (tub / "catalog_0.catalog").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+    index_line = {"paths": ["catalog_0.catalog"], "current_index": 6, "max_len": 1000, "deleted_indexes": [5]}
+    lines = [["cam/image_array", "user/angle"], ["image_array", "float"], {}, {"created_at": 0}, index_line]
+    (tub / "manifest.json").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    return tub
+
+
+def _damage_lines(folder: Path, rng: Rng) -> None:
+    """Damage to one file of a tub: to the values of a line where it is text."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    file = files[int(rng.integers(len(files)))]
+    if file.suffix == ".jpg" or rng.random() < 0.2:
+        damaged_file(file, rng)
+        return
+    lines = file.read_text().splitlines()
+    at = len(lines) - 1 if file.suffix == ".json" else int(rng.integers(len(lines)))
+    lines[at] = json.dumps(damaged_value(json.loads(lines[at]), rng))
+    file.write_text("\n".join(lines) + "\n")
+
+
+def _damage_records(folder: Path, rng: Rng) -> None:
+    """Damage to what is inside the records of a bag's MCAP file, whose checksums are right afterwards."""
+    if rng.random() < 0.3:
+        damaged_one_of(folder, rng)
+        return
+    file = next(folder.glob("*.mcap")) if folder.is_dir() else folder
+    data = file.read_bytes()
+    what, at = int(rng.integers(4)), float(rng.random())
+    with file.open("rb") as old:
+        reader = make_reader(old)
+        summary = reader.get_summary()
+        assert summary is not None
+        channels, schemas = summary.channels, summary.schemas
+        messages = [message for _, _, message in reader.iter_messages(log_time_order=False)]
+        metadata = list(reader.iter_metadata())
+    chosen = int(at * 1000)
+
+    def changed(value: str | bytes, here: bool) -> bytes:
+        raw = value.encode() if isinstance(value, str) else value
+        return damaged_bytes(raw, rng) if here else raw
+
+    def text(value: str, here: bool) -> str:
+        return changed(value, here).decode(errors="replace")
+
+    with file.open("wb") as new:
+        writer = Writer(new, compression=CompressionType.ZSTD, chunk_size=2**20)
+        writer.start(profile="ros2", library="fuzz")
+        for number, record in enumerate(metadata[:-1] if len(metadata) > 1 else metadata):
+            here = what == 0 and number == chosen % len(metadata)
+            values = dict(record.metadata)
+            if here and values:
+                key = sorted(values)[chosen % len(values)]
+                values[key] = text(values[key], True)
+                if rng.random() < 0.5:
+                    values[key] = json.dumps(damaged_value(values[key], rng))
+            writer.add_metadata(record.name, values)
+        numbers = {}
+        for count, schema in enumerate(schemas.values()):
+            here = what == 1 and count == chosen % len(schemas)
+            which = int(rng.integers(3)) if here else -1
+            numbers[schema.id] = writer.register_schema(
+                text(schema.name, which == 0), text(schema.encoding, which == 1), changed(schema.data, which == 2)
+            )
+        topics = {}
+        for count, channel in enumerate(channels.values()):
+            here = what == 2 and count == chosen % len(channels)
+            which = int(rng.integers(2)) if here else -1
+            about = {key: text(value, which == 1) for key, value in channel.metadata.items()}
+            topics[channel.id] = writer.register_channel(
+                text(channel.topic, which == 0), channel.message_encoding, numbers[channel.schema_id], about
+            )
+        for count, message in enumerate(messages):
+            here = what == 3 and count == chosen % len(messages)
+            time = int(rng.integers(2**63)) if here and rng.random() < 0.2 else message.log_time
+            writer.add_message(topics[message.channel_id], time, changed(message.data, here), message.publish_time)
+        for record in metadata[-1:] if len(metadata) > 1 else []:
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+    assert file.read_bytes() != data
+
+
+def _read_everything(path: Path) -> None:
+    """What `ds bag info` does, and every message deserialised."""
+    in_words(describe(path))
+    with BagReader(path) as bag:
+        for connection, _, raw in bag.messages():
+            bag.message(connection, raw)
+
+
+def _read_run(path: Path) -> None:
+    with BagReader(path) as bag:
+        read_run(bag)
+
+
+def _read_recording(path: Path) -> None:
+    for _ in open_recording(path, Reading()).frames():
+        pass
+
+
+def _recover(path: Path) -> None:
+    recover(path, path.parent / "out")
+
+
+def _unpack(path: Path) -> None:
+    unpack(path, path.parent / "out")
+
+
+def _one_of(*choices: Callable[[Path, Rng], None]) -> Callable[[Path, Rng], None]:
+    return lambda path, rng: choices[int(rng.integers(len(choices)))](path, rng)
+
+
+_damage_bag = _one_of(damaged_one_of, _damage_records)
+
 KINDS = [
     Kind(name="yaml", write=_write_yaml, damage=damaged_file, read=read_yaml, errors=(BoundedYamlError, OSError)),
+    Kind(name="bag-info", write=_write_bag, damage=_damage_bag, read=_read_everything, errors=_ERRORS),
+    Kind(name="bag-run", write=_write_bag, damage=_damage_bag, read=_read_run, errors=_ERRORS),
+    Kind(name="bag-log", write=_write_bag, damage=_damage_bag, read=read_log, errors=(LogError,)),
+    Kind(name="bag-sqlite", write=_write_foreign, damage=damaged_one_of, read=_read_everything, errors=_ERRORS),
+    Kind(name="bag-ros1", write=_write_ros1, damage=damaged_file, read=_read_everything, errors=_ERRORS),
+    Kind(name="bag-images", write=_write_image_bag, damage=_damage_bag, read=_read_recording, errors=_ERRORS),
+    Kind(name="bag-recover", write=_write_unfinished, damage=damaged_file, read=_recover, errors=_ERRORS),
+    Kind(name="bag-unpack", write=_write_pack, damage=_damage_bag, read=_unpack, errors=_ERRORS),
+    Kind(name="tub", write=_write_tub, damage=_damage_lines, read=read_tub, errors=(TubError,)),
+    Kind(name="tub-images", write=_write_tub, damage=_damage_lines, read=_read_recording, errors=(TubError, BagError)),
+    Kind(name="tub-log", write=_write_tub, damage=_damage_lines, read=read_log, errors=(LogError,)),
 ]

@@ -1,4 +1,4 @@
-"""Reads Donkey Car tubs of version 2: what the car saw, what it was told, and when."""
+"""Reads Donkey Car tubs of version 2: images, commands and times that a car recorded."""
 
 from __future__ import annotations
 
@@ -7,6 +7,15 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from ds_bags.layout import BagError, bag_name
+from ds_bags.limits import printable, regular_file
+
+MAX_FILE = 64 * 2**20
+"""Bytes of a manifest or catalog; chosen: donkeycar begins a new catalog after 1,000 records, some 300 kB."""
+MAX_RECORDS = 1_000_000
+"""Records of a tub; chosen: fourteen hours at 20 Hz."""
+_LARGEST = 2**53
 
 
 class TubError(ValueError):
@@ -20,11 +29,11 @@ class TubRecord:
     Attributes:
         index: of the record in the tub.
         seconds: wall clock.
-        image: file, or None if the record has none.
-        steering: that the car was told, -1 full left to +1 full right, or None. The sign is Donkey Car's (donkeycar,
-            parts/actuator.py, PWMSteering.LEFT_ANGLE) and ours.
-        throttle: that the car was told, at most 1, negative backwards, or None.
-        fields: everything that the record says.
+        image: file in the tub's folder `images`, or None if the record has none.
+        steering: command to the car, -1 full left to +1 full right, or None. The sign is Donkey Car's (donkeycar,
+            parts/actuator.py, PWMSteering.LEFT_ANGLE) and this project's.
+        throttle: command to the car, at most 1, negative backwards, or None.
+        fields: all values of the record.
     """
 
     index: int
@@ -50,26 +59,45 @@ class Tub:
 
 def is_tub(folder: Path) -> bool:
     """Whether a folder looks like a tub."""
-    return (folder / "manifest.json").is_file()
+    return (folder / "manifest.json").exists()
 
 
 def read_tub(folder: Path) -> Tub:
-    """The records of a tub in their order, without those that its user deleted.
+    """Read the records of a tub in their order, without those that its user deleted.
 
     Raises:
-        TubError: no tub of version 2.
+        TubError: no tub of version 2, a damaged one, or one that names files outside its folder.
     """
     try:
-        index = json.loads((folder / "manifest.json").read_text().splitlines()[4])
+        index = _object(_text(folder / "manifest.json").splitlines()[4])
         deleted = set(index.get("deleted_indexes", []))
-        files = tuple(folder / name for name in index["paths"])
-        rows = [json.loads(line) for file in files for line in file.read_text().splitlines() if line.strip()]
-        records = tuple(_record(folder, row) for row in rows if row["_index"] not in deleted)
-    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
-        raise TubError(
-            f"{folder}: not a tub of version 2 ({type(error).__name__}: {error}): convert or copy it"
-        ) from None
-    return Tub(records=records, files=files)
+        names = [bag_name(name) for name in index["paths"]]
+        if len(set(names)) < len(names):
+            raise ValueError("a catalog is named twice")
+        files = tuple(folder / name for name in names)
+        records: list[TubRecord] = []
+        for file in files:
+            rows = (_object(line) for line in _text(file).splitlines() if line.strip())
+            records += (_record(folder, row) for row in rows if row["_index"] not in deleted)
+            if len(records) > MAX_RECORDS:
+                raise ValueError(f"more than {MAX_RECORDS} records")
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
+        reason = printable(" ".join(str(error).split()))
+        raise TubError(f"{folder}: not a tub of version 2 ({type(error).__name__}: {reason}): copy it again") from None
+    return Tub(records=tuple(records), files=files)
+
+
+def _text(file: Path) -> str:
+    if regular_file(file).stat().st_size > MAX_FILE:
+        raise BagError(f"{file.name} is longer than {MAX_FILE / 2**20:g} MiB, the limit for such a file")
+    return file.read_text()
+
+
+def _object(line: str) -> dict[str, Any]:
+    found = json.loads(line)
+    if not isinstance(found, dict):
+        raise ValueError(f"a line is a {type(found).__name__}, expected an object")
+    return found
 
 
 def _record(folder: Path, row: dict[str, Any]) -> TubRecord:
@@ -78,10 +106,13 @@ def _record(folder: Path, row: dict[str, Any]) -> TubRecord:
     steering = number(row.get("pilot/angle") if mode != "user" else row.get("user/angle"))
     throttle = number(row.get("pilot/throttle") if mode == "local" else row.get("user/throttle"))
     name = row.get("cam/image_array")
+    index, milliseconds = number(row["_index"]), number(row["_timestamp_ms"])
+    if index is None or milliseconds is None or max(abs(index), abs(milliseconds)) > _LARGEST:
+        raise ValueError("_index and _timestamp_ms of a record: expected numbers")
     return TubRecord(
-        index=int(row["_index"]),
-        seconds=float(row["_timestamp_ms"]) / 1000.0,
-        image=folder / "images" / name if isinstance(name, str) else None,
+        index=int(index),
+        seconds=milliseconds / 1000.0,
+        image=folder / "images" / bag_name(name) if isinstance(name, str) else None,
         steering=None if steering is None else min(max(steering, -1.0), 1.0),
         throttle=None if throttle is None else min(throttle, 1.0),
         fields=row,
@@ -89,5 +120,8 @@ def _record(folder: Path, row: dict[str, Any]) -> TubRecord:
 
 
 def number(value: object) -> float | None:
-    """A finite number as it is; None for anything else that a record may hold."""
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+    """Return a finite number as it is; None for anything else that a record may hold."""
+    try:
+        return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+    except OverflowError:
+        return None

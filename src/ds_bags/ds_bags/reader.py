@@ -1,56 +1,111 @@
-"""Reads bags, ours and anybody's: rosbag2 folders with MCAP or SQLite files, and ROS 1 `.bag` files."""
+"""Reads bags of this project and of any other: rosbag2 folders with MCAP or SQLite files, and ROS 1 `.bag` files."""
 
 from __future__ import annotations
 
 import json
+import math
+import sqlite3
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
-import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
+from ds_bags.bounded_rosbags import check_ros1_types, check_types
 from ds_bags.layout import BagError, image_spool_path, partial_path
+from ds_bags.limits import (
+    MAX_TIME,
+    MAX_TOPICS,
+    Opening,
+    TooLargeError,
+    bag_information,
+    custom_data,
+    printable,
+    regular_file,
+)
 from ds_road import Road, RoadError
+from ds_sim.registry import received_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
 
 _NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 STATE, DRIVE = "ds_interfaces/msg/VehicleState", "ds_interfaces/msg/DriveCommand"
+ROAD = "ds_interfaces/msg/Road"
+MAX_SEED = 2**63 - 1
+"""Largest seed that a bag may have; what ROS carries."""
 
 
 class BagReader:
-    """An open bag.
+    """Open bag, read within the limits of `ds_bags.limits`. Use it as a context manager.
 
     Args:
         path: folder of a rosbag2, or a ROS 1 `.bag` file.
 
+    Attributes:
+        path: folder or file that is read.
+        facts: the bag's custom data, as text.
+        files: the files that hold its messages.
+
     Raises:
-        BagError: there is none, it was never finished, or it is damaged.
+        BagError: no bag is there, it was never finished, it is damaged, or it goes beyond a limit.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path.parent if path.suffix in (".mcap", ".db3") and path.is_file() else path
         _check_finished(self.path)
+        self.facts: dict[str, str] = {}
+        self.files = [self.path]
+        if self.path.is_dir():
+            information = bag_information(self.path)
+            self.facts = custom_data(information)
+            self.files = [self.path / Path(name).name for name in information["relative_file_paths"]]
+        self._size = sum(regular_file(file).stat().st_size for file in self.files)
         try:
-            self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-            self._reader.open()
+            for file in self.files:
+                if file.suffix == ".db3":
+                    _check_tables(file)
+            with Opening(self._size).counting():
+                self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+                self._reader.open()
+            self._check()
         except Exception as error:  # a damaged file raises whatever its reader stumbles on
             raise self._damaged(error) from None
-        self.facts = _facts(self.path)
+
+    def _check(self) -> None:
+        """Check what only an open bag tells."""
+        types = self._reader.typestore.fielddefs
+        check_types(dict(types))
+        if not self._reader.is2:
+            check_ros1_types(dict(types))
+        if len(self._reader.connections) > MAX_TOPICS:
+            raise TooLargeError(f"it has {len(self._reader.connections)} topics, the limit is {MAX_TOPICS}")
+        for connection in self._reader.connections:
+            if not isinstance(connection.topic, str) or not connection.topic:
+                raise ValueError(f"a topic is called {printable(connection.topic)!r}")
+        if self._reader.is2 and self.path.is_dir():
+            # Of one reader, which is a folder of storages.
+            storages: Any = getattr(self._reader.readers[0].storage, "storages", [])  # type: ignore[union-attr]
+            held = sum(storage.metadata.message_count for storage in storages)
+            if held != self._reader.message_count:
+                raise ValueError(f"metadata.yaml counts {self._reader.message_count} messages, its files {held}")
 
     def _damaged(self, error: Exception) -> BagError:
-        text = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, TooLargeError):
+            return TooLargeError(f"{self.path}: {printable(error)}")
+        if isinstance(error, BagError):
+            return error
+        text = printable(" ".join(str(error).split())) or type(error).__name__
         return BagError(f"{self.path} cannot be read ({text}): try `ds bag recover {self.path} --out DIR`")
 
     @property
     def connections(self) -> list[Connection]:
-        """Topics with types and counts."""
+        """Topics with their types and message counts."""
         return list(self._reader.connections)
 
     @property
@@ -60,44 +115,53 @@ class BagReader:
 
     @property
     def seconds(self) -> float:
-        """From the first message to the last."""
+        """Seconds from the first message to the last."""
         # rosbags counts to the nanosecond after the last message.
         return max(0, int(self._reader.duration) - 1) / 1e9 if self._reader.message_count else 0.0
 
     def messages(self, connections: Collection[Connection] | None = None) -> Iterator[tuple[Connection, int, bytes]]:
-        """Topic, time in ns, and serialised message, in the order of time; those of one time as they were recorded.
+        """Iterate over messages in the order of time; those of one time come as they were recorded.
 
         Args:
-            connections: only these; all if None.
+            connections: topics to read; all if None.
+
+        Yields:
+            Topic, time in ns, and serialised message.
 
         Raises:
-            BagError: the file is damaged.
+            BagError: the file is damaged, or opens to more than the limit.
         """
         if connections is not None and not connections:
             return
+        opening = Opening(self._size)
         found = self._reader.messages(connections=connections or ())
         while True:
             try:
-                connection, time, raw = next(found)
+                with opening.counting():
+                    connection, time, raw = next(found)
+                if not isinstance(raw, bytes | memoryview) or not 0 <= time < MAX_TIME:
+                    raise ValueError(f"a message of {printable(connection.topic)} at {printable(time)} ns")
             except StopIteration:
                 return
             except Exception as error:
                 raise self._damaged(error) from None
-            yield connection, time, bytes(raw)
+            yield connection, int(time), bytes(raw)
 
     def message(self, connection: Connection, raw: bytes) -> Any:
-        """A message as an object.
+        """Deserialise a message.
 
         Raises:
             BagError: the bytes are not of its type.
         """
         try:
+            # No list can have more elements than the message has bytes.
+            self._reader.typestore.max_sequence_length = max(len(raw), 1)
             return self._reader.deserialize(raw, connection.msgtype)
         except Exception as error:
             raise self._damaged(error) from None
 
     def of_type(self, message_type: str) -> list[Connection]:
-        """Topics of a type."""
+        """List the topics of one message type."""
         return [connection for connection in self._reader.connections if connection.msgtype == message_type]
 
     def __enter__(self) -> BagReader:
@@ -114,28 +178,35 @@ def _check_finished(path: Path) -> None:
         if partial_path(path).exists() or image_spool_path(path).exists():
             raise BagError(f"{path} was never finished: `ds bag recover {path} --out DIR` makes a bag of what is there")
         raise BagError(f"{path}: no such bag: give the folder of one")
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
+    if path.is_dir() and not (path / "metadata.yaml").exists():
         if list(path.glob("*.mcap")):
             raise BagError(f"{path} has no metadata.yaml: `ds bag recover {path} --out DIR` makes a whole bag of it")
         raise BagError(f"{path} is no bag: expected a folder with metadata.yaml")
 
 
-def _facts(path: Path) -> dict[str, str]:
-    """The custom data of a bag; empty if it has none."""
-    if not path.is_dir():
-        return {}
-    information = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    return {str(key): str(value) for key, value in (information.get("custom_data") or {}).items()}
+def _check_tables(file: Path) -> None:
+    """Refuse an SQLite file in whose tables something is computed: a view can have rows without end."""
+    database = sqlite3.connect(f"file:{quote(str(file.resolve()))}?mode=ro&immutable=1", uri=True)
+    try:
+        for kind, name, made in database.execute("SELECT type, name, sql FROM sqlite_master"):
+            text = str(made or "").upper()
+            if kind not in ("table", "index") or "VIRTUAL TABLE" in text or "GENERATED" in text or " AS (" in text:
+                raise BagError(f"{file} has a {printable(kind)} {printable(name)!r} that no recorder makes")
+        columns = "SELECT p.hidden FROM sqlite_master m, pragma_table_xinfo(m.name) p WHERE m.type = 'table'"
+        if any(hidden for (hidden,) in database.execute(columns)):
+            raise BagError(f"{file} has a column that is computed: no recorder makes one")
+    finally:
+        database.close()
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
-    """A run as a bag of ours tells it.
+    """One run as its bag describes it.
 
     Attributes:
-        run: road, seed, observations without images, commands, outcome.
-        simulator: as the registry knows it.
-        driver: who drove.
+        run: road, seed, observations without images, commands, and outcome.
+        simulator: name for `ds_sim.registry.make_simulator`; shipped, or confirmed by the user.
+        driver: who drove, or "".
         namespace: of the simulator.
         stamps: of the observations, ns.
     """
@@ -147,63 +218,137 @@ class RecordedRun:
     stamps: list[int]
 
 
-def read_run(bag: BagReader) -> RecordedRun:
-    """The run that a bag of ours holds.
+def read_run(bag: BagReader, *, simulator: str | None = None, seed: int | None = None) -> RecordedRun:
+    """Read the one run that a bag of this project holds.
+
+    `rosbags-convert` and `ros2 bag convert` drop a bag's custom data. The road is then taken from its message;
+    simulator and seed are in no message and have to be given.
+
+    Args:
+        bag: open bag.
+        simulator: name given by the user: confirms a recorded name that is not shipped, and stands in for a lost one.
+        seed: stands in for a lost one.
 
     Raises:
-        BagError: it holds none, more than one, or one that does not fit together.
+        BagError: it holds no run or more than one, its parts do not fit together, or something is missing.
+        ds_sim.registry.UntrustedSimulatorError: it names a simulator that is not shipped and was not confirmed.
     """
     states, drives = bag.of_type(STATE), bag.of_type(DRIVE)
-    if len(states) != 1 or not {"simulator", "road", "seed"} <= bag.facts.keys():
-        raise BagError(f"{bag.path} is no bag of one run of ours: `ds bag info` says what it holds")
+    if len(states) != 1:
+        held = "no run" if not states else "several runs (`ds bag unpack` takes one out)"
+        raise BagError(f"{bag.path} holds {held} of this project: `ds bag info` lists its topics")
+    facts = _completed(bag, simulator, seed)
+    recorded = received_simulator(facts["simulator"], confirmed=[simulator] if simulator else [])
     observations: list[Observation] = []
     stamps: list[int] = []
-    told: dict[int, Command] = {}
+    given: dict[int, Command] = {}
     try:
-        road = Road(json.loads(bag.facts["road"]))
+        run = RunRecord(road=_road(bag, facts), seed=_seed(facts["seed"]), message=facts.get("message", ""))
         for connection, _, raw in bag.messages([*states, *drives]):
             message = bag.message(connection, raw)
             stamp = stamp_of(message)
             if connection.msgtype == DRIVE:
-                told.setdefault(stamp, Command(message.steering, message.throttle))
+                given.setdefault(stamp, Command(message.steering, message.throttle))
             elif not stamps or stamp > stamps[-1]:  # the first frame is sent again until it is answered
                 observations.append(_observation(message))
                 stamps.append(stamp)
-        seed, outcome = int(bag.facts["seed"]), bag.facts.get("outcome", "RUNNING")
-        run = RunRecord(road=road, seed=seed, message=bag.facts.get("message", ""))
+        outcome = facts.get("outcome", "RUNNING")
         run.outcome = Outcome[outcome] if outcome in Outcome.__members__ else Outcome.RUNNING
-    except (RoadError, CommandError, ValueError, AttributeError, KeyError) as error:
-        raise BagError(f"{bag.path} does not hold together ({error}): record it again") from None
+    except BagError:
+        raise
+    except (RoadError, CommandError, ValueError, AttributeError, KeyError, TypeError, OverflowError) as error:
+        raise _inconsistent(bag, printable(error)) from None
+    if not observations:
+        raise _inconsistent(bag, "no states")
     if [seen.step for seen in observations] != list(range(len(observations))):
-        raise BagError(f"{bag.path} has gaps between its states: record it again")
+        raise _inconsistent(bag, "gaps between its states")
     run.observations = observations
-    answered = [stamp for stamp in stamps if stamp in told]
+    answered = [stamp for stamp in stamps if stamp in given]
     if answered != stamps[: len(answered)] or len(answered) < len(stamps) - 1:
-        raise BagError(
-            f"{bag.path} has {len(stamps)} states, but commands for {len(answered)} of them: record it again"
-        )
-    run.commands = [told[stamp] for stamp in answered]
+        raise _inconsistent(bag, f"{len(stamps)} states, but commands for {len(answered)} of them")
+    run.commands = [given[stamp] for stamp in answered]
+    if facts.get("steps", str(run.steps)) != str(run.steps):
+        raise _inconsistent(bag, f"{run.steps} commands, but {printable(facts['steps'])} steps in its custom data")
     return RecordedRun(
         run=run,
-        simulator=bag.facts["simulator"],
-        driver=bag.facts.get("driver", ""),
+        simulator=recorded,
+        driver=facts.get("driver", ""),
         namespace=states[0].topic.removesuffix("/state"),
         stamps=stamps,
     )
 
 
+def _inconsistent(bag: BagReader, reason: str) -> BagError:
+    return BagError(f"{bag.path} is not consistent ({reason}): copy it again, or record it again")
+
+
+def _completed(bag: BagReader, simulator: str | None, seed: int | None) -> dict[str, str]:
+    """The bag's facts, with what the user gave in place of what is lost."""
+    facts = dict(bag.facts)
+    if simulator and "simulator" not in facts:
+        facts["simulator"] = simulator
+    if seed is not None and "seed" not in facts:
+        facts["seed"] = str(seed)
+    missing = [name for name in ("simulator", "seed") if name not in facts]
+    if "road" not in facts and not bag.of_type(ROAD):
+        missing.append("road")
+    if missing:
+        options = {"simulator": "--sim NAME", "seed": "--seed N"}
+        give = " ".join(options[name] for name in missing if name in options)
+        remedy = "redrive the bag it was converted from" if "road" in missing else f"give {give}"
+        raise BagError(
+            f"{bag.path} does not say its {', '.join(missing)}: its custom data was lost, as in a conversion: {remedy}"
+        )
+    return facts
+
+
+def _road(bag: BagReader, facts: dict[str, str]) -> Road:
+    """The road of the custom data, else of the first road message."""
+    if "road" in facts:
+        try:
+            return Road(json.loads(facts["road"]))
+        except RecursionError:
+            raise RoadError("a road that is nested too deeply") from None
+    for connection, _, raw in bag.messages(bag.of_type(ROAD)):
+        return Road([(point.x, point.y) for point in bag.message(connection, raw).control_points])
+    raise RoadError("no road")
+
+
+def _seed(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) <= MAX_SEED):
+        raise ValueError(f"the seed {printable(text, 60)!r}, expected a whole number from 0 to {MAX_SEED}")
+    return int(text)
+
+
 def stamp_of(message: Any) -> int:
-    """Of a message with a header, ns."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    """Time in a message's header, ns.
+
+    Raises:
+        BagError: it has no header, or an impossible time.
+    """
+    try:
+        stamp = message.header.stamp
+        time = int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    except (AttributeError, TypeError, ValueError, OverflowError):
+        raise BagError("a message has no header with a stamp: it was not recorded from ROS") from None
+    if not -MAX_TIME <= time < MAX_TIME:
+        raise BagError("a message has a stamp that is not a time of ROS: it was not recorded from ROS")
+    return time
 
 
 def _observation(state: Any) -> Observation:
     return Observation(
         image=_NO_IMAGE,
         step=int(state.step),
-        time=float(state.simulated_time),
-        vehicle=VehicleState(**{name: float(getattr(state, name)) for name in VehicleState.__dataclass_fields__}),
-        lane=LaneState(**{name: float(getattr(state, name)) for name in LaneState.__dataclass_fields__}),
+        time=_finite(state, "simulated_time"),
+        vehicle=VehicleState(**{name: _finite(state, name) for name in VehicleState.__dataclass_fields__}),
+        lane=LaneState(**{name: _finite(state, name) for name in LaneState.__dataclass_fields__}),
         outcome=Outcome(int(state.outcome.value)),
     )
+
+
+def _finite(state: Any, name: str) -> float:
+    value = float(getattr(state, name))
+    if not math.isfinite(value):
+        raise ValueError(f"{name} is {value} in a state")
+    return value

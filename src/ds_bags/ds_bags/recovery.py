@@ -1,34 +1,34 @@
-"""Makes a whole bag of one whose writer was killed: every chunk that reached the disk is kept, in its order."""
+"""Makes a whole bag of what a killed writer left: every chunk that reached the disk is kept, in its order."""
 
 from __future__ import annotations
 
-import shutil
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
 from mcap.records import Channel, Footer, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
 
-from ds_bags.layout import BagError, image_spool_path, partial_path
-from ds_bags.packs import topic_of_channel
+from ds_bags.layout import BagError, image_spool_path, new_folder, partial_path
+from ds_bags.limits import MAX_METADATA, custom_data, regular_file
+from ds_bags.mcap_records import DamagedFileError, records, topic_of_channel
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
+from ds_sim.bounded_yaml import BoundedYamlError, load_yaml
 
 UNFINISHED = "UNFINISHED"
-"""What a recovered bag's custom data has as outcome."""
+"""Outcome in the custom data of a recovered bag."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recovered:
-    """What was found.
+    """A bag that was recovered.
 
     Attributes:
         source: file that was read.
         folder: bag that was made.
         messages: number of messages in it.
-        seconds: from the first to the last.
-        lost_bytes: at the end of the file, of which nothing could be made.
+        seconds: from the first message to the last.
+        lost_bytes: bytes at the end of the file that could not be read.
     """
 
     source: Path
@@ -39,7 +39,7 @@ class Recovered:
 
 
 def unfinished_file(path: Path) -> Path:
-    """The MCAP file that a killed writer left of a bag.
+    """Find the MCAP file that a killed writer left of a bag.
 
     Args:
         path: where the bag should have been, its hidden folder, a folder with an MCAP file, or that file.
@@ -64,7 +64,9 @@ def unfinished_file(path: Path) -> Path:
 
 
 def recover(path: Path, out: Path | None = None) -> Recovered:
-    """Make a bag of what a killed writer left; the remains stay as they are.
+    """Make a whole bag of what a killed writer left; the remains stay as they are.
+
+    Every record up to the first that makes no sense is kept, in its order.
 
     Args:
         path: see `unfinished_file`.
@@ -73,20 +75,12 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
     Raises:
         BagError: nothing is there, nothing of it can be read, or `out` exists.
     """
-    source = unfinished_file(path)
+    source = regular_file(unfinished_file(path))
     if out is None:
         beside = source.parent.parent if source.parent.parent.name.endswith(".partial") else source.parent
         out = beside.parent / f"{source.stem}_recovered"
-    if out.exists():
-        raise BagError(f"{out} exists already: choose another --out")
-    hidden = partial_path(out)
-    shutil.rmtree(hidden, ignore_errors=True)
-    try:
-        found = _copy(source, hidden / out.name, out)
-        (hidden / out.name).rename(out)
-    finally:
-        shutil.rmtree(hidden, ignore_errors=True)
-    return found
+    with new_folder(out) as hidden:
+        return _copy(source, hidden, out)
 
 
 def _copy(source: Path, folder: Path, out: Path) -> Recovered:
@@ -96,14 +90,14 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     writer: Rosbag2Writer | None = None
     ended: dict[str, str] = {}
     count, first, last, understood = 0, 0, 0, 0
-    for record, position in _records(source):
+    for record, position in _readable(source):
         # What follows the footer is the end mark, which belongs to it.
         understood = source.stat().st_size if isinstance(record, Footer) else position
         if isinstance(record, Metadata) and record.name == ABOUT_RECORD:
             facts = dict(record.metadata)
         elif isinstance(record, Metadata) and record.name == "rosbag2":
             # Everything was written, but the folder was not: the bag's own last words count.
-            ended = yaml.safe_load(record.metadata["serialized_metadata"]).get("custom_data") or {}
+            ended = _ending(record)
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel | Message):
@@ -120,20 +114,21 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     if writer is None or not count:
         raise BagError(f"{source} holds no whole chunk: the writer was killed before its first flush")
     lost = source.stat().st_size - understood
-    cut = {"outcome": UNFINISHED, "message": f"recovered: {lost} bytes at the end were of no use"}
+    cut = {"outcome": UNFINISHED, "message": f"recovered: the last {lost} bytes could not be read"}
     writer.close(facts | (ended or cut))
     return Recovered(source=source, folder=out, messages=count, seconds=(last - first) / 1e9, lost_bytes=lost)
 
 
-def _records(source: Path) -> Iterator[tuple[McapRecord, int]]:
-    """Every record that can be read, and how far into the file it is; ends where the file does not make sense."""
-    with source.open("rb") as file:
-        records = iter(StreamReader(file, validate_crcs=True).records)
-        while True:
-            try:
-                record = next(records)
-            except StopIteration:
-                return
-            except Exception:  # half a record raises whatever the reader stumbles on
-                return
-            yield record, file.tell()
+def _readable(source: Path) -> Iterator[tuple[McapRecord, int]]:
+    """Records up to the first that makes no sense, and how far into the file they reach."""
+    with contextlib.suppress(DamagedFileError):
+        yield from records(source)
+
+
+def _ending(record: Metadata) -> dict[str, str]:
+    """Custom data that a finished writer repeats at the end of its file; empty if it makes no sense."""
+    try:
+        information = load_yaml(record.metadata["serialized_metadata"], limits=MAX_METADATA)
+        return custom_data(information)
+    except (BoundedYamlError, KeyError, AttributeError, TypeError):
+        return {}

@@ -17,6 +17,10 @@ import yaml
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys.store import Typestore
 
+from ds_bags.layout import BagError
+from ds_bags.limits import MAX_TOPICS
+from ds_sim.bounded_yaml import load_yaml
+
 CHUNK_SIZE = 64 * 1024
 """Bytes before compression; small, so that a writer that is killed loses next to nothing of what it was given."""
 ABOUT_RECORD = "digital_siblings"
@@ -90,7 +94,15 @@ class Rosbag2Writer:
         self._pending = 0
 
     def channel(self, topic: Topic) -> int:
-        """Declare a topic; its number is for `write`."""
+        """Declare a topic; its number is for `write`.
+
+        Raises:
+            BagError: the bag has more topics than any reader of this project accepts.
+        """
+        if len(self._channels) >= MAX_TOPICS:
+            raise BagError(
+                f"{self._folder.name} would have more than {MAX_TOPICS} topics: put fewer bags into one pack"
+            )
         if topic.message_type not in self._schemas:
             self._schemas[topic.message_type] = self._mcap.register_schema(
                 topic.message_type, topic.encoding, topic.definition.encode()
@@ -105,7 +117,7 @@ class Rosbag2Writer:
             "name": topic.name,
             "type": topic.message_type,
             "serialization_format": "cdr",
-            "offered_qos_profiles": yaml.safe_load(topic.qos) or [],
+            "offered_qos_profiles": load_yaml(topic.qos) or [],
             "type_description_hash": topic.digest,
         }
         self._channels[number] = {"topic_metadata": topic_metadata, "message_count": 0}

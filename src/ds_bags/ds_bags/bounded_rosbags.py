@@ -1,0 +1,220 @@
+"""Makes `rosbags` keep to this project's limits; importing this module is enough.
+
+`rosbags` decompresses a chunk of any size, loads YAML with a slow parser without limits, and turns every message
+definition into Python code that it runs. Its tables of functions and names are replaced here by ones that count first:
+nothing is decompressed beyond the budget of `ds_bags.limits`, and a definition becomes code only if every name in it is
+a plain identifier and its size is bounded.
+"""
+
+from __future__ import annotations
+
+import bz2
+import re
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import IO, Any
+
+import lz4.frame
+from backports import zstd
+from rosbags.highlevel import anyreader
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag1 import reader as rosbag1
+from rosbags.rosbag2 import metadata, reader, storage_mcap, storage_sqlite3
+from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+from ds_bags.limits import MAX_METADATA, TooLargeError, count_opened, left_to_open, too_much
+from ds_sim.bounded_yaml import load_yaml
+
+MAX_DEFINITION = 256 * 2**10
+"""Characters of one message definition with all that it refers to; chosen: ten times the longest of the common ones."""
+MAX_FIELDS = 5_000
+"""Fields of all message types of a bag, each element of an array of strings or messages counted: each becomes code."""
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+_TYPE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*", re.ASCII)
+
+
+def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
+    """Decompress one part of a bag within the budget of the current pass.
+
+    Args:
+        data: compressed.
+        codec: `zstd`, `lz4`, `bz2`, or "" for data that are not compressed.
+        size: bytes that the file declares, or None if it does not say.
+
+    Raises:
+        TooLargeError: more bytes come out than may be opened.
+        ValueError: an unknown codec, another size than declared, or half of it.
+    """
+    if codec == "":
+        count_opened(len(data))
+        return data
+    limit = left_to_open()
+    if size is not None and size > limit:
+        raise too_much()
+    limit = limit if size is None else size
+    parts: list[bytes] = []
+    total = 0
+    while data:
+        decompressor = _decompressor(codec)
+        while not decompressor.eof:
+            part = decompressor.decompress(data, limit + 1 - total)
+            data = b""
+            total += len(part)
+            parts.append(part)
+            if total > limit:
+                raise too_much() if size is None else ValueError(f"a part opens to more than its {size} bytes")
+            if not part and decompressor.needs_input:
+                raise ValueError("a compressed part ends too early")
+        data = decompressor.unused_data or b""
+    count_opened(total)
+    return b"".join(parts)
+
+
+def _opened_chunk(codec: str, data: bytes, size: int) -> bytes:
+    return opened(data, codec, size)
+
+
+def _decompressor(codec: str) -> Any:
+    if codec == "zstd":
+        return zstd.ZstdDecompressor()
+    if codec == "lz4":
+        return lz4.frame.LZ4FrameDecompressor()
+    if codec == "bz2":
+        return bz2.BZ2Decompressor()
+    raise ValueError(f"a part is compressed with {codec[:20]!r}, expected zstd, lz4 or bz2")
+
+
+class _BoundedZstd:
+    """What `rosbags.rosbag2.reader` uses of the module `zstd`, for bags that are compressed by message or by file."""
+
+    @staticmethod
+    def decompress(data: bytes) -> bytes:
+        return opened(data, "zstd")
+
+    @staticmethod
+    def open(file: IO[bytes], mode: str) -> Any:
+        del mode
+        return _CountingFile(file, "rb")
+
+
+class _CountingFile(zstd.ZstdFile):
+    def read(self, size: int | None = -1) -> bytes:
+        part = bytes(super().read(size))
+        count_opened(len(part))
+        return part
+
+
+class _BoundedYaml:
+    """What `rosbags` uses of `ruamel.yaml.YAML`: bounded, and a hundred times faster."""
+
+    def __init__(self, typ: str) -> None:
+        del typ
+
+    def load(self, text: str) -> Any:
+        return load_yaml(text, limits=MAX_METADATA)
+
+
+_parse_qos: Callable[[Any], list[Any]] = metadata.parse_qos
+
+
+@lru_cache(maxsize=2048)
+def _qos(text: str) -> tuple[Any, ...]:
+    profiles = load_yaml(text)
+    return tuple(_parse_qos(profiles)) if isinstance(profiles, list) else ()
+
+
+def _bounded_qos(profiles: Any) -> list[Any]:
+    """QoS profiles; a pack repeats the same few texts thousands of times."""
+    return list(_qos(profiles)) if isinstance(profiles, str) else _parse_qos(profiles)
+
+
+@lru_cache(maxsize=512)
+def _types(parse: Callable[..., dict[str, Any]], text: str, *name: str) -> dict[str, Any]:
+    if len(text) > MAX_DEFINITION:
+        raise TooLargeError(f"a message definition has {len(text)} characters, the limit is {MAX_DEFINITION}")
+    found = parse(text, *name)
+    check_types(found)
+    return found
+
+
+def check_types(types: dict[str, Any]) -> None:
+    """Check message types before code is made of them.
+
+    Raises:
+        TooLargeError: more fields than the limit.
+        ValueError: a name that is no identifier, or an array without elements.
+    """
+    fields_count = 0
+    for name, (constants, fields) in types.items():
+        names = [name, *(desc[1] for desc in _described(fields) if desc[0] == Nodetype.NAME)]
+        if bad := [n for n in names if not _TYPE_NAME.fullmatch(n)]:
+            raise ValueError(f"a message type is called {bad[0][:60]!r}")
+        if bad := [n for n, *_ in [*fields, *constants] if not _IDENTIFIER.fullmatch(n)]:
+            raise ValueError(f"a field of {name} is called {bad[0][:60]!r}")
+        for field, desc in fields:
+            fields_count += 1
+            if desc[0] == Nodetype.ARRAY:
+                inner, length = desc[1]
+                if length < 1:
+                    raise ValueError(f"{name}.{field} is an array of {length} elements")
+                if inner[0] == Nodetype.NAME or inner[1][0] == "string":
+                    fields_count += length
+    if fields_count > MAX_FIELDS:
+        raise TooLargeError(f"its message types have {fields_count} fields, the limit is {MAX_FIELDS}")
+
+
+def check_ros1_types(types: dict[str, Any]) -> None:
+    """Check that no sequence of a ROS 1 bag has elements of no bytes, of which a message may claim billions.
+
+    Raises:
+        ValueError: one has, or a type contains itself.
+    """
+    sizes: dict[str, bool] = {}
+
+    def takes_room(name: str, path: tuple[str, ...] = ()) -> bool:
+        if name in path:
+            raise ValueError(f"the message type {name} contains itself")
+        if name not in sizes:
+            fields = types.get(name, ((), ()))[1]
+            sizes[name] = any(
+                field != "structure_needs_at_least_one_member"
+                and (desc[0] != Nodetype.NAME or takes_room(desc[1], (*path, name)))
+                for field, desc in fields
+            )
+        return sizes[name]
+
+    for name, (_, fields) in types.items():
+        for _, desc in fields:
+            if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                inner = desc[1][0]
+                if inner[0] == Nodetype.NAME and not takes_room(inner[1], (name,)):
+                    raise ValueError(f"{name} has a list of {inner[1]}, which has no fields")
+
+
+def _described(fields: Any) -> list[Any]:
+    """Type descriptions of fields, and of the elements of their arrays."""
+    found = [desc for _, desc in fields]
+    return found + [desc[1][0] for desc in found if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)]
+
+
+def _install() -> None:
+    for codec in ("", "lz4", "zstd"):
+        storage_mcap.DECOMPRESSORS[codec] = partial(_opened_chunk, codec)
+    for codec, name in (("", "none"), ("bz2", "bz2"), ("lz4", "lz4")):
+        rosbag1.decompressors[name] = partial(opened, codec=codec)
+    replaced: dict[Any, dict[str, Any]] = {
+        reader: {"zstd": _BoundedZstd, "YAML": _BoundedYaml, "parse_qos": _bounded_qos},
+        storage_mcap: {"parse_qos": _bounded_qos},
+        storage_sqlite3: {"parse_qos": _bounded_qos},
+        anyreader: {
+            "get_types_from_msg": partial(_types, get_types_from_msg),
+            "get_types_from_idl": partial(_types, get_types_from_idl),
+        },
+    }
+    for module, names in replaced.items():
+        for name, bounded in names.items():
+            assert hasattr(module, name), f"{module.__name__} has no {name} any more: see how it reads now"
+            setattr(module, name, bounded)
+
+
+_install()
