@@ -1,7 +1,10 @@
 #!/usr/bin/env python3
 """Set the project up: once, from a bare machine to a built workspace. A second call finds nothing to do.
 
-Usage: python3 tools/setup.py [--dev]      --dev: with the tools that the tests need
+Usage: python3 tools/setup.py [--dev] [--docs]
+
+    --dev    also install what the tests need
+    --docs   also install what builds the documentation
 """
 
 from __future__ import annotations
@@ -25,15 +28,17 @@ def main() -> int:
     from setup_tool.steps import Setup
 
     arguments = sys.argv[1:]
-    if arguments not in ([], ["--dev"]):
-        print(f"unknown argument {' '.join(arguments)}: expected --dev or nothing", file=sys.stderr)
+    unknown = [argument for argument in arguments if argument not in ("--dev", "--docs")]
+    if unknown:
+        print(f"unknown argument {' '.join(unknown)}: expected --dev, --docs or nothing", file=sys.stderr)
         return 2
     root = Path(__file__).resolve().parent.parent
     begin = time.monotonic()
     with one_at_a_time(root, lambda: print("another set-up is running here, waiting for it", flush=True)) as lock:
         console = Console(root / ".venv/setup.log", lock)
         try:
-            setup = Setup(root, console, wanted_python=os.environ.get("PYTHON", ""), with_tools="--dev" in arguments)
+            extras = [argument.removeprefix("--") for argument in arguments]
+            setup = Setup(root, console, wanted_python=os.environ.get("PYTHON", ""), extras=extras)
             if setup.is_complete():
                 setup.mark_as_fresh()
                 print("Everything is set up.", flush=True)

@@ -75,7 +75,7 @@ def test_the_soft_cars_tyre_is_the_brush_within_its_friction_circle(load: float,
     alone, driven = (softbody_tyre(along, 0.06, load, 3700.0)[1] for along in (0.0, 0.1))
     by_hand = brush(0.1, 0.06, load, 3700.0)[1] / brush(0.0, 0.06, load, 3700.0)[1]
     assert by_hand < 0.6
-    compare("softbody", f"side force that is left at 10 % of drive slip, {load:.0f} N", "brush, Pacejka ch. 3",
+    compare("softbody", f"remaining side force at 10 % drive slip, {load:.0f} N", "brush, Pacejka ch. 3",
             measured=driven / alone, expected=by_hand, rel=0.01)  # fmt: skip
 
 
@@ -101,7 +101,7 @@ def test_the_twins_tyre_stays_on_its_friction_circle(load: float, compare: Compa
             magic = math.sin(D.shape * math.atan(D.front_stiffness * load / (D.shape * grip) * slip))
             left = math.sqrt(1.0 - min(abs(share), 1.0) ** 2)
             assert across == pytest.approx(-magic * left * grip, rel=1e-3, abs=1e-6)
-    compare("donkey", f"side force that is left at 0.9 of the grip as drive, {load:g} N", "friction circle",
+    compare("donkey", f"remaining side force with 0.9 of the grip as drive force, {load:g} N", "friction circle",
             measured=tyre(0.9 * grip + rolling, 0.1)[1] / tyre(rolling, 0.1)[1],
             expected=math.sqrt(1.0 - 0.9**2), rel=0.01)  # fmt: skip
 

@@ -17,6 +17,8 @@ BUILD_JOBS = 2
 """Compilers at once (chosen: the generated C++ takes up to 1 GB of memory each)."""
 COMPILED_FROM_SOURCE = "pybullet"
 """Has wheels up to Python 3.11 only; its compilation is a step of its own because it takes minutes."""
+EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
+"""Requirements that only some commands need, and what the user reads while they are installed."""
 
 _NETWORK = "is the network there? see the log, then try again: what is done is kept"
 
@@ -47,15 +49,15 @@ class Setup:
         root: the project's folder.
         console: says what is done.
         wanted_python: the interpreter that the user wants; "" takes the one in use, else one that fits.
-        with_tools: also install what the tests need.
+        extras: what else to install, of `EXTRAS`.
     """
 
-    def __init__(self, root: Path, console: Console, *, wanted_python: str, with_tools: bool) -> None:
+    def __init__(self, root: Path, console: Console, *, wanted_python: str, extras: Iterable[str] = ()) -> None:
         self.root = root
         self.environment = root / ".venv"
         self.workspace = root / "ros_ws"
         self.console = console
-        self.with_tools = with_tools
+        self.extras = set(extras)
         self._wanted_python = wanted_python or self._note("python")
         self._stamps = Stamps(self.environment / ".setup")
         self._package_stamps = Stamps(self.workspace / "install/.setup")
@@ -103,7 +105,7 @@ class Setup:
             )
 
     def _steps(self) -> list[Step]:
-        files = {name: self.root / f"requirements/{name}.txt" for name in ("build", "ros", "project", "dev")}
+        files = {name: self.root / f"requirements/{name}.txt" for name in ("build", "ros", "project", *EXTRAS)}
         pins = self._pins(files["project"])
         base = digest([str(self.root), str(self._prefix), self._wanted_python])
         # A sourced ROS comes with modules built for its own NumPy, which must therefore stay.
@@ -125,8 +127,9 @@ class Setup:
         if self._prefix is None:
             inputs = digest([base, files["ros"], pins["numpy"]])
             steps.append(Step("prefix", "set-up files and CMake paths of the ROS wheels", inputs, self._prepare_prefix))
-        if self.with_tools:
-            steps.append(self._pip_step("dev", "tools of the tests", base, self._pins(files["dev"]).values()))
+        for name, what in EXTRAS.items():
+            if name in self.extras:
+                steps.append(self._pip_step(name, what, base, self._pins(files[name]).values()))
         return steps
 
     def _do(self, step: Step) -> None:

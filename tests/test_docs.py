@@ -1,0 +1,68 @@
+"""The documentation says what the code does: every block of the Python API runs, every key and error line exists."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from ds_orchestrator.campaign import CampaignConfig
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+
+
+@pytest.mark.timeout(600)
+def test_the_python_api_runs_as_written(tmp_path: Path) -> None:
+    """In a process where ROS cannot be imported; only the search is made shorter."""
+    blocks = re.findall(r"^```python\n(.*?)^```", (DOCS / "python_api.md").read_text(), re.MULTILINE | re.DOTALL)
+    script = "import sys\nsys.modules['rclpy'] = None\n" + "\n".join(blocks)
+    short = script.replace("population=10, iterations=20", "population=1, iterations=1").replace(
+        'make_driver("dave2_short", ', 'make_driver("autopilot", '
+    )
+    assert len(blocks) >= 7 and short.count("iterations=1)") == 1 and short.count('make_driver("autopilot", ') == 1
+    (tmp_path / "page.py").write_text(short)
+    done = subprocess.run([sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=580)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert {"roads.json", "drive.png", "failures.json"} <= {path.name for path in tmp_path.iterdir()}
+    assert (tmp_path / "campaign/report.html").is_file() and "twin_donkey" in done.stdout
+
+
+def keys(model: type[BaseModel], prefix: str = "") -> dict[str, Any]:
+    """Every key of a configuration with its default, sections flattened."""
+    found: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        if isinstance(default, BaseModel):
+            found |= keys(type(default), f"{prefix}{name}.")
+        else:
+            found[prefix + name] = default
+    return found
+
+
+def test_the_configuration_page_has_every_key_with_its_default() -> None:
+    rows = re.findall(r"^\| `([a-z0-9_.]+)` \| `(.*?)` \|", (DOCS / "configuration.md").read_text(), re.MULTILINE)
+    assert {key: json.loads(default) for key, default in rows} == keys(CampaignConfig)
+
+
+def test_the_lines_of_the_troubleshooting_page_are_lines_of_the_code() -> None:
+    """A heading's words between values (an ellipsis) stand together in some source file."""
+    headings = re.findall(r"^### `(.*)`$", (DOCS / "troubleshooting.md").read_text(), re.MULTILINE)
+    sources = [path.read_text() for folder in ("src", "tools") for path in (ROOT / folder).rglob("*.py")]
+    joined = [re.sub(r'"\s*\n\s*f?"', "", text) for text in [*sources, (ROOT / "ds").read_text()]]
+    assert len(headings) >= 12
+    for heading in headings:
+        parts = [part.strip() for part in heading.split("…") if part.strip()]
+        assert any(all(part in text for part in parts) for text in joined), heading
+
+
+@pytest.mark.parametrize("name", ["architecture_flow.svg", "architecture_packages.svg"])
+def test_the_pictures_of_the_architecture_are_those_of_their_script(name: str, tmp_path: Path) -> None:
+    subprocess.run([sys.executable, ROOT / "tools/draw_architecture.py", tmp_path], check=True, timeout=60)
+    assert (tmp_path / name).read_text() == (DOCS / "images" / name).read_text()

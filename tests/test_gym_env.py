@@ -1,0 +1,103 @@
+"""The Gymnasium environment: Gymnasium's own checker, episodes that end as the simulator's runs do, same bytes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import ds_sim.gym_env
+from ds_driver import drive_road, make_driver
+from ds_road import Road, generate
+from ds_sim import CommandError, make_simulator
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
+ROAD = generate(np.random.default_rng(21), max_angle=120)
+
+
+@pytest.fixture
+def env() -> Iterator[gymnasium.Env]:
+    made = gymnasium.make(ds_sim.gym_env.ENVIRONMENT_ID, simulator="donkey", render_mode="rgb_array")
+    yield made
+    made.close()
+
+
+def test_gymnasiums_own_checker_has_no_complaint() -> None:
+    env = gymnasium.make("DigitalSiblings-v0", simulator="donkey")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Its advice to scale every action to [-1, 1] is a matter of taste: a throttle has no negative half here.
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
+        check_env(env.unwrapped)
+    env.close()
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_road(env: gymnasium.Env) -> None:
+    def episode(seed: int) -> tuple[bytes, str]:
+        image, info = env.reset(seed=seed)
+        env.action_space.seed(seed)
+        images = [image.tobytes()]
+        for _ in range(8):
+            image, reward, _, _, _ = env.step(env.action_space.sample())
+            images += [image.tobytes(), np.float64(reward).tobytes()]
+        return b"".join(images), info["road_id"]
+
+    first, again, other = episode(3), episode(3), episode(4)
+    assert first == again
+    assert first[0] != other[0] and first[1] != other[1]
+
+
+def test_an_episode_is_the_run_of_the_simulator(env: gymnasium.Env) -> None:
+    """Fed with the reference run's commands, it passes through the same states, and the rewards sum up its progress."""
+    simulator = make_simulator("donkey")
+    run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 5)
+    simulator.close()
+    env.reset(options={"road": ROAD, "simulator_seed": 5})
+    total, expected = 0.0, 0.0
+    for index, command in enumerate(run.commands):
+        before, after = run.observations[index].lane, run.observations[index + 1].lane
+        expected += (after.arc_length - before.arc_length) * (1 - abs(after.lateral_position) / 2.0)
+        # Past the wrappers, which want float32: the simulator computes with the numbers that it is given.
+        _, reward, terminated, truncated, info = env.unwrapped.step(np.array([command.steering, command.throttle]))
+        total += float(reward)
+        assert info["lateral_position"] == after.lateral_position
+        assert terminated == (index == len(run.commands) - 1) and not truncated
+    assert info["outcome"] == "COMPLETED" == run.outcome.name
+    assert total == pytest.approx(expected) and total < info["arc_length"]
+
+
+def test_leaving_the_lane_ends_the_episode_with_the_failure_reward(env: gymnasium.Env) -> None:
+    env.reset(seed=1, options={"road": STRAIGHT})
+    terminated = False
+    while not terminated:
+        image, reward, terminated, truncated, info = env.step(np.array([0.6, 0.8], np.float32))
+        assert not truncated
+    assert info["outcome"] == "OUT_OF_BOUNDS" and reward == ds_sim.gym_env.FAILURE_REWARD
+    shown = env.render()
+    assert isinstance(shown, np.ndarray) and np.array_equal(shown, image)
+
+
+def test_bad_input_is_refused_by_name(env: gymnasium.Env) -> None:
+    for options, words in (
+        ({"raod": STRAIGHT}, "unknown option 'raod'"),
+        ({"road": [[1, 2]]}, "option road is a list"),
+        ({"simulator_seed": -1}, "expected a whole number"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            env.reset(options=options)
+    env.reset(options={"road": STRAIGHT})
+    with pytest.raises(CommandError, match="steering is nan"):
+        env.unwrapped.step(np.array([np.nan, 0.0]))
+
+
+def test_without_gymnasium_the_error_names_the_command() -> None:
+    script = "import sys; sys.modules['gymnasium'] = None; import ds_sim.gym_env"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "pip install --no-deps -r requirements/gym.txt" in done.stderr
