@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from ds_twin_donkey.excitation import hidden_and_start, manoeuvres, recorded
+from ds_twin_donkey.excitation import hidden_and_start, manoeuvres, simulated_recording
 from ds_twin_donkey.fit import FITTED, fit
 from ds_twin_donkey.parameters import DonkeyParameters
 
@@ -34,7 +34,7 @@ def main() -> None:
         hidden, start = hidden_and_start(list(FITTED), rng)
         nominal = DonkeyParameters()
         car = nominal.changed(**hidden)
-        drives = [recorded(car, rng, manoeuvres(rng)) for _ in range(arguments.drives)]
+        drives = [simulated_recording(car, rng, manoeuvres(rng)) for _ in range(arguments.drives)]
         began = time.process_time()
         found = fit(drives, nominal.changed(**start))
         print(f"seed {seed}: {found.windows} windows, {time.process_time() - began:.0f} s of CPU", flush=True)

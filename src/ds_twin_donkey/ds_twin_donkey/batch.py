@@ -1,7 +1,7 @@
-"""The car of `dynamics` for many lanes at once: the same equations on NumPy arrays, for least squares.
+"""Vectorised version of `dynamics`: the same equations for many lanes at once, for least squares.
 
-A lane is one window of a recorded drive with one set of parameters. A test holds this against `dynamics.rollout`;
-it is here because a Jacobian of a minute's drive takes about a second this way and half a minute lane by lane.
+A lane is one window of a recorded drive with one set of parameters. A Jacobian over a one-minute drive takes about a
+second this way and half a minute lane by lane. A test compares the results with `dynamics.rollout`.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.dynamics import LARGEST_SLIP, STILL, SUBSTEPS
+from ds_twin_donkey.dynamics import MAX_SLIP, STANDSTILL_SPEED, SUBSTEPS
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
 
 Array = NDArray[np.float64]
 MOTION = 14
-"""States of motion, the first columns of `dynamics.CarState`."""
+"""Number of states of motion, the first columns of `dynamics.CarState`."""
 
 
 class Lanes:
-    """One car per lane.
+    """Simulates one car per lane.
 
     Args:
-        parameters: the sets of parameters.
-        which: (n,) the set of each lane.
-        substeps: per frame; fewer are faster and less exact.
+        parameters: parameter sets.
+        which: (n,) index of the parameter set of each lane.
+        substeps: substeps per step; fewer are faster and less accurate.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Lanes:
         rest = p["command_delay"] - self._frames_of_delay * FRAME_TIME
         ends = (np.arange(substeps) + 1.0) * step
         newer = np.clip((ends[:, None] - rest) / step, 0.0, 1.0)
-        # Per step: share of the newer pulse, and the servo's gain and furthest move under either pulse.
+        # Per substep: share of the newer pulse, and gain and largest move of the servo under either pulse.
         parts = [
             (-np.expm1(-part * step / p["servo_lag"]), part * step * p["servo_rate"]) for part in (1.0 - newer, newer)
         ]
@@ -74,11 +74,11 @@ class Lanes:
 
     @property
     def history(self) -> int:
-        """How many frames before the first one `actuators` reads for the longest delay."""
+        """Number of frames before the first one whose pulses are read because of the longest delay."""
         return int(self._frames_of_delay.max()) + 1
 
     def pulses(self, commands: Array) -> Array:
-        """(frames, n, 2) commands as pulses, (frames, 3, n): angle (rad), duty, brake; see `CarModel.pulse`."""
+        """Convert commands (frames, n, 2) to pulses (frames, 3, n): angle (rad), duty, brake; see `CarModel.pulse`."""
         p = self._p
         steering = np.round(commands[:, :, 0] * p["steering_pulse_steps"]) / p["steering_pulse_steps"]
         throttle = np.round(commands[:, :, 1] * p["throttle_pulse_steps"]) / p["throttle_pulse_steps"]
@@ -89,19 +89,20 @@ class Lanes:
         return np.stack((angle, duty, np.where(driven, 0.0, p["drag_brake"])), axis=1)
 
     def delayed(self, pulses: Array, frame: int) -> tuple[Array, Array]:
-        """The older and the newer pulse that arrive during a frame, each (3, n)."""
+        """Older and newer pulse that are effective during a step, each (3, n)."""
         at = frame - self._frames_of_delay
         lane = np.arange(len(at))
         return pulses[at - 1, :, lane].T, pulses[at, :, lane].T
 
     def settle(self, pulses: Array, frames: range, play: Array) -> tuple[Array, Array, Array]:
-        """Servo, wheels (rad) and duty after some frames, starting where the first frame's pulse puts them.
+        """Servo (rad), wheels (rad) and duty after some frames, starting from the steady state of the first pulse.
 
         Args:
-            pulses: as `pulses` gives them.
-            frames: of the pulses.
-            play: (n,) where the wheels end, -1 to 1, between where they would had they begun at either end of the play.
-                A path is smooth in this place, and not in the place at first: steering that moves forgets that one.
+            pulses: pulses as returned by `pulses`.
+            frames: indices of the pulses to apply.
+            play: (n,) final position of the wheels within the play, -1 to 1. The end points are where the wheels end up
+                after starting at either end of the play. The path is a smooth function of the final position, but not
+                of the initial one, which is forgotten once the steering moves.
         """
         older, _ = self.delayed(pulses, frames[0])
         servo, duty = older[0].copy(), older[1].copy()
@@ -116,7 +117,7 @@ class Lanes:
     def advance(
         self, motion: Array, actuators: tuple[Array, Array, Array], older: Array, newer: Array
     ) -> tuple[Array, tuple[Array, Array, Array]]:
-        """One frame later: (14, n) motion and the three actuator states."""
+        """Advance by one step; returns motion, (14, n), and the three actuator states."""
         servo, wheels, duty = actuators
         for share in self._shares:
             servo, wheels, before, duty, middle, brake = self._actuate(servo, wheels, duty, older, newer, share)
@@ -138,7 +139,11 @@ class Lanes:
 
     def _move(self, s: Array, steering: Array, duty: Array, brake: Array) -> Array:
         p = self._p
-        slow = (np.abs(s[3]) < STILL) & (np.abs(s[4]) < STILL) & (np.abs(s[5]) * p["wheelbase"] < STILL)
+        slow = (
+            (np.abs(s[3]) < STANDSTILL_SPEED)
+            & (np.abs(s[4]) < STANDSTILL_SPEED)
+            & (np.abs(s[5]) * p["wheelbase"] < STANDSTILL_SPEED)
+        )
         held = slow & (p["stall_force"] * duty <= self._breakaway)
         free = (~held).astype(np.float64)
         if held.any():
@@ -178,13 +183,15 @@ class Lanes:
         across[:2] = speed_front * cosines - along[2:] * sines
 
         rate = (across - np.abs(along) * slip) / p["relaxation_length"]
-        rate[(np.abs(slip) > LARGEST_SLIP) & (slip * rate > 0.0)] = 0.0
+        rate[(np.abs(slip) > MAX_SLIP) & (slip * rate > 0.0)] = 0.0
         friction = p["friction"] * (1.0 - p["load_sensitivity"] * (load / self._static - 1.0))
         grip = friction * load
-        force = drive * self._drive_share - p["rolling_resistance"] * load * along / np.sqrt(along * along + STILL**2)
+        force = drive * self._drive_share - p["rolling_resistance"] * load * along / np.sqrt(
+            along * along + STANDSTILL_SPEED**2
+        )
         force = np.minimum(np.maximum(force, -grip), grip)
         deflection = slip + p["carcass_damping"] * rate
-        # The scalar model divides by the friction under this load; `_curve` holds all but the load's share.
+        # The scalar model divides by the friction under this load; `_curve` contains all of it but the load dependence.
         bend = np.arctan(self._curve * (p["friction"] / friction) * deflection)
         lateral = -np.sin(p["shape"] * bend) * np.sqrt(np.maximum(grip * grip - force * force, 0.0))
 

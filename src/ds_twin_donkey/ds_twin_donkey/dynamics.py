@@ -1,9 +1,10 @@
-"""The motion of the 1:16 car: actuators, four tyres, a body that rolls and pitches.
+"""Dynamics of the 1:16 car: actuators, four tyres, a body that rolls and pitches.
 
-A planar four-wheel model (Pacejka, Tire and Vehicle Dynamics, ch. 1): the body's forward, lateral and yaw
-motion, with load transfer through the springs of its roll and pitch. Tyres follow the Magic Formula on a slip
-that builds up over the relaxation length (ch. 7), so nothing is divided by the speed and the model holds down
-to rest. Fixed-step Runge-Kutta. Model metres throughout; signs as in `ds_sim.simulator.VehicleState`.
+A planar four-wheel model (Pacejka, Tire and Vehicle Dynamics, ch. 1) describes longitudinal, lateral and yaw motion,
+with load transfer through the springs in roll and pitch. Tyres follow the Magic Formula, with slip that builds up over
+the relaxation length (ch. 7), so that nothing is divided by speed and the model is valid down to standstill.
+Integration is by Runge-Kutta with a fixed step. Lengths are in model metres; signs as in
+`ds_sim.simulator.VehicleState`.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from ds_sim.simulator import FRAME_TIME, Command
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
 
 SUBSTEPS = 20
-"""Per frame, 2.5 ms each; chosen: the fastest mode (tyre and body) is about 60 rad/s."""
+"""Substeps per step of 1/20 s, 2.5 ms each; chosen: the fastest mode (tyre and body) is at about 60 rad/s."""
 STEP = FRAME_TIME / SUBSTEPS
-"""s."""
-STILL = 0.002
-"""m/s; friction holds a car that is slower and not driven (0.03 road m/s)."""
-LARGEST_SLIP = 1.5
-"""Tangent of the slip angle where a sliding tyre's deflection stops growing; past the peak of its force."""
+"""Substep, s."""
+STANDSTILL_SPEED = 0.002
+"""Speed below which friction holds a car that is not driven, m/s (0.03 road m/s)."""
+MAX_SLIP = 1.5
+"""Tangent of the slip angle at which the deflection of a sliding tyre stops growing; past the peak of its force."""
 
 _REST = (0.0, 0.0, 0.0, 0.0)
 
 
 class CarState(NamedTuple):
-    """The car between two frames; SI units of the model car.
+    """State of the car at a frame; SI units of the model car.
 
     Attributes:
         x: position of the centre of mass, m.
@@ -43,13 +44,13 @@ class CarState(NamedTuple):
         roll_rate: rad/s.
         pitch: rad, nose down positive.
         pitch_rate: rad/s.
-        slip_front_left: tangent of the built-up slip angle.
+        slip_front_left: tangent of the current slip angle.
         slip_front_right: the same.
         slip_rear_left: the same.
         slip_rear_right: the same.
-        servo: angle that the servo has reached, at the wheels, rad, left positive.
-        steering_angle: mean angle of the front wheels behind the play, rad, left positive.
-        duty: of the motor, behind the speed controller's lag, 0 to 1.
+        servo: current position of the servo as an angle at the wheels, rad, left positive.
+        steering_angle: mean angle of the front wheels after play, rad, left positive.
+        duty: duty of the motor after the lag of the speed controller, 0 to 1.
     """
 
     x: float = 0.0
@@ -72,12 +73,12 @@ class CarState(NamedTuple):
 
 
 class Pulse(NamedTuple):
-    """What the servo and the speed controller are told.
+    """Input of servo and speed controller.
 
     Attributes:
-        angle: of the wheels, rad, left positive.
-        duty: of the motor, 0 to 1.
-        brake: share of the shorted motor's braking.
+        angle: angle of the wheels, rad, left positive.
+        duty: duty of the motor, 0 to 1.
+        brake: share of the shorted motor's braking, 0 to 1.
     """
 
     angle: float = 0.0
@@ -91,11 +92,11 @@ _Motion = tuple[
 
 
 class CarModel:
-    """Advances a car by whole frames; holds nothing but constants worked out from its parameters.
+    """Advances a car by whole steps; stateless, holds only constants derived from the parameters.
 
     Args:
-        parameters: of the car.
-        substeps: per frame; `SUBSTEPS` if left out.
+        parameters: parameters of the car.
+        substeps: substeps per step; `SUBSTEPS` if omitted.
     """
 
     def __init__(self, parameters: DonkeyParameters, *, substeps: int | None = None) -> None:
@@ -109,7 +110,7 @@ class CarModel:
         self._rear_load = 0.5 * weight * (1.0 - p.front_share)
         self._roll_damping = 2.0 * p.body_damping * p.roll_inertia * math.tau * p.roll_frequency
         self._pitch_damping = 2.0 * p.body_damping * p.pitch_inertia * math.tau * p.pitch_frequency
-        # The body's weight leans on the springs: they are stiffer by m g h than the frequency alone asks.
+        # The weight of the leaning body acts against the springs: they are stiffer by m g h than the frequency implies.
         lean = weight * p.centre_of_mass_height
         self._roll_stiffness = p.roll_inertia * (math.tau * p.roll_frequency) ** 2 + lean
         self._pitch_stiffness = p.pitch_inertia * (math.tau * p.pitch_frequency) ** 2 + lean
@@ -118,33 +119,33 @@ class CarModel:
         self.frames_of_delay, rest = divmod(p.command_delay, FRAME_TIME)
         ends = (np.arange(count) + 1.0) * step
         newer = np.clip((ends - rest) / step, 0.0, 1.0)
-        # Of each step: share of the newer pulse, and the servo's gain and furthest move under either pulse.
+        # Per substep: share of the newer pulse, and gain and largest move of the servo under either pulse.
         gains = [(-np.expm1(-part * step / p.servo_lag), part * step * p.servo_rate) for part in (1.0 - newer, newer)]
         self._shares = list(zip(newer.tolist(), *(row.tolist() for pair in gains for row in pair), strict=True))
 
     @property
     def pulses_kept(self) -> int:
-        """How many of the last frames' pulses `advance` needs, the current one included."""
+        """Number of pulses that `advance` needs, one per frame up to the current one."""
         return int(self.frames_of_delay) + 2
 
     def pulse(self, command: Command) -> Pulse:
-        """What a command becomes on the wires: whole pulse counts, dead band, lowest duty, drag brake."""
+        """Convert a command to a pulse: whole pulse counts, dead band, minimum duty, drag brake."""
         p = self.parameters
         steering = round(command.steering * p.steering_pulse_steps) / p.steering_pulse_steps
         throttle = round(command.throttle * p.throttle_pulse_steps) / p.throttle_pulse_steps
         angle = p.steering_trim - steering * p.max_steering_angle
-        # Half a count past the dead band is driving; the dead band's edge itself still is.
+        # The edge of the dead band itself counts as driving.
         above = (throttle - p.throttle_dead_band) / (1.0 - p.throttle_dead_band)
         if above < 0.0:
             return Pulse(angle, 0.0, p.drag_brake)
         return Pulse(angle, p.start_duty + (p.full_duty - p.start_duty) * above, 0.0)
 
     def advance(self, state: CarState, pulses: list[Pulse]) -> CarState:
-        """One frame later.
+        """Return the state one step later.
 
         Args:
-            state: at the frame's start.
-            pulses: of the frames so far, the current frame's last, at least `pulses_kept` of them.
+            state: state at the start of the step.
+            pulses: pulses of all frames so far, the current one last; at least `pulses_kept` of them.
         """
         p = self.parameters
         older, newer = pulses[-self.pulses_kept], pulses[-self.pulses_kept + 1]
@@ -153,7 +154,7 @@ class CarModel:
         play = p.servo_backlash / 2.0
         for share, older_gain, older_reach, newer_gain, newer_reach in self._shares:
             rest = 1.0 - share
-            # One pulse after the other: a servo at its rate limit would not notice how much of a blend is new.
+            # Apply one pulse after the other: at its rate limit, the servo would not respond to the share of a blend.
             servo += min(max((older.angle - servo) * older_gain, -older_reach), older_reach)
             servo += min(max((newer.angle - servo) * newer_gain, -newer_reach), newer_reach)
             before = wheels
@@ -166,10 +167,15 @@ class CarModel:
         return CarState(*motion, servo, wheels, duty)
 
     def _move(self, s: _Motion, steering: float, duty: float, brake: float) -> _Motion:
-        """One Runge-Kutta step of the car's motion with the actuators held at their mid-step values."""
+        """Take one Runge-Kutta step of the motion, with the actuators held at their mid-step values."""
         p = self.parameters
-        undriven = p.stall_force * duty <= self._breakaway
-        held = undriven and abs(s[3]) < STILL and abs(s[4]) < STILL and abs(s[5]) * p.wheelbase < STILL
+        not_driven = p.stall_force * duty <= self._breakaway
+        held = (
+            not_driven
+            and abs(s[3]) < STANDSTILL_SPEED
+            and abs(s[4]) < STANDSTILL_SPEED
+            and abs(s[5]) * p.wheelbase < STANDSTILL_SPEED
+        )
         if held:
             s = (*s[:3], 0.0, 0.0, 0.0, *s[6:10], *_REST)
         left, right = self._wheel_angles(steering)
@@ -187,7 +193,7 @@ class CarModel:
         return tuple(after)  # type: ignore[return-value]
 
     def _wheel_angles(self, steering: float) -> tuple[float, float]:
-        """Left and right wheel for a mean angle: parallel at no Ackermann share, concentric at 1."""
+        """Angles of the left and right wheel for a mean angle: parallel at an Ackermann share of 0, concentric at 1."""
         p = self.parameters
         t = math.tan(steering)
         side = 0.5 * p.ackermann * p.track * t / p.wheelbase
@@ -210,7 +216,7 @@ class CarModel:
             slopes = (0.0, 0.0, 0.0, 0.0)
             du = dv = dr = 0.0
         else:
-            # The springs hand the body's roll and pitch moments to the wheels as load.
+            # Roll and pitch moments of the springs change the loads of the wheels.
             along = 0.5 * pitch_moment / p.wheelbase
             across_front = p.roll_front_share * roll_moment / p.track
             across_rear = (1.0 - p.roll_front_share) * roll_moment / p.track
@@ -263,16 +269,18 @@ class CarModel:
         stiffness: float,
         drive: float,
     ) -> tuple[float, float, float]:
-        """Forces along and across a wheel (N), and the rate of its slip (1/s), from its speeds (m/s)."""
+        """Forces along and across a wheel (N) and rate of its slip (1/s), from its velocities along and across."""
         p = self.parameters
         rate = (across - abs(along) * slip) / p.relaxation_length
-        if abs(slip) > LARGEST_SLIP and slip * rate > 0.0:
+        if abs(slip) > MAX_SLIP and slip * rate > 0.0:
             rate = 0.0
         if load <= 0.0:
             return 0.0, 0.0, rate
         friction = p.friction * (1.0 - p.load_sensitivity * (load / rated - 1.0))
         grip = friction * load
-        force = drive - p.rolling_resistance * load * along / math.sqrt(along * along + STILL * STILL)
+        force = drive - p.rolling_resistance * load * along / math.sqrt(
+            along * along + STANDSTILL_SPEED * STANDSTILL_SPEED
+        )
         force = min(max(force, -grip), grip)
         deflection = slip + p.carcass_damping * rate
         lateral = math.sin(p.shape * math.atan(stiffness / (p.shape * friction) * deflection))
@@ -282,20 +290,20 @@ class CarModel:
 def rollout(
     parameters: DonkeyParameters, commands: ArrayLike, initial_state: CarState | None = None
 ) -> NDArray[np.float64]:
-    """Drive recorded commands; a pure function, fit for least squares on the parameters.
+    """Simulate a sequence of commands; a pure function, suitable for least squares over the parameters.
 
     Args:
-        parameters: of the car.
-        commands: (n, 2) steering in [-1, 1] and throttle in [0, 1], one row per frame of 1/20 s. Before the
-            first one the car was told to stand with its wheels straight.
-        initial_state: at the start of the first frame; at rest in the origin if left out.
+        parameters: parameters of the car.
+        commands: (n, 2) steering in [-1, 1] and throttle in [0, 1], one row per step of 1/20 s. Neutral commands
+            are assumed before the first one.
+        initial_state: state at the start of the first step; at rest at the origin if omitted.
 
     Returns:
-        (n + 1, 17) states at the frames, columns as `CarState`, the first row the initial one.
+        (n + 1, 17) states, columns as in `CarState`; the first row is the initial state.
 
     Raises:
         ValueError: the commands are not (n, 2).
-        ds_sim.simulator.CommandError: a command is not a number in its range.
+        ds_sim.simulator.CommandError: a command is not a number or is out of range.
     """
     rows = np.asarray(commands, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 2:

@@ -1,4 +1,4 @@
-"""Drives that show what a car's parameters are, and recordings of the twin driving them, with a tracker's noise."""
+"""Command sequences that excite all parameters of the car, and simulated recordings of them with tracker noise."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from ds_twin_donkey.logs import Drive
 from ds_twin_donkey.parameters import DonkeyParameters
 
 TRACKER_NOISE = (0.01, 0.01, 0.01, 0.02, 0.02)
-"""m, m, rad, m/s, rad/s at the model car; chosen: a ceiling camera, a wheel sensor, a cheap gyroscope."""
+"""Standard deviation per channel (m, m, rad, m/s, rad/s), in model metres; chosen: a ceiling camera, a wheel sensor, a
+cheap gyroscope."""
 _COLUMNS = [CarState._fields.index(name) for name in ("x", "y", "yaw", "speed", "yaw_rate")]
 
 
 def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
-    """(n, 2): steering jumps every 0.2 to 0.75 s; throttle every 0.75 to 2.5 s, three of ten off, the rest mostly high.
+    """Random jumps of steering every 0.2 to 0.75 s and of throttle every 0.75 to 2.5 s, (n, 2).
 
-    Jumps show servo, play, delay and lag.
+    The throttle is off three times out of ten and mostly high otherwise. Jumps identify servo, play, delay and lag.
     """
     count = round(seconds / FRAME_TIME)
     commands = np.zeros((count, 2))
-    for column, (shortest, longest) in enumerate(((4, 16), (15, 50))):
+    for column, (low, high) in enumerate(((4, 16), (15, 50))):
         at = 0
         while at < count:
-            length = int(rng.integers(shortest, longest))
+            length = int(rng.integers(low, high))
             value = rng.uniform(-1.0, 1.0) if column == 0 else (1.0 - 0.95 * rng.random() ** 2) * (rng.random() > 0.3)
             commands[at : at + length, column] = value
             at += length
@@ -35,14 +36,19 @@ def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.floa
 
 
 def coast(full: float, rolling: float) -> NDArray[np.float64]:
-    """(n, 2): straight at full throttle, then rolling out, s each. A whole run-out tells drag brake from rolling."""
+    """Straight at full throttle, then coasting to a stop, (n, 2); separates drag brake from rolling resistance.
+
+    Args:
+        full: time at full throttle, s.
+        rolling: time without throttle, s.
+    """
     commands = np.zeros((round((full + rolling) / FRAME_TIME), 2))
     commands[: round(full / FRAME_TIME), 1] = 1.0
     return commands
 
 
 def hard_bends(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
-    """(n, 2): full throttle, left and right in turn for 1 to 2.5 s each; shows friction and stiffness of the tyres."""
+    """Full throttle, alternately left and right for 1 to 2.5 s, (n, 2); identifies friction and stiffness of tyres."""
     commands = np.zeros((round(seconds / FRAME_TIME), 2))
     commands[:, 1] = 1.0
     at, side = 0, rng.choice([-1.0, 1.0])
@@ -54,23 +60,23 @@ def hard_bends(rng: np.random.Generator, seconds: float) -> NDArray[np.float64]:
 
 
 def manoeuvres(rng: np.random.Generator) -> NDArray[np.float64]:
-    """(610, 2): 30.5 s with all that a fit needs: rolling out twice, hard bends, and jumps of steering and throttle."""
+    """All that a fit needs in 30.5 s, (610, 2): coasting twice, hard bends, jumps of steering and throttle."""
     return np.concatenate((coast(2.5, 7.5), hard_bends(rng, 5.0), random_commands(rng, 5.0), coast(2.5, 8.0)))
 
 
-def recorded(
+def simulated_recording(
     car: DonkeyParameters,
     rng: np.random.Generator,
     commands: NDArray[np.float64],
     noise: Sequence[float] = TRACKER_NOISE,
 ) -> Drive:
-    """A drive of the twin from rest, as a tracker would have it; the front axle must carry half the load.
+    """Simulate a drive of the twin from rest as a tracker would record it; the front axle must carry half the load.
 
     Args:
-        car: that drives.
-        rng: of the noise.
-        commands: (n, 2) what it is told.
-        noise: spread per channel of `logs.CHANNELS`.
+        car: parameters of the car.
+        rng: source of the noise.
+        commands: (n, 2) steering and throttle.
+        noise: standard deviation per channel of `logs.CHANNELS`.
     """
     states = rollout(car, commands)[:-1, _COLUMNS]
     measured = states + rng.normal(size=states.shape) * np.asarray(noise)
@@ -78,9 +84,9 @@ def recorded(
 
 
 def hidden_and_start(names: list[str], rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:
-    """A car up to 30 % off the nominal one in every parameter, and a start 30 % off it, either way.
+    """Draw true parameters up to 30 % off the nominal ones, and a start that is 30 % off the true ones, either way.
 
-    The trim, whose nominal value is 0, is up to 0.02 rad, and its start 0.
+    The trim, whose nominal value is 0, is up to 0.02 rad, and its start is 0.
     """
     nominal = DonkeyParameters()
     hidden = {name: float(getattr(nominal, name) * rng.uniform(0.7, 1.3)) for name in names}

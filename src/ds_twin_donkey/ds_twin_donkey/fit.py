@@ -1,8 +1,8 @@
-"""Fits the car's parameters to recorded drives: least squares over short rollouts (multiple shooting).
+"""Fits the car's parameters to recorded drives: least squares over short simulations (multiple shooting).
 
-Every drive is cut into windows. In each one the model starts from a state of its own, which is fitted along with the
-parameters, so that neither noise of the first measurement nor slow drift of the model spoils what the window says.
-Short windows come first, because a car 30 % off is soon elsewhere; then longer ones, which tell slow things apart.
+Every drive is cut into windows. The model starts each window from its own initial state, which is fitted along with the
+parameters, so that neither noise of the first measurement nor slow drift of the model affects the result. Short windows
+come first, because a car with parameters 30 % off diverges quickly; longer ones then separate slow effects.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ds_twin_donkey.dynamics import SUBSTEPS
 from ds_twin_donkey.logs import CHANNELS, Drive
 from ds_twin_donkey.parameters import DonkeyParameters
-from ds_twin_donkey.residuals import FLOORS, FURTHEST, SCALES, Problem, Say
+from ds_twin_donkey.residuals import FLOORS, MAX_FACTOR, SCALES, Problem, Say
 from ds_twin_donkey.windows import UNKNOWNS, FitError, Windows
 
 Array = NDArray[np.float64]
@@ -28,28 +28,29 @@ FITTED = {
     "motor_lag": "s", "rolling_resistance": "1", "friction": "1", "front_stiffness": "1/rad",
     "rear_stiffness": "1/rad",
 }  # fmt: skip
-"""Name -> unit of what is fitted. The rest is held: lengths and masses are measured with ruler and scales; doubling
-`free_speed` and `stall_force` and halving both duties changes nothing, so one of them is read from the data sheet; and
-the dead band is known to one pulse count only, which is 19 % of it."""
+"""Fitted parameters, name -> unit. All others are held: lengths and masses are measured with ruler and scales; doubling
+`free_speed` and `stall_force` and halving both duties changes nothing, so one of them is taken from the data sheet; and
+the dead band can be known to one pulse count only, which is 19 % of it."""
 KNOWN, WIDEST = 0.05, 0.2
-"""Half a 95 % interval over the value: up to the first a parameter is known, beyond the second not determined at all.
-Chosen: 5 % is what the fit promises; at 20 % the nominal values are no worse."""
-ROUNDS, SETTLED = 8, 0.1
-"""Rounds of weighing and solving at most, and the relative change of the noise that ends them; chosen."""
-ROUGH_SECONDS, ROUGH_LONGEST, ROUGH_SUBSTEPS = 3.0, 120.0, 10
-"""Short windows (s), how much of the drives they cover (s), and steps per frame. Chosen: in 3 s a car 30 % off is not
-yet anywhere else; two minutes bring it near; 10 steps are a third of a millimetre from 20, in half the time."""
+"""Half-width of the 95 % interval over the value: up to the first a parameter is fitted, beyond the second it is not
+determined. Chosen: 5 % is the accuracy that the fit promises; at 20 % the nominal values are no worse."""
+MAX_ROUNDS, SETTLED = 8, 0.1
+"""Largest number of rounds of weighting and solving, and the relative change of the noise that ends them; chosen."""
+ROUGH_SECONDS, ROUGH_TOTAL, ROUGH_SUBSTEPS = 3.0, 120.0, 10
+"""Length of the short windows (s), their total (s), and substeps per step. Chosen: in 3 s a car 30 % off does not
+diverge yet; two minutes bring it close; 10 substeps differ from 20 by a third of a millimetre, in half the time."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
-    """How to fit.
+    """Settings of a fit.
 
     Attributes:
-        window_seconds: length of a window; longer ones tell slow things apart, and need a model that follows so long.
-        max_seconds: of all windows together, evenly spread over the drives; bounds time and memory.
-        max_evaluations: of all residuals, in each of the rounds.
-        names: of the parameters that are fitted, of those in `FITTED`.
+        window_seconds: length of a window, s; longer ones separate slow effects, but the model must be accurate for as
+            long.
+        max_seconds: total length of all windows, evenly spread over the drives, s; bounds time and memory.
+        max_evaluations: largest number of evaluations of all residuals per round.
+        names: parameters to fit, a subset of `FITTED`.
     """
 
     window_seconds: float = 10.0
@@ -60,16 +61,16 @@ class FitSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A fitted parameter.
+    """Estimate of a fitted parameter.
 
     Attributes:
-        name: of the parameter.
-        unit: "1" if it has none.
-        value: fitted, or the start if not determined.
+        name: name of the parameter.
+        unit: unit; "1" if dimensionless.
+        value: fitted value, or the start if not determined.
         low: lower end of the 95 % interval; NaN if not determined.
-        high: its upper end.
-        start: where the fit began.
-        determined: whether the drives say what it is.
+        high: upper end of the 95 % interval; NaN if not determined.
+        start: value from which the fit started.
+        determined: whether the drives determine the value.
     """
 
     name: str
@@ -82,7 +83,7 @@ class Estimate:
 
     @property
     def status(self) -> str:
-        """`fitted` (half its interval is at most 5 %), `weakly fitted`, or `not determined`."""
+        """`fitted` (half-width of the interval at most 5 %), `weakly fitted`, or `not determined`."""
         if not self.determined:
             return "not determined"
         half = 0.5 * (self.high - self.low)
@@ -91,16 +92,16 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """What a fit found.
+    """Result of a fit.
 
     Attributes:
-        parameters: the car.
-        estimates: one per name that was to be fitted.
-        rms: per channel, of the residuals, in the channel's unit; NaN where nothing was measured.
-        noise: per channel, white noise of the drives, in the channel's unit; NaN where nothing was measured.
-        windows: how many were used.
-        measured: (windows, frames, 5) of each window, columns as `logs.CHANNELS`.
-        fitted: the same from the model.
+        parameters: parameters of the car, fitted and held ones.
+        estimates: one per parameter to fit.
+        rms: root mean square of the residuals per channel, in its unit; NaN where nothing was measured.
+        noise: white noise of the drives per channel, in its unit; NaN where nothing was measured.
+        windows: number of windows used.
+        measured: (windows, frames, 5) measurements, columns as `logs.CHANNELS`.
+        fitted: (windows, frames, 5) simulated values.
     """
 
     parameters: DonkeyParameters
@@ -113,9 +114,9 @@ class Fit:
 
     @property
     def misfit(self) -> dict[str, float]:
-        """Per measured channel, residuals over the noise of the drives; about 1 where the model follows them."""
-        least = dict(zip(CHANNELS, FLOORS, strict=True))
-        return {name: rms / max(self.noise[name], least[name]) for name, rms in self.rms.items() if math.isfinite(rms)}
+        """Residuals over the noise of the drives, per measured channel; about 1 where the model follows them."""
+        floors = dict(zip(CHANNELS, FLOORS, strict=True))
+        return {name: rms / max(self.noise[name], floors[name]) for name, rms in self.rms.items() if math.isfinite(rms)}
 
 
 def fit(
@@ -124,13 +125,13 @@ def fit(
     settings: FitSettings | None = None,
     say: Say = lambda line: None,
 ) -> Fit:
-    """Fit the parameters of `FITTED`; the same drives give the same result.
+    """Fit parameters to recorded drives; deterministic.
 
     Args:
-        drives: recorded.
-        start: where to begin, and the values of all that is not fitted; nominal if left out.
+        drives: recorded drives.
+        start: initial values, and values of all parameters that are not fitted; nominal if omitted.
         settings: see `FitSettings`.
-        say: gets a line per iteration.
+        say: called with a line per iteration.
 
     Raises:
         FitError: no drive is long enough, or the model does not follow the drives at all.
@@ -138,13 +139,13 @@ def fit(
     start, settings = start or DonkeyParameters(), settings or FitSettings()
     names = list(settings.names)
     theta, eta, sigma = np.zeros(len(names)), np.zeros((0, UNKNOWNS)), None
-    # What a start far off leaves over counts as noise at first: that keeps first states free to follow, and the steps
-    # large. It shrinks from round to round to what the sensors leave.
+    # Residuals of a start that is far off count as noise at first: that keeps initial states free and steps large. The
+    # noise shrinks from round to round to that of the sensors.
     stages = [(settings.window_seconds, settings.max_seconds)]
     if settings.window_seconds > ROUGH_SECONDS:
-        stages.insert(0, (ROUGH_SECONDS, min(ROUGH_LONGEST, settings.max_seconds)))
-    for seconds, longest in stages:
-        windows = Windows(drives, start, seconds, longest, FURTHEST * start.command_delay)
+        stages.insert(0, (ROUGH_SECONDS, min(ROUGH_TOTAL, settings.max_seconds)))
+    for seconds, max_total in stages:
+        windows = Windows(drives, start, seconds, max_total, MAX_FACTOR * start.command_delay)
         problem = Problem(windows, start, ROUGH_SUBSTEPS)
         say(f"{problem.windows.count} windows of {seconds:g} s, {int(problem.windows.known.sum())} measured values")
         theta, eta = _rounds(problem, names, theta, sigma, settings, say)
@@ -201,13 +202,13 @@ def _by_channel(values: Array) -> dict[str, float]:
 def _rounds(
     problem: Problem, names: Sequence[str], theta: Array, sigma: Array | None, settings: FitSettings, say: Say
 ) -> tuple[Array, Array]:
-    """Weigh and solve until the noise has settled; `sigma` if it is already known about."""
-    eta = problem.windows.first_states.copy()
+    """Alternate weighting and solving until the noise has settled; `sigma` is the noise to start with, if known."""
+    eta = problem.windows.initial_states.copy()
     if sigma is None:
         problem.weigh(names, theta, eta)
     else:
         problem.sigma = sigma.copy()
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         before = problem.sigma.copy()
         theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, say, 1e-3)
         problem.weigh(names, theta, eta)
@@ -217,19 +218,19 @@ def _rounds(
 
 
 def _undetermined(problem: Problem, names: Sequence[str], theta: Array, eta: Array) -> list[str]:
-    """Drop the widest parameter until every interval is narrow enough; those dropped."""
-    ours, states, _ = problem.jacobian(names, theta, eta)
-    information, left, dropped = problem.information(ours, states), list(range(len(names))), []
+    """Drop the parameter with the widest interval until all are narrow enough; returns those dropped."""
+    by_parameters, by_states, _ = problem.jacobian(names, theta, eta)
+    information, kept, dropped = problem.information(by_parameters, by_states), list(range(len(names))), []
     values = problem.values(names, theta)
-    while left:
-        widths = problem.widths([names[i] for i in left], information[np.ix_(left, left)])
+    while kept:
+        widths = problem.widths([names[i] for i in kept], information[np.ix_(kept, kept)])
         ranked = []
-        for width, i in zip(widths, left, strict=True):
+        for width, i in zip(widths, kept, strict=True):
             low, high = problem.bounds(names[i])
             stuck = min(theta[i] - low, high - theta[i]) < 1e-3
             ranked.append(math.inf if stuck else width / SCALES.get(names[i], max(abs(values[i]), 1e-12)))
         worst = int(np.argmax(ranked))
         if ranked[worst] <= WIDEST:
             break
-        dropped.append(names[left.pop(worst)])
+        dropped.append(names[kept.pop(worst)])
     return dropped

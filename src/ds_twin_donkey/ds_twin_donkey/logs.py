@@ -1,4 +1,4 @@
-"""Reads recorded drives for the fit: our bags and Donkey Car tubs (version 2), as 20 Hz rows in model metres."""
+"""Reads recorded drives for the fit: bags of this project and Donkey Car tubs (version 2), at 20 Hz in model metres."""
 
 from __future__ import annotations
 
@@ -19,30 +19,31 @@ from ds_twin_donkey.parameters import SCALE
 
 Array = NDArray[np.float64]
 CHANNELS = ("x", "y", "yaw", "speed", "yaw_rate")
-"""What is compared: position (m) and heading (rad) of the car's centre, forward speed (m/s), yaw rate (rad/s)."""
-LARGEST_GAP = 0.25
-"""s between two rows; chosen: five frames. A longer gap ends a drive, as between two states no command is known."""
-_EVEN = 0.002
-"""s; rows whose spacing differs from a frame by less are taken as they are. Chosen: less than a step of the model."""
-_PACE, _AGREE = 0.3, 1.5
-"""Where the car is faster (m/s), positions and speed agree within this factor. Chosen: above the noise of positions; a
-wheel sensor is off by less, and units differ by more (the Donkey simulator's metre has been 8 of its car's)."""
-_STANDING = 0.05
-"""Model m/s; a drive that begins slower than this began at rest. Chosen: above the noise of a speed sensor."""
+"""Fitted quantities: position (m) and heading (rad) of the car's centre, forward speed (m/s), yaw rate (rad/s)."""
+MAX_GAP = 0.25
+"""Largest time between two rows, s; chosen: five frames. A longer gap ends a drive: commands within it are unknown."""
+_MAX_JITTER = 0.002
+"""Rows whose spacing differs from a frame by less than this are not resampled, s; chosen: less than a substep."""
+_MIN_COMPARED_SPEED, _MAX_SPEED_RATIO = 0.3, 1.5
+"""Speed (m/s) above which positions and speed must agree, and the factor within which they must. Chosen: above the
+noise of positions; a wheel sensor is off by less, wrong units by more (positions and speeds of the Donkey simulator
+have differed by a factor of 8)."""
+_STANDING_SPEED = 0.05
+"""Speed below which a drive counts as started from rest, model m/s; chosen: above the noise of a speed sensor."""
 
 
 class LogError(ValueError):
-    """A log that cannot be read, or from which nothing can be fitted."""
+    """A log cannot be read, or nothing can be fitted to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A stretch of a log without gaps.
+    """Part of a log without gaps.
 
     Attributes:
-        commands: (n, 2) steering and throttle, row i told at frame i and held to frame i + 1.
-        measured: (n, 5) columns as `CHANNELS`, model metres; NaN where the log says nothing.
-        from_rest: True if the car stood before the first row, with neutral commands.
+        commands: (n, 2) steering and throttle; row i is given at frame i and held until frame i + 1.
+        measured: (n, 5) measurements, columns as `CHANNELS`, model metres; NaN where the log has no value.
+        from_rest: whether the car stood before the first row, with neutral commands.
     """
 
     commands: Array
@@ -52,13 +53,13 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """One recorded drive.
+    """One recorded log.
 
     Attributes:
-        name: of its file or folder.
+        name: name of the file or folder.
         kind: `bag` or `tub`.
-        sha256: of the file or files that were read.
-        drives: its stretches without gaps.
+        sha256: SHA-256 of the files that were read.
+        drives: parts without gaps.
     """
 
     name: str
@@ -68,59 +69,59 @@ class Log:
 
     @property
     def seconds(self) -> float:
-        """Length of all stretches."""
+        """Total length of all drives, s."""
         return sum(len(drive.commands) for drive in self.drives) * FRAME_TIME
 
 
 def read_log(path: Path) -> Log:
-    """Read a folder that is a rosbag2 bag of one run or a Donkey Car tub.
+    """Read a folder with a rosbag2 bag of one run or with a Donkey Car tub.
 
     Raises:
-        LogError: in one line, what is wrong and what to do.
+        LogError: the log cannot be used; one line says what is wrong and what to do.
     """
     if (path / "metadata.yaml").is_file():
         return _read_bag(path)
     if is_tub(path):
         return _read_tub(path)
     if not path.exists():
-        raise LogError(f"{path}: no such log: give the folder of a bag or of a Donkey Car tub")
+        raise LogError(f"{path}: no such log: name the folder of a bag or of a Donkey Car tub")
     raise LogError(f"{path}: neither a bag (metadata.yaml) nor a Donkey Car tub (manifest.json): give such a folder")
 
 
 def drives_of(times: Array, commands: Array, measured: Array) -> tuple[Drive, ...]:
-    """Cut at gaps and at reverse throttle, which the twin does not have, and bring each stretch to 20 Hz.
+    """Cut a log at gaps and at reverse throttle, which the twin does not model, and resample each part to 20 Hz.
 
     Args:
-        times: (n,) s, rising.
-        commands: (n, 2).
-        measured: (n, 5) as in `Drive`.
+        times: (n,) times, s, increasing.
+        commands: (n, 2) steering and throttle.
+        measured: (n, 5) measurements as in `Drive`.
     """
     usable = np.isfinite(commands).all(axis=1) & (commands[:, 1] >= 0.0)
-    cuts = np.flatnonzero((np.diff(times) > LARGEST_GAP) | (np.diff(times) <= 0.0)) + 1
+    cuts = np.flatnonzero((np.diff(times) > MAX_GAP) | (np.diff(times) <= 0.0)) + 1
     drives = []
     for block in np.split(np.arange(len(times)), cuts):
         edges = np.flatnonzero(np.diff(usable[block])) + 1
         drives += [
-            _even(times[part], commands[part], measured[part])
+            _resampled(times[part], commands[part], measured[part])
             for part in np.split(block, edges)
             if len(part) > 1 and usable[part[0]]
         ]
     return tuple(drives)
 
 
-def _even(times: Array, commands: Array, measured: Array) -> Drive:
+def _resampled(times: Array, commands: Array, measured: Array) -> Drive:
     measured = measured.copy()
     measured[~np.isfinite(measured)] = np.nan
-    turned = np.isfinite(measured[:, 2])
-    measured[turned, 2] = np.unwrap(measured[turned, 2])  # one NaN would spoil all that follow
-    if np.abs(np.diff(times) - FRAME_TIME).max() > _EVEN:
+    has_yaw = np.isfinite(measured[:, 2])
+    measured[has_yaw, 2] = np.unwrap(measured[has_yaw, 2])  # a single NaN would invalidate all later values
+    if np.abs(np.diff(times) - FRAME_TIME).max() > _MAX_JITTER:
         grid = np.arange(times[0], times[-1] + 1e-9, FRAME_TIME)
-        # A command holds until the next one; a measured value is taken on the line between two rows.
+        # Commands are held until the next one; measurements are interpolated linearly.
         commands = commands[np.searchsorted(times, grid + 1e-9, side="right") - 1]
         measured = np.column_stack([np.interp(grid, times, column) for column in measured.T])
     first = measured[:3]
     speed = first[:, 3] if np.isfinite(first[:, 3]).all() else np.hypot(*np.diff(first[:, :2], axis=0).T) / FRAME_TIME
-    return Drive(commands=commands, measured=measured, from_rest=bool(np.median(np.abs(speed)) < _STANDING))
+    return Drive(commands=commands, measured=measured, from_rest=bool(np.median(np.abs(speed)) < _STANDING_SPEED))
 
 
 def _read_bag(path: Path) -> Log:
@@ -128,9 +129,9 @@ def _read_bag(path: Path) -> Log:
 
     simulator = _simulator_of(path)
     if simulator in SIMULATORS and simulator != "donkey":
-        raise LogError(f"{path}: a drive of {simulator}, which is no 1:16 car: give drives of the car that is fitted")
+        raise LogError(f"{path}: a drive of {simulator}, which is not a 1:16 car: use drives of the car to fit")
     states: dict[int, Any] = {}
-    told: dict[int, tuple[float, float]] = {}
+    commanded: dict[int, tuple[float, float]] = {}
     try:
         with AnyReader([path]) as reader:
             for connection, _, raw in reader.messages():
@@ -141,17 +142,19 @@ def _read_bag(path: Path) -> Log:
                     if kind == "VehicleState":
                         states[stamp] = (message.x, message.y, message.yaw, message.speed, message.yaw_rate)
                     else:
-                        told[stamp] = (message.steering, message.throttle)
+                        commanded[stamp] = (message.steering, message.throttle)
     except (AnyReaderError, OSError, KeyError, AttributeError, ValueError) as error:
         raise LogError(f"{path}: the bag cannot be read ({' '.join(str(error).split())}): record it again") from None
-    except Exception as error:  # a damaged MCAP file raises whatever its reader stumbles on
+    except Exception as error:  # the reader of a damaged MCAP file may raise anything
         raise LogError(f"{path}: the bag is damaged ({type(error).__name__}): record it again") from None
-    stamps = sorted(states.keys() & told.keys())
+    stamps = sorted(states.keys() & commanded.keys())
     if len(stamps) < 2:
-        raise LogError(f"{path}: {len(states)} states and {len(told)} commands, none with the same stamp: not our bag")
+        raise LogError(
+            f"{path}: {len(states)} states and {len(commanded)} commands without a common stamp: give a bag of a drive"
+        )
     measured = np.array([states[s] for s in stamps], dtype=np.float64)
     measured[:, [0, 1, 3]] /= SCALE
-    commands = np.array([told[s] for s in stamps], dtype=np.float64)
+    commands = np.array([commanded[s] for s in stamps], dtype=np.float64)
     return Log(
         name=path.name,
         kind="bag",
@@ -161,12 +164,12 @@ def _read_bag(path: Path) -> Log:
 
 
 def _simulator_of(path: Path) -> str:
-    """Which simulator our bag says it is of; nothing if it does not say."""
+    """Simulator named in the metadata of a bag of this project; "" if none."""
     try:
         information = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
         return str((information.get("custom_data") or {}).get("simulator", ""))
     except (OSError, BoundedYamlError, KeyError, TypeError, AttributeError):
-        return ""  # the reader of the bag says what is wrong with the file
+        return ""  # reading the bag reports what is wrong with the file
 
 
 def _read_tub(path: Path) -> Log:
@@ -179,14 +182,14 @@ def _read_tub(path: Path) -> Log:
     columns = {
         "x": _column(rows, "pos/pos_x"),
         # Unity's y is up and its axes are left-handed: seen from above, x is to the right and z ahead, so that a turn
-        # to the left is counter-clockwise, as on our roads.
+        # to the left is counter-clockwise, as in the road frame.
         "y": _column(rows, "pos/pos_z"),
         "speed": _column(rows, "pos/speed", "enc/speed"),
     }
     if not (np.isfinite(columns["x"]) & np.isfinite(columns["y"])).any() and not np.isfinite(columns["speed"]).any():
         raise LogError(
             f"{path}: a tub of commands without position or speed (pos/pos_x and pos/pos_z, pos/speed or enc/speed): "
-            "nothing of the motion can be fitted from it, record these too"
+            "no motion can be fitted to it, record these too"
         )
     if not np.isfinite(times).all():
         raise LogError(f"{path}: _timestamp_ms of a row is not a number: remove that row")
@@ -207,10 +210,10 @@ def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:
         pace = np.hypot(np.diff(columns["x"]), np.diff(columns["y"])) / np.diff(times)
         speed = 0.5 * (columns["speed"][1:] + columns["speed"][:-1])
         ratio = pace / speed
-    ratio = ratio[np.isfinite(ratio) & ((speed > _PACE) | (pace > _PACE))]
-    if ratio.size and not 1.0 / _AGREE < np.median(ratio) < _AGREE:
+    ratio = ratio[np.isfinite(ratio) & ((speed > _MIN_COMPARED_SPEED) | (pace > _MIN_COMPARED_SPEED))]
+    if ratio.size and not 1.0 / _MAX_SPEED_RATIO < np.median(ratio) < _MAX_SPEED_RATIO:
         raise LogError(
-            f"{path}: by its positions the car is {np.median(ratio):.3g} times as fast as by its speed: "
+            f"{path}: according to its positions the car is {np.median(ratio):.3g} times as fast as its speed says: "
             "record both in metres of the car"
         )
 

@@ -1,10 +1,10 @@
-"""Every constant of the 1:16 car, in SI units of the model car, open to a fit to recorded drives.
+"""All constants of the 1:16 car, in SI units of the model car; many can be fitted to recorded drives.
 
-Sources that recur below:
+Sources cited repeatedly below:
 
 * *chassis*: nominal values of the chassis class of the Donkey Car guide (HSP 94186, Exceed Magnet: 1:16,
-  shaft drive on all wheels, brushed motor). Nominal, not measured on one car.
-* *template*: the configuration that Donkey Car's `createcar` writes for that chassis.
+  shaft-driven four-wheel drive, brushed motor). Nominal, not measured on one car.
+* *template*: the configuration that Donkey Car's `createcar` generates for that chassis.
 * *F1TENTH*: the default parameters of the F1TENTH simulator for a 1:10 car with the same kind of tyre.
 """
 
@@ -22,37 +22,37 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, kw_only=True)
 class DonkeyParameters:
-    """The car, its tyres, its steering servo and its motor; model metres.
+    """Parameters of the car, its tyres, steering servo and motor; lengths in model metres.
 
     Attributes:
         wheelbase: m; chassis (0.174), 2.78 road metres.
-        track: between the wheels of an axle, m; chassis (0.13 to 0.14).
-        mass: of the whole car, kg; chosen: chassis 0.9, computer, its power bank, plate and cage 0.5.
-        front_share: of the static load on the front axle, 0 to 1; chosen: the battery and the plate sit in
-            the middle.
+        track: distance between the wheels of an axle, m; chassis (0.13 to 0.14).
+        mass: mass of the whole car, kg; chosen: chassis 0.9; computer, power bank, plate and cage 0.5.
+        front_share: share of the static load on the front axle, 0 to 1; chosen: battery and plate are in the
+            middle.
         yaw_inertia: kg m^2; a uniform box of 0.28 x 0.18 m with this mass.
         centre_of_mass_height: m; F1TENTH has 0.074 at 1:10, 0.046 at 1:16; chosen 0.05 for the plate and
             the cage.
-        roll_inertia: about the roll axis on the ground, kg m^2; box of 0.18 x 0.10 m at that height.
-        pitch_inertia: about the pitch axis on the ground, kg m^2; box of 0.28 x 0.10 m at that height.
-        roll_frequency: undamped, Hz; chosen: short stiff springs under a small car.
-        pitch_frequency: undamped, Hz; chosen as above.
-        body_damping: ratio of the roll and pitch modes; chosen: oil dampers of the chassis.
-        roll_front_share: of the roll stiffness on the front axle, 0 to 1; chosen: equal springs.
+        roll_inertia: inertia about the roll axis on the ground, kg m^2; box of 0.18 x 0.10 m at that height.
+        pitch_inertia: inertia about the pitch axis on the ground, kg m^2; box of 0.28 x 0.10 m at that height.
+        roll_frequency: undamped natural frequency, Hz; chosen: short stiff springs under a small car.
+        pitch_frequency: undamped natural frequency, Hz; chosen as above.
+        body_damping: damping ratio of the roll and pitch modes; chosen: oil dampers of the chassis.
+        roll_front_share: share of the roll stiffness on the front axle, 0 to 1; chosen: equal springs.
 
-        friction: peak tyre force over load; chosen: rubber on smooth floor 0.8 to 0.9 (F1TENTH 1.05 on
+        friction: peak tyre force over load; chosen: rubber on a smooth floor has 0.8 to 0.9 (F1TENTH 1.05 on
             asphalt).
-        shape: C of the Magic Formula for lateral force; Pacejka, Tire and Vehicle Dynamics, ch. 4: 1.3.
+        shape: shape factor C of the Magic Formula for lateral force; Pacejka, Tire and Vehicle Dynamics, ch. 4: 1.3.
         front_stiffness: slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 4.718.
         rear_stiffness: slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 5.4562.
-        load_sensitivity: relative loss of friction per relative gain of load; chosen: low end of road tyres
+        load_sensitivity: relative loss of friction per relative increase of load; chosen: low end of road tyres
             (0.05 to 0.2).
         relaxation_length: m; Pacejka ch. 7: of the order of the wheel's radius (0.0315), less for a stiff
             carcass.
-        carcass_damping: time constant of the carcass as spring and damper, s; chosen: it then comes to rest
-            in about two swings, as rubber does.
-        rolling_resistance: force over load, of tyres and gears with the motor off; chosen: 2.4 road m/s^2
-            of slowing down, the upper end of tyres on a hard floor (0.01 to 0.015).
+        carcass_damping: time constant of the carcass as a spring with a damper, s; chosen: oscillations then decay in
+            about two cycles, as in rubber.
+        rolling_resistance: force over load of tyres and gears with the motor off; chosen: a deceleration of 2.4 road
+            m/s^2, the upper end of tyres on a hard floor (0.01 to 0.015).
         ackermann: share of the exact Ackermann geometry, 0 parallel to 1 exact; chosen: typical linkage of
             the chassis.
 
@@ -61,31 +61,30 @@ class DonkeyParameters:
         steering_trim: angle of the wheels with the servo centred, rad, left positive; 0: trimmed with
             `calibrate`.
         steering_pulse_steps: pulse counts from centre to lock; template, (460 - 290) / 2.
-        servo_rate: of the wheels, rad/s; Hitec HS-311 data sheet: 60 degrees of horn in 0.15 to 0.19 s
-            without load (5.5 to 7 rad/s), times about 0.8 of linkage.
-        servo_lag: time constant of the servo's position loop, s; chosen, one pulse period of 60 Hz and a
-            half.
-        servo_backlash: play of gears, saver and linkage, lock to lock at the wheels, rad; chosen: 1 degree.
-        command_delay: from command to pulse, s; chosen: half a 50 ms drive loop and one 16.7 ms pulse
+        servo_rate: largest rate of the wheels, rad/s; Hitec HS-311 data sheet: 60 degrees of the horn in 0.15 to
+            0.19 s without load (5.5 to 7 rad/s), times a linkage ratio of about 0.8.
+        servo_lag: time constant of the servo's position loop, s; chosen: one and a half pulse periods at 60 Hz.
+        servo_backlash: total play of gears, servo saver and linkage at the wheels, rad; chosen: 1 degree.
+        command_delay: delay from command to pulse, s; chosen: half a 50 ms drive loop and one 16.7 ms pulse
             period.
 
         throttle_pulse_steps: pulse counts from stop to full; template, 500 - 370.
-        throttle_dead_band: throttle below which the speed controller gives nothing; chosen: a neutral range
-            of 6 %, as car controllers have, with the stop pulse calibrated towards its edge (template's
-            MIN_THROTTLE: 0.1). A wider one leaves a car that stopped with steering near 1 without throttle.
+        throttle_dead_band: throttle below which the speed controller outputs nothing; chosen: a neutral range of 6 %,
+            as car controllers have, with the stop pulse calibrated towards its edge (template's MIN_THROTTLE:
+            0.1). With a wider one, a car that stops with steering near 1 would not start again.
         start_duty: duty just above the dead band; chosen: the car then runs at the template's MIN_SPEED,
             0.1 m/s.
         full_duty: duty at throttle 1; chosen: calibrated so that full throttle suits a 30 km/h road at
             1:16.
-        free_speed: of the car at duty 1 without friction, m/s; chassis (25 to 30 km/h).
-        stall_force: at the tyres at duty 1 and rest, N; chosen: 380-size motor, 0.07 N m, 6.6 to 1, on 31.5
-            mm wheels (template's WHEEL_RADIUS) with 0.7 efficiency.
-        drag_brake: share of the shorted motor's braking while throttle is in the dead band; chosen: the
-            lowest setting of speed controllers, 5 to 10 %.
+        free_speed: speed of the car at duty 1 without friction, m/s; chassis (25 to 30 km/h).
+        stall_force: force at the tyres at duty 1 and standstill, N; chosen: 380-size motor, 0.07 N m, geared 6.6
+            to 1, wheels of 31.5 mm (template's WHEEL_RADIUS), efficiency 0.7.
+        drag_brake: braking while the throttle is in the dead band, as a share of that of the shorted motor;
+            chosen: the lowest setting of speed controllers, 5 to 10 %.
         motor_lag: time constant from pulse to motor voltage, s; chosen: the speed controller's soft start.
-        rotating_mass: wheels, gears and rotor as mass at the tyres, kg; a 380-size rotor of 18 g cm^2
-            geared as above (0.08) and four wheels of 35 g (0.07).
-        drive_front_share: of the drive force on the front axle, 0 to 1; chassis: shaft drive, equal
+        rotating_mass: inertia of wheels, gears and rotor as equivalent mass at the tyres, kg; a 380-size rotor of
+            18 g cm^2 geared as above (0.08) and four wheels of 35 g (0.07).
+        drive_front_share: share of the drive force on the front axle, 0 to 1; chassis: shaft drive, equal
             differentials.
     """
 
@@ -139,15 +138,15 @@ class DonkeyParameters:
                 raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 
     def changed(self, **values: float) -> DonkeyParameters:
-        """A copy with some values changed; the others stay.
+        """Copy with some values changed.
 
         Raises:
-            ValueError: no such parameter, or a value out of its range.
+            ValueError: a parameter does not exist, or a value is out of range.
         """
         names = {field.name for field in dataclasses.fields(self)}
         for name in values:
             if name not in names:
-                raise ValueError(f"{name} is no parameter of the car: expected one of {', '.join(sorted(names))}")
+                raise ValueError(f"{name} is not a parameter of the car: expected one of {', '.join(sorted(names))}")
         return dataclasses.replace(self, **values)  # type: ignore[arg-type]
 
 
@@ -170,4 +169,4 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "max_steering_angle": (_TINY, 1.2),
     "steering_trim": (-0.3, 0.3),
 }  # fmt: skip
-"""Range of each value where it is not just from 0 up."""
+"""Range of each value whose range is not simply 0 or more."""

@@ -1,4 +1,4 @@
-"""The model's residuals in windows of recorded drives, and least squares over them (variable projection)."""
+"""Residuals of the model in windows of recorded drives, and least squares over them (variable projection)."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 SCALES = {"steering_trim": 0.05}
-"""What a parameter whose start may be 0 is measured against, rad; chosen: a trim that anyone would set right."""
-FURTHEST = 2.5
-"""A parameter stays within this factor of its start; chosen: well past any two cars of a kind."""
+"""Scale of a parameter whose start may be 0, rad; chosen: a trim that would always be noticed and corrected."""
+MAX_FACTOR = 2.5
+"""Factor of its start within which a parameter stays; chosen: more than two cars of a kind ever differ."""
 _STEP = 1e-4
-"""Of the forward differences, relative; far above rounding and below any kink of play or rate limit."""
+"""Relative step of the forward differences; far above rounding and below any kink due to play or rate limit."""
 _PLAY = UNKNOWNS - 1
-"""Which value of a first state is the place in the play; the only one with bounds, -1 and 1."""
-_STEPPED = UNKNOWNS - 3
-"""Values of a first state whose slopes are found by a step; those of its place and heading are known."""
-_FOLLOWING = 3
-"""Steps of the first states for other parameters; chosen: the second finds the best ones where the model is smooth."""
-_FLUNG = 1e6
-"""What a residual is at most."""
+"""Index of the position within the play in an initial state; the only value with bounds, -1 and 1."""
+_NUMERICAL = UNKNOWNS - 3
+"""Number of values of an initial state differentiated numerically; the derivatives of the pose are known."""
+_STATE_ITERATIONS = 3
+"""Gauss-Newton steps of the initial states per set of parameters; chosen: two suffice where the model is smooth."""
+_MAX_RESIDUAL = 1e6
+"""Largest absolute value of a residual."""
 FLOORS = (5e-4, 5e-4, 5e-4, 1e-3, 2e-3)
-"""Least noise per channel (m, m, rad, m/s, rad/s); chosen: below any sensor's, for noiseless logs."""
+"""Smallest noise per channel (m, m, rad, m/s, rad/s); chosen: below that of any sensor, for noiseless logs."""
 
 
 class Problem:
-    """The residuals of the model in some windows, over the noise.
+    """Least-squares problem: residuals of the model in some windows, relative to the noise.
 
-    Parameters are `theta`, scaled so that 0 is the start; first states of the windows are `eta`.
+    `theta` are the parameters, scaled so that 0 is the start; `eta` are the initial states of the windows.
 
     Args:
-        windows: of recorded drives.
-        start: values of every parameter to begin with.
-        substeps: of the model per frame.
+        windows: windows of recorded drives.
+        start: initial values of all parameters.
+        substeps: substeps of the model per step.
 
     Attributes:
         substeps: as given; may be changed between calls.
-        sigma: (5,) what a residual of each channel is measured against.
+        sigma: (5,) noise of each channel, by which residuals are divided.
     """
 
     def __init__(self, windows: Windows, start: DonkeyParameters, substeps: int) -> None:
@@ -55,15 +55,15 @@ class Problem:
         self.sigma = np.maximum(windows.noise(), FLOORS)
 
     def scale(self, name: str) -> float:
-        """What a step of 1 of the scaled parameter is worth."""
+        """Change of a parameter per unit of the scaled parameter."""
         return SCALES.get(name, abs(float(getattr(self._start, name))) or 1.0)
 
     def values(self, names: Sequence[str], theta: Array) -> list[float]:
-        """Parameters from scaled ones, 0 being the start."""
+        """Convert scaled parameters to values; 0 is the start."""
         return [float(getattr(self._start, n)) + self.scale(n) * float(x) for n, x in zip(names, theta, strict=True)]
 
     def car(self, names: Sequence[str], theta: Array) -> DonkeyParameters:
-        """The start with some parameters changed."""
+        """Parameters of the car: the start with some of them replaced."""
         return self._start.changed(**dict(zip(names, self.values(names, theta), strict=True)))
 
     def predict(self, cars: Sequence[DonkeyParameters], states: Array) -> Array:
@@ -71,54 +71,68 @@ class Problem:
         return self.windows.predict(cars, states, self.substeps)
 
     def residuals(self, names: Sequence[str], theta: Array, eta: Array) -> Array:
-        """(windows, frames x 5 + 7) over the noise; the last seven columns hold the first state to its guess."""
+        """Residuals over the noise, (windows, frames x 5 + 7); the last seven are priors on the initial state."""
         return self._deviations(self.predict([self.car(names, theta)], eta[None])[0], eta)
 
     def _deviations(self, predicted: Array, eta: Array) -> Array:
         scaled = self.windows.difference(predicted) / self.sigma
-        off = (eta - self.windows.first_states) / self.windows.guess
+        off = (eta - self.windows.initial_states) / self.windows.initial_spread
         return np.concatenate((scaled.reshape(len(scaled), -1), off), axis=1)
 
     def jacobian(self, names: Sequence[str], theta: Array, eta: Array) -> tuple[Array, Array, Array]:
-        """Slopes of `residuals` by parameters and by first states, and the residuals."""
+        """Derivatives of `residuals` with respect to parameters and initial states, and the residuals."""
         cars = [self.car(names, theta)]
         for column in range(len(names)):
-            moved = theta.copy()
-            moved[column] += _STEP
-            cars.append(self.car(names, moved))
-        states = np.repeat(eta[None], len(names) + 1 + _STEPPED, axis=0)
+            shifted = theta.copy()
+            shifted[column] += _STEP
+            cars.append(self.car(names, shifted))
+        states = np.repeat(eta[None], len(names) + 1 + _NUMERICAL, axis=0)
         steps = np.full((len(states), self.windows.count), _STEP)
-        steps[-1] = np.where(eta[:, _PLAY] > 0.0, -_STEP, _STEP)  # past the ends of the play nothing changes
-        for row in range(_STEPPED):
+        steps[-1] = np.where(eta[:, _PLAY] > 0.0, -_STEP, _STEP)  # beyond the ends of the play nothing changes
+        for row in range(_NUMERICAL):
             states[len(names) + 1 + row, :, 3 + row] += steps[len(names) + 1 + row]
-        rows = self.predict([*cars, *[cars[0]] * _STEPPED], states)
+        rows = self.predict([*cars, *[cars[0]] * _NUMERICAL], states)
         slopes = (rows[1:] - rows[0]) / steps[1:, :, None, None]
         pose = np.zeros((3, *rows[0].shape))
-        # Moving or turning a window's first pose moves or turns its whole path.
+        # Moving or rotating the first pose of a window moves or rotates its whole path.
         pose[0, ..., 0] = pose[1, ..., 1] = pose[2, ..., 2] = 1.0
         pose[2, ..., 0] = -(rows[0][..., 1] - eta[:, None, 1])
         pose[2, ..., 1] = rows[0][..., 0] - eta[:, None, 0]
         both = np.concatenate((slopes[: len(names)], pose, slopes[len(names) :]))
         both = np.where(self.windows.known, both, 0.0) / self.sigma
         flat = both.reshape(len(both), self.windows.count, -1).transpose(1, 2, 0)
-        guess = np.zeros((self.windows.count, UNKNOWNS, len(both)))
-        guess[:, np.arange(UNKNOWNS), len(names) + np.arange(UNKNOWNS)] = 1.0 / self.windows.guess
-        flat = np.concatenate((flat, guess), axis=1)
+        prior = np.zeros((self.windows.count, UNKNOWNS, len(both)))
+        prior[:, np.arange(UNKNOWNS), len(names) + np.arange(UNKNOWNS)] = 1.0 / self.windows.initial_spread
+        flat = np.concatenate((flat, prior), axis=1)
         return flat[..., : len(names)], flat[..., len(names) :], self._deviations(rows[0], eta)
 
     def solve(
         self, names: Sequence[str], theta: Array, eta: Array, evaluations: int, say: Say, tolerance: float
     ) -> tuple[Array, Array]:
-        """Least squares from here over the parameters, each window's first state following them.
+        """Minimise the squares over the parameters, with the initial state of each window eliminated.
 
-        This is variable projection: for any parameters the first states are those that leave least, found by one
-        step along the tangent and one Gauss-Newton step, so SciPy sees a small dense problem.
+        This is variable projection: for any parameters the initial states are those with the smallest residuals, found
+        by one step along the tangent and one Gauss-Newton step, so that SciPy solves a small dense problem.
+
+        Args:
+            names: parameters to fit.
+            theta: scaled parameters to start from.
+            eta: initial states to start from, (windows, 7).
+            evaluations: largest number of evaluations of all residuals.
+            say: called with a line per iteration.
+            tolerance: relative change of the cost that ends the iterations.
+
+        Returns:
+            Scaled parameters and initial states.
+
+        Raises:
+            FitError: no parameter has any effect, or the model does not follow the drives.
         """
         anchor = _Anchor(self, names, theta, eta)
         if not anchor.projected.any():
-            raise FitError("nothing in the drives depends on any parameter: record ones in which the car moves")
+            raise FitError("no parameter has any effect on the drives: record drives in which the car moves")
         states: dict[bytes, Array] = {}
-        rounds = 0
+        iterations = 0
 
         def residuals(values: Array) -> Array:
             with np.errstate(all="ignore"):
@@ -126,13 +140,13 @@ class Problem:
             return rows.ravel()
 
         def jacobian(values: Array) -> Array:
-            nonlocal anchor, rounds
+            nonlocal anchor, iterations
             anchor = _Anchor(self, names, values, states[values.tobytes()])
             states.clear()
             states[values.tobytes()] = anchor.eta
-            cost = float(np.square(anchor.left).sum())
-            say(f"iteration {rounds}: {cost / self.windows.known.sum():.5g} squared deviations per value")
-            rounds += 1
+            cost = float(np.square(anchor.residual).sum())
+            say(f"iteration {iterations}: {cost / self.windows.known.sum():.5g} squared deviations per value")
+            iterations += 1
             return anchor.projected
 
         low, high = zip(*(self.bounds(name) for name in names), strict=True)
@@ -145,44 +159,44 @@ class Problem:
         return done.x, states[done.x.tobytes()]
 
     def weigh(self, names: Sequence[str], theta: Array, eta: Array) -> None:
-        """Take the noise of each channel from what the fit leaves over."""
-        left = self.windows.difference(self.predict([self.car(names, theta)], eta[None])[0])
+        """Estimate the noise of each channel from the residuals of the fit."""
+        residual = self.windows.difference(self.predict([self.car(names, theta)], eta[None])[0])
         spent = UNKNOWNS * self.windows.count + len(names)
         for channel in range(len(CHANNELS)):
             known = self.windows.known[..., channel]
             if known.any():
                 share = 1.0 - spent / self.windows.known.sum()
-                size = math.sqrt(float(np.mean(np.square(left[..., channel][known]))) / max(share, 0.1))
+                size = math.sqrt(float(np.mean(np.square(residual[..., channel][known]))) / max(share, 0.1))
                 self.sigma[channel] = max(size, FLOORS[channel])
 
     def half_widths(self, names: Sequence[str], theta: Array, eta: Array) -> list[float]:
-        """Half a 95 % interval of each parameter, from the Jacobian with every window's first state left free."""
-        ours, states, _ = self.jacobian(names, theta, eta)
-        return self.widths(names, self.information(ours, states))
+        """Half-widths of the 95 % intervals of the parameters, with the initial states of all windows free."""
+        by_parameters, by_states, _ = self.jacobian(names, theta, eta)
+        return self.widths(names, self.information(by_parameters, by_states))
 
-    def information(self, ours: Array, states: Array) -> Array:
-        """What the windows say of the parameters once each has had its first state explained away."""
-        total = np.zeros((ours.shape[2], ours.shape[2]))
-        for mine, state in zip(ours, states, strict=True):
-            explained = state @ np.linalg.lstsq(state, mine, rcond=1e-10)[0]
-            total += mine.T @ (mine - explained)
+    def information(self, by_parameters: Array, by_states: Array) -> Array:
+        """Information matrix of the parameters with the initial states of all windows eliminated."""
+        total = np.zeros((by_parameters.shape[2], by_parameters.shape[2]))
+        for parameters, state in zip(by_parameters, by_states, strict=True):
+            explained = state @ np.linalg.lstsq(state, parameters, rcond=1e-10)[0]
+            total += parameters.T @ (parameters - explained)
         return 0.5 * (total + total.T)
 
     def widths(self, names: Sequence[str], information: Array) -> list[float]:
-        """Half a 95 % interval of each parameter, in its unit."""
+        """Half-widths of the 95 % intervals from an information matrix, each in the unit of its parameter."""
         size = np.sqrt(np.maximum(np.diag(information), 1e-18))
         powers, axes = np.linalg.eigh(information / np.outer(size, size))
-        # A direction of which nothing is known gets a width past any limit.
+        # A direction without information gets a width beyond any limit.
         variance = np.square(axes) @ (1.0 / np.maximum(powers, 1e-12)) / size**2
         freedom = int(self.windows.known.sum()) - UNKNOWNS * self.windows.count - len(names)
         reach = float(student.ppf(0.975, max(freedom, 1)))
         return [reach * math.sqrt(v) * self.scale(name) for v, name in zip(variance, names, strict=True)]
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Of the scaled parameter."""
+        """Bounds of a scaled parameter."""
         if name in SCALES:
             return -4.0, 4.0
-        low, high = 1.0 / FURTHEST - 1.0, FURTHEST - 1.0
+        low, high = 1.0 / MAX_FACTOR - 1.0, MAX_FACTOR - 1.0
         if name == "max_steering_angle":
             high = min(high, 1.15 / self.scale(name) - 1.0)
         if name in ("full_duty", "start_duty", "drag_brake"):
@@ -191,44 +205,46 @@ class Problem:
 
 
 class _Anchor:
-    """The problem made linear at a point, from where first states follow the parameters."""
+    """Linearisation of the problem at a point, from which initial states are computed for other parameters."""
 
     def __init__(self, problem: Problem, names: Sequence[str], theta: Array, eta: Array) -> None:
         self._problem, self._names, self.theta, self.eta = problem, names, theta.copy(), eta
-        self._ours, self._states, self.left = problem.jacobian(names, theta, eta)
-        self._inverse = np.linalg.pinv(self._states, rcond=1e-10)
-        held = self._states.copy()
+        self._by_parameters, self._by_states, self.residual = problem.jacobian(names, theta, eta)
+        self._inverse = np.linalg.pinv(self._by_states, rcond=1e-10)
+        held = self._by_states.copy()
         held[..., _PLAY] = 0.0
         self._held = np.linalg.pinv(held, rcond=1e-10)
-        # Wheels at an end of the play that would go further stay there while the parameters move.
-        further = eta[:, _PLAY] - np.einsum("wj,wj->w", self._inverse[:, _PLAY], self.left)
-        self._at_end = (np.abs(eta[:, _PLAY]) >= 1.0) & (further * eta[:, _PLAY] >= 1.0)
+        # Wheels that are pushed against an end of the play stay there while the parameters change.
+        unbounded = eta[:, _PLAY] - np.einsum("wj,wj->w", self._inverse[:, _PLAY], self.residual)
+        self._at_end = (np.abs(eta[:, _PLAY]) >= 1.0) & (unbounded * eta[:, _PLAY] >= 1.0)
         inverse = np.where(self._at_end[:, None, None], self._held, self._inverse)
-        self.projected: Array = (self._ours - self._states @ (inverse @ self._ours)).reshape(-1, len(names))
+        self.projected: Array = (self._by_parameters - self._by_states @ (inverse @ self._by_parameters)).reshape(
+            -1, len(names)
+        )
 
     def follow(self, theta: Array) -> tuple[Array, Array]:
-        """First states and residuals for other parameters: the tangent, then Gauss-Newton, less far where worse."""
-        eta, left = self.eta, self._left(theta, self.eta)
-        goal = self._step(eta, self.left + self._ours @ (theta - self.theta))
+        """Initial states and residuals for other parameters: along the tangent, then Gauss-Newton with damping."""
+        eta, residual = self.eta, self._residual(theta, self.eta)
+        goal = self._step(eta, self.residual + self._by_parameters @ (theta - self.theta))
         share = np.ones((len(eta), 1))
-        for _ in range(_FOLLOWING):
+        for _ in range(_STATE_ITERATIONS):
             tried = eta + share * (goal - eta)
-            again = self._left(theta, tried)
-            better = (np.square(again).sum(axis=1) < np.square(left).sum(axis=1))[:, None]
-            eta, left = np.where(better, tried, eta), np.where(better, again, left)
-            goal, share = self._step(eta, left), np.where(better, 1.0, 0.25 * share)
-        return eta, left
+            again = self._residual(theta, tried)
+            better = (np.square(again).sum(axis=1) < np.square(residual).sum(axis=1))[:, None]
+            eta, residual = np.where(better, tried, eta), np.where(better, again, residual)
+            goal, share = self._step(eta, residual), np.where(better, 1.0, 0.25 * share)
+        return eta, residual
 
-    def _left(self, theta: Array, eta: Array) -> Array:
-        # A car that is flung out of numbers is a bad one, no more.
-        left = np.nan_to_num(self._problem.residuals(self._names, theta, eta), nan=_FLUNG)
-        return np.clip(left, -_FLUNG, _FLUNG)
+    def _residual(self, theta: Array, eta: Array) -> Array:
+        # A car that diverges to NaN is only a bad candidate, not an error.
+        residual = np.nan_to_num(self._problem.residuals(self._names, theta, eta), nan=_MAX_RESIDUAL)
+        return np.clip(residual, -_MAX_RESIDUAL, _MAX_RESIDUAL)
 
-    def _step(self, eta: Array, left: Array) -> Array:
-        """Least squares over the first states of what is left at `eta`, no place beyond an end of the play."""
-        free = eta - np.einsum("wij,wj->wi", self._inverse, left)
+    def _step(self, eta: Array, residual: Array) -> Array:
+        """Initial states that minimise the linearised residuals at `eta`, with the position within the play bounded."""
+        free = eta - np.einsum("wij,wj->wi", self._inverse, residual)
         place = np.where(self._at_end, eta[:, _PLAY], np.clip(free[:, _PLAY], -1.0, 1.0))
-        moved = left + self._states[..., _PLAY] * (place - eta[:, _PLAY])[:, None]
-        bound = eta - np.einsum("wij,wj->wi", self._held, moved)
+        remaining = residual + self._by_states[..., _PLAY] * (place - eta[:, _PLAY])[:, None]
+        bound = eta - np.einsum("wij,wj->wi", self._held, remaining)
         bound[:, _PLAY] = place
         return np.where((place == free[:, _PLAY])[:, None], free, bound)

@@ -1,4 +1,4 @@
-"""The digital twin as a simulator: the 1:16 car, its wide-angle camera and the look of a taped floor."""
+"""Digital twin as a simulator: the 1:16 car, its wide-angle camera, the look of a taped floor."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
 
 PREVIEW_DISTANCE = 4.0
-"""Road metres; chosen: about 0.6 s at 25 km/h, which bridges servo, delay and play."""
+"""Distance of the autopilot's preview point, road metres; chosen: about 0.6 s at 25 km/h, which covers the delays of
+command and servo, and the play."""
 GAINS = AutopilotGains(proportional=0.4)
-"""Chosen by driving random roads; preview stands in for the derivative."""
+"""Chosen by driving random roads; the preview replaces the derivative term."""
 CAMERA = CameraSpec(
     # The Donkey Car's wide-angle Pi camera: sold as 160 degrees over the diagonal, about 120 across.
     horizontal_fov=math.radians(120.0),
-    # On the cage of the car, 0.12 m above the floor and 0.04 m before the middle of the car.
+    # On the roll cage, 0.12 m above the floor and 0.04 m ahead of the car's centre.
     height=0.12 * SCALE,
     forward=0.04 * SCALE,
     pitch=math.radians(12.0),
     lens="equidistant",
-    # Chosen with docs/cameras.md: brightness, noise and noise spectrum of photographs from such a car.
+    # Chosen as docs/cameras.md explains, to match brightness, noise and noise spectrum of photographs from such a car.
     gain=1.08,
     gamma=1.15,
     noise=1.6,
     noise_blur=2.8,
     noise_colour=0.5,
-    # Chosen: automatic exposure indoors, between a frame's 50 ms and the 1/60 s that avoids flicker of lamps.
+    # Chosen: automatic exposure indoors, between the 50 ms of a frame and the 1/60 s that avoids lamp flicker.
     exposure=1.0 / 60.0,
     # One 50 ms frame: exposure, readout and transfer of a Pi camera take 40 to 100 ms.
     latency=1,
@@ -50,7 +51,7 @@ LOOK = Look(
     asphalt_grain=4.0,
     grass_grain=10.0,
     grain_seed=16,
-    # Chosen: a hall, as in the photographs: furniture before pale walls, lamps under a dark ceiling.
+    # Chosen: a hall as in the photographs, with furniture in front of pale walls and lamps under a dark ceiling.
     hills=13.0,
     hill_colour=(164, 162, 154),
     skyline="room",
@@ -59,11 +60,11 @@ LOOK = Look(
 
 
 class DonkeySimulator(RoadSimulator):
-    """The 1:16 Donkey Car on a 1:16 road, told in road metres.
+    """Simulator of a 1:16 Donkey Car on a 1:16 road, reported in road metres.
 
     Args:
-        parameters: of the car; the nominal ones if left out.
-        source: where they come from, for whoever asks the simulator.
+        parameters: parameters of the car; nominal values if omitted.
+        source: origin of the parameters, shown in the spec.
     """
 
     def __init__(self, parameters: DonkeyParameters | None = None, source: str = "nominal") -> None:
@@ -94,7 +95,7 @@ class DonkeySimulator(RoadSimulator):
 
     @classmethod
     def from_file(cls, path: Path) -> DonkeySimulator:
-        """The car of a file that `ds twin fit` wrote.
+        """Make the simulator with a parameter file written by `ds twin fit`.
 
         Raises:
             ParameterFileError: the file cannot be used.

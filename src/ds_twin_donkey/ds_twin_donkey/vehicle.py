@@ -1,4 +1,4 @@
-"""The 1:16 car as a `ds_sim.vehicle.Vehicle`: model metres inside, road metres outside."""
+"""1:16 car as a `ds_sim.vehicle.Vehicle`: converts between model metres and road metres."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 
 
 class DonkeyVehicle:
-    """A Donkey Car on an endless floor.
+    """Donkey Car on an infinite floor.
 
     Args:
-        parameters: of the car; the nominal ones if left out.
+        parameters: parameters of the car; nominal values if omitted.
     """
 
     def __init__(self, parameters: DonkeyParameters | None = None) -> None:
@@ -26,22 +26,22 @@ class DonkeyVehicle:
 
     @property
     def parameters(self) -> DonkeyParameters:
-        """Of the car."""
+        """Parameters of the car."""
         return self._model.parameters
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
-        """At rest with its centre at (x, y) road metres; nothing of this car is drawn from `rng`."""
+        """Put the car at rest with its centre at (x, y), road metres, heading yaw (rad); `rng` is not used."""
         ahead = self._centre_of_mass_ahead()
         self._state = CarState(x=x / SCALE + ahead * math.cos(yaw), y=y / SCALE + ahead * math.sin(yaw), yaw=yaw)
         self._pulses = [self._model.pulse(Command(0.0, 0.0))] * self._model.pulses_kept
 
     def advance(self, command: Command) -> None:
-        """Hold a command for one frame of 1/20 s; it reaches the car after its delay."""
+        """Advance by one step of 1/20 s with the command held; it reaches the car after the command delay."""
         self._pulses = [*self._pulses[1:], self._model.pulse(command)]
         self._state = self._model.advance(self._state, self._pulses)
 
     def state(self) -> VehicleState:
-        """The state of the car's centre, in road metres."""
+        """State of the car's centre, in road metres."""
         s, ahead = self._state, self._centre_of_mass_ahead()
         return VehicleState(
             x=SCALE * (s.x - ahead * math.cos(s.yaw)),
@@ -56,9 +56,9 @@ class DonkeyVehicle:
         )
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: the model holds no resources."""
 
     def _centre_of_mass_ahead(self) -> float:
-        """How far the centre of mass lies ahead of the middle between the axles, model metres."""
+        """Distance of the centre of mass ahead of the midpoint between the axles, model metres."""
         p = self.parameters
         return p.wheelbase * (p.front_share - 0.5)

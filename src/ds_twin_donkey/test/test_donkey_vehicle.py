@@ -1,4 +1,4 @@
-"""The 1:16 car against textbooks, hand-worked numbers and itself."""
+"""Compares the 1:16 car with textbook formulas, values worked out by hand, and itself."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_the_vehicle_is_the_rollout_in_road_metres() -> None:
     np.testing.assert_allclose(states, rollout(P, commands)[1:, [X, Y, YAW, SPEED]], rtol=0, atol=1e-12)
 
 
-def test_a_reset_forgets_what_was_before() -> None:
+def test_a_reset_clears_all_state() -> None:
     used = standing()
     list(drive(used, 80, -1.0, 0.8))
     used.reset(3.0, -2.0, 0.7, np.random.default_rng(5))
@@ -78,7 +78,7 @@ def test_a_reset_forgets_what_was_before() -> None:
 
 
 @pytest.mark.parametrize("share", [0.5, 0.6])
-def test_a_car_is_put_down_by_its_centre(share: float) -> None:
+def test_reset_places_the_centre_of_the_car(share: float) -> None:
     car = DonkeyVehicle(P.changed(front_share=share))
     car.reset(7.0, 5.0, 2.0, np.random.default_rng(0))
     state = car.state()
@@ -117,13 +117,13 @@ def test_at_rest_it_stays_at_rest(throttle: float) -> None:
 
 
 @pytest.mark.parametrize("steering", [-1.0, 0.0, 1.0])
-def test_the_least_throttle_that_passes_the_dead_band_moves_it_even_at_full_lock(steering: float) -> None:
+def test_the_smallest_throttle_above_the_dead_band_moves_it_even_at_full_lock(steering: float) -> None:
     first_count = math.ceil(P.throttle_dead_band * P.throttle_pulse_steps) / P.throttle_pulse_steps
     states = list(drive(standing(), 200, steering, first_count))
     assert math.hypot(states[-1].speed, states[-1].lateral_speed) > 0.3
 
 
-def test_it_coasts_to_a_standstill_as_rolling_resistance_and_the_shorted_motor_say() -> None:
+def test_coasting_to_a_stop_follows_rolling_resistance_and_the_shorted_motor() -> None:
     """m dv/dt = -c m g - k v, by hand: from v0 to rest in (m/k) ln(1 + k v0 / (c m g))."""
     car = standing()
     *_, moving = drive(car, 200, 0.0, 0.4)
@@ -133,13 +133,13 @@ def test_it_coasts_to_a_standstill_as_rolling_resistance_and_the_shorted_motor_s
     k = P.stall_force * P.drag_brake / P.free_speed
     mass = P.mass + P.rotating_mass
     by_hand = mass / k * math.log1p(k * moving.speed / SCALE / weight)
-    # Until the command arrives, and while the motor's voltage decays, the motor still helps.
+    # The motor still drives until the command arrives and while its voltage decays.
     assert by_hand < (at + 1) * FRAME_TIME < by_hand + P.command_delay + 2.0 * P.motor_lag
     assert all(s.speed == 0.0 for s in states[at:])
     assert 2.0 < moving.speed / by_hand < 2.5
 
 
-def test_speed_settles_where_the_motor_meets_the_friction() -> None:
+def test_the_steady_speed_balances_motor_and_rolling_resistance() -> None:
     """stall (duty - v / free) = c m g."""
     throttle = 0.4
     *_, last = drive(standing(), 200, 0.0, throttle)
@@ -151,7 +151,7 @@ def test_speed_settles_where_the_motor_meets_the_friction() -> None:
 
 @pytest.mark.parametrize("steering", [0.2, 0.5, 1.0])
 def test_a_slow_circle_is_the_kinematic_one(steering: float) -> None:
-    """Ackermann: the rear axle at L / tan(angle), the centre half a wheelbase ahead of it."""
+    """Ackermann: the centre of the rear axle has radius L / tan(angle), the car's centre is half a wheelbase ahead."""
     parameters = P.changed(ackermann=1.0, servo_backlash=0.0)
     *_, last = drive(standing(parameters), 400, steering, 0.12)
     angle = P.max_steering_angle * round(85 * steering) / 85
@@ -161,7 +161,7 @@ def test_a_slow_circle_is_the_kinematic_one(steering: float) -> None:
 
 
 def test_a_fast_circle_has_the_understeer_gradient_of_the_two_axles() -> None:
-    """L / R = angle - K a with K = 1 / C_front - 1 / C_rear per g (rad), the textbook's linear bicycle."""
+    """L / R = angle - K a with K = 1 / C_front - 1 / C_rear per g (rad), of the linear single-track model."""
     parameters = P.changed(
         front_stiffness=3.0, servo_backlash=0.0, ackermann=0.0, drive_front_share=0.0, full_duty=0.6,
         friction=1.5, load_sensitivity=0.0,
@@ -179,8 +179,8 @@ def test_a_fast_circle_has_the_understeer_gradient_of_the_two_axles() -> None:
     assert (slow - fast) / (fast_g - slow_g) == pytest.approx(gradient, rel=0.12)
 
 
-def test_the_body_leans_out_of_the_bend_as_its_springs_say() -> None:
-    """Roll angle = m h a / (k - m g h), with the mode's frequency giving k - m g h = I (2 pi f)^2."""
+def test_the_body_rolls_outwards_by_the_angle_its_springs_give() -> None:
+    """Roll angle = m h a / (k - m g h), where the natural frequency gives k - m g h = I (2 pi f)^2."""
     *_, last = drive(standing(), 200, -0.5, 0.4)
     lateral = last.yaw_rate * math.hypot(last.speed, last.lateral_speed) / SCALE
     stiffness = P.roll_inertia * (math.tau * P.roll_frequency) ** 2
@@ -201,14 +201,14 @@ def test_a_command_arrives_after_its_delay_and_no_earlier() -> None:
         assert np.flatnonzero(servo)[0] == frames
 
 
-def test_the_servo_is_no_faster_than_its_rate() -> None:
+def test_the_servo_rate_is_limited() -> None:
     states = rollout(P, np.tile((1.0, 0.0), (12, 1)))
     steps = np.abs(np.diff(states[:, CarState._fields.index("servo")]))
     assert steps.max() == pytest.approx(P.servo_rate * FRAME_TIME, rel=1e-9)
     assert states[-1, CarState._fields.index("servo")] == pytest.approx(-P.max_steering_angle, rel=1e-3)
 
 
-def test_play_leaves_the_wheels_where_they_are_until_it_is_taken_up() -> None:
+def test_wheels_do_not_move_until_the_play_is_taken_up() -> None:
     commands = np.concatenate((np.tile((0.5, 0.0), (20, 1)), np.tile((0.5 - 1.5 / 85, 0.0), (20, 1))))
     wheels = rollout(P, commands)[:, CarState._fields.index("steering_angle")]
     back = 0.5 - round(85 * (0.5 - 1.5 / 85)) / 85
@@ -233,14 +233,14 @@ def test_without_throttle_no_energy_appears() -> None:
     assert energy[-1] == 0.0
 
 
-def test_halving_the_step_moves_nothing_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_halving_the_substep_changes_the_path_little(monkeypatch: pytest.MonkeyPatch) -> None:
     coarse = rollout(P, zigzag(200))
     monkeypatch.setattr(dynamics, "SUBSTEPS", 2 * dynamics.SUBSTEPS)
     fine = rollout(P, zigzag(200))
     assert np.abs(coarse[:, [X, Y]] - fine[:, [X, Y]]).max() * SCALE < 0.02
 
 
-def test_parameters_are_found_again_from_a_recorded_drive() -> None:
+def test_parameters_are_recovered_from_a_simulated_drive() -> None:
     commands = zigzag(80)
     true = {"max_steering_angle": 0.55, "command_delay": 0.062, "full_duty": 0.16}
     recorded = rollout(P.changed(**true), commands)[:, [X, Y, YAW]]
@@ -255,10 +255,10 @@ def test_parameters_are_found_again_from_a_recorded_drive() -> None:
     assert dict(zip(names, (start * fit.x).tolist(), strict=True)) == pytest.approx(true, rel=1e-3)
 
 
-def test_what_makes_no_sense_is_refused_in_one_line() -> None:
+def test_invalid_parameters_and_commands_are_refused_in_one_line() -> None:
     with pytest.raises(ValueError, match=r"^mass is nan, expected a number from 1e-06 to inf: correct it$"):
         P.changed(mass=math.nan)
-    with pytest.raises(ValueError, match=r"^wheel_base is no parameter of the car"):
+    with pytest.raises(ValueError, match=r"^wheel_base is not a parameter of the car"):
         P.changed(wheel_base=0.2)
     with pytest.raises(ValueError, match=r"^commands have shape \(3,\), expected \(n, 2\)"):
         rollout(P, np.zeros(3))
@@ -266,7 +266,7 @@ def test_what_makes_no_sense_is_refused_in_one_line() -> None:
         rollout(P, [(0.0, math.nan)])
 
 
-def test_the_model_keeps_no_state() -> None:
+def test_the_model_is_stateless() -> None:
     model = CarModel(P)
     pulses = [model.pulse(Command(0.5, 0.6))] * model.pulses_kept
     state = CarState(speed=0.4)

@@ -1,4 +1,4 @@
-"""The fit against hidden parameters, the lanes against the scalar model, logs and files against what was put in."""
+"""Compares fits with known parameters, lanes with the scalar model, and logs and files with their contents."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ import pytest
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import rollout
-from ds_twin_donkey.excitation import coast, hard_bends, hidden_and_start, manoeuvres, random_commands, recorded
+from ds_twin_donkey.excitation import (
+    coast,
+    hard_bends,
+    hidden_and_start,
+    manoeuvres,
+    random_commands,
+    simulated_recording,
+)
 from ds_twin_donkey.fit import FitSettings, fit
 from ds_twin_donkey.fit_picture import draw_fit
 from ds_twin_donkey.logs import Log, LogError, drives_of, read_log
@@ -23,7 +30,7 @@ from ds_twin_donkey.windows import FitError, Windows
 
 P = DonkeyParameters()
 MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
-"""m, m, rad, m/s, rad/s."""
+"""Standard deviation per channel: m, m, rad, m/s, rad/s."""
 
 
 def write_tub(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> Path:
@@ -40,7 +47,7 @@ def write_tub(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], 
     return folder
 
 
-def test_lanes_are_the_scalar_model() -> None:
+def test_lanes_equal_the_scalar_model() -> None:
     cars = [
         P,
         P.changed(command_delay=0.1115, friction=0.5, servo_backlash=0.05, steering_trim=0.02),
@@ -58,8 +65,8 @@ def test_lanes_are_the_scalar_model() -> None:
         np.testing.assert_allclose(motion[:, lane], rollout(car, commands)[-1, :14], rtol=0, atol=1e-11)
 
 
-def test_a_path_moves_evenly_with_the_delay() -> None:
-    """Within a step, too: a staircase in the delay has a local minimum at every stair."""
+def test_a_path_is_a_smooth_function_of_the_delay() -> None:
+    """Also within a step: a step function would have a local minimum at every step."""
     steering = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, 10), 6)
     commands = np.column_stack((steering, np.full(60, 0.5)))
     headings = [rollout(P.changed(command_delay=d), commands)[-1, 2] for d in np.linspace(0.040, 0.045, 11)]
@@ -67,15 +74,15 @@ def test_a_path_moves_evenly_with_the_delay() -> None:
     assert steps.std() < 0.2 * abs(steps.mean())
 
 
-def test_hidden_parameters_are_found_again_from_30_percent_off() -> None:
-    """Ten at once within 5 %; `benchmarks/twin_fit.py` does it for all, with a tracker's noise and several seeds."""
+def test_true_parameters_are_recovered_from_a_start_30_percent_off() -> None:
+    """Ten parameters at once within 5 %; `benchmarks/twin_fit.py` fits all, with tracker noise and several seeds."""
     names = (
         "max_steering_angle", "steering_trim", "servo_rate", "command_delay", "full_duty", "stall_force", "motor_lag",
         "rolling_resistance", "friction", "rear_stiffness",
     )  # fmt: skip
     rng = np.random.default_rng(1)
     hidden, start = hidden_and_start(list(names), rng)
-    drive = recorded(P.changed(**hidden), rng, manoeuvres(rng)[:400], MOTION_CAPTURE)
+    drive = simulated_recording(P.changed(**hidden), rng, manoeuvres(rng)[:400], MOTION_CAPTURE)
     found = fit([drive], P.changed(**start), FitSettings(window_seconds=2.0, max_evaluations=6, names=names))
     inside = 0
     for e in found.estimates:
@@ -83,13 +90,13 @@ def test_hidden_parameters_are_found_again_from_30_percent_off() -> None:
         assert e.status == "fitted", e
         assert abs(e.value - hidden[e.name]) <= 0.05 * size, e
         inside += e.low <= hidden[e.name] <= e.high
-    # Ten intervals of 95 %: fewer than 8 inside would be a chance of 1 in 90.
+    # Of ten 95 % intervals, fewer than 8 contain the true value with a probability of 1 in 90.
     assert inside >= 8
     assert found.rms["x"] == pytest.approx(0.001, rel=0.15) and found.rms["yaw_rate"] == pytest.approx(0.01, rel=0.15)
     assert all(ratio < 1.3 for ratio in found.misfit.values())
 
 
-def test_what_a_straight_drive_does_not_tell_stays_at_its_start(tmp_path: Path) -> None:
+def test_parameters_not_determined_by_a_straight_drive_stay_at_their_start(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     commands = np.column_stack((np.zeros(120), np.repeat(rng.uniform(0.2, 0.8, 6), 20)))
     states = rollout(P, commands)[:-1, [0, 1, 2, 3, 5]] + rng.normal(size=(120, 5)) * MOTION_CAPTURE
@@ -125,14 +132,14 @@ def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path)
     speed = np.full(40, 20.0 * 5.0**0.5)
     log = read_log(write_tub(tmp_path / "a", commands, {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": speed}))
     (drive,) = log.drives
-    # The deleted row 3 is bridged: what was told before it holds, what was measured lies on the line.
+    # The deleted row 3 is bridged: the command before it is held, measurements are interpolated.
     assert drive.commands.shape == (40, 2) and drive.measured[3, :2] == pytest.approx([3.0, 6.0])
     np.testing.assert_array_equal(drive.commands[3], commands[2])
     np.testing.assert_array_equal(np.delete(drive.commands, 3, axis=0), np.delete(commands, 3, axis=0))
     assert np.isnan(drive.measured[:, [2, 4]]).all()
     piloted = read_log(write_tub(tmp_path / "p", commands, {"enc/speed": x}, mode="local"))
     np.testing.assert_array_equal(piloted.drives[0].commands, drive.commands)
-    with pytest.raises(LogError, match="nothing of the motion can be fitted"):
+    with pytest.raises(LogError, match="no motion can be fitted"):
         read_log(write_tub(tmp_path / "b", commands, {}))
 
 
@@ -150,7 +157,7 @@ def test_rows_without_numbers_are_left_out(tmp_path: Path) -> None:
     assert [int(np.isnan(drive.measured[:, 3]).sum()) for drive in drives] == [0, 0, 1]
 
 
-def test_a_heading_that_is_missing_once_is_missing_once() -> None:
+def test_a_missing_heading_does_not_affect_later_ones() -> None:
     times, measured = np.arange(40.0) * FRAME_TIME, np.ones((40, 5))
     measured[:, 2] = (np.arange(40.0) * 0.3 + np.pi) % (2.0 * np.pi) - np.pi
     measured[7, 2] = np.nan
@@ -176,37 +183,37 @@ def test_a_left_turn_of_a_tub_is_a_left_turn_of_the_car(tmp_path: Path) -> None:
     assert bend(drive.measured[:, :2]) > 0.0
 
 
-def test_a_tub_whose_metres_differ_is_refused(tmp_path: Path) -> None:
+def test_a_tub_with_inconsistent_units_is_refused(tmp_path: Path) -> None:
     x = np.arange(40.0) * 0.05
     speed = np.full(40, 8.0)
     tub = write_tub(
         tmp_path / "t", np.tile((0.0, 0.5), (40, 1)), {"pos/pos_x": x, "pos/pos_z": 0.0 * x, "pos/speed": speed}
     )
-    with pytest.raises(LogError, match=r"0\.125 times as fast as by its speed: record both in metres"):
+    with pytest.raises(LogError, match=r"0\.125 times as fast as its speed says: record both in metres"):
         read_log(tub)
 
 
 def test_a_bag_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     about = "rosbag2_bagfile_information: {custom_data: {simulator: bullet}}"
     (tmp_path / "metadata.yaml").write_text(about)
-    with pytest.raises(LogError, match="a drive of bullet, which is no 1:16 car"):
+    with pytest.raises(LogError, match="a drive of bullet, which is not a 1:16 car"):
         read_log(tmp_path)
 
 
-def test_a_car_that_stands_still_tells_nothing() -> None:
+def test_drives_of_a_standing_car_are_refused() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(FitError, match="record"):
-        fit([recorded(P, rng, np.zeros((100, 2)))], settings=FitSettings(window_seconds=1.0))
+        fit([simulated_recording(P, rng, np.zeros((100, 2)))], settings=FitSettings(window_seconds=1.0))
 
 
 def test_wheels_at_an_end_of_the_play_do_not_stop_the_fit() -> None:
-    """A car that stands with more trim than play has its wheels there: past it nothing has a slope."""
+    """A standing car with more trim than play has its wheels there, where derivatives vanish."""
     rng = np.random.default_rng(5)
     car = P.changed(steering_trim=-0.012, servo_backlash=0.014)
-    drive = recorded(car, rng, np.concatenate((coast(1.0, 0.2), hard_bends(rng, 1.8))), MOTION_CAPTURE)
+    drive = simulated_recording(car, rng, np.concatenate((coast(1.0, 0.2), hard_bends(rng, 1.8))), MOTION_CAPTURE)
     problem = Problem(Windows([drive], car, 2.5, 10.0, 0.1), car, 10)
     problem.sigma = np.array(MOTION_CAPTURE)
-    names, eta = ["full_duty", "steering_trim"], problem.windows.first_states.copy()
+    names, eta = ["full_duty", "steering_trim"], problem.windows.initial_states.copy()
     eta[:, -1] = 1.0
     theta, states = problem.solve(names, np.array([0.01, 0.02]), eta, 8, lambda _: None, 1e-5)
     assert np.abs(states[:, -1]).max() <= 1.0
@@ -234,12 +241,12 @@ def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"the bag .*record it again$"):
         read_log(tmp_path)
     with pytest.raises(FitError, match="record longer ones"):
-        fit([recorded(P, np.random.default_rng(0), np.zeros((20, 2)))])
+        fit([simulated_recording(P, np.random.default_rng(0), np.zeros((20, 2)))])
     for text, message in (
         ("a: [", "not YAML"),
         ("a: 1", "not a file of"),
         ("format: ds_twin_donkey parameters 1\nparameters: {mass: {value: heavy}}", "mass has the value 'heavy'"),
-        ("format: ds_twin_donkey parameters 1\nparameters: {weight: {value: 1}}", "weight is no parameter"),
+        ("format: ds_twin_donkey parameters 1\nparameters: {weight: {value: 1}}", "weight is not a parameter"),
         ("format: ds_twin_donkey parameters 1\nparameters: {mass: {value: .nan}}", "mass is nan"),
     ):
         file = tmp_path / "car.yaml"
