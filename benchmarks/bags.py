@@ -1,9 +1,9 @@
-"""What recording costs: bytes and time per frame at each level, the loop with and without, a campaign's bags in all.
+"""Cost of recording: bytes and time per frame at each level, effect on the loop, and size of a campaign's bags.
 
 `python benchmarks/bags.py [--sim donkey] [--roads 5]`. A bag is written after its run, from the record that the graph
-hands over, so that it costs the loop nothing while it runs; a campaign waits for it before its next test. The loop is
-measured through ROS, with and without a bag of level telemetry, run by run in turn on the same roads. For the other
-levels the run is driven again to see its images; that part is measured apart.
+returns, so that recording does not slow down the loop; a campaign waits for it before its next test. The loop is
+measured through ROS with and without a bag of level telemetry, alternately on the same roads. For the other levels the
+run is re-simulated to get its images; that part is measured separately.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 
 TESTS = 5000
-"""Of a campaign; each is driven on two siblings and the twin."""
+"""Number of tests of a campaign; each is driven on two siblings and the twin."""
 
 
 def seconds_of(work: Callable[[], object]) -> float:
-    """Wall clock that something takes."""
+    """Wall-clock time of a call, s."""
     started = time.perf_counter()
     work()
     return time.perf_counter() - started
 
 
 def bytes_in(folder: Path) -> int:
-    """Of every file."""
+    """Total size of all files in a folder, bytes."""
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
 
 
 def costs(sim: str, runs: list[RunRecord], folder: Path) -> dict[Level, tuple[float, float, float]]:
-    """Level -> bytes per frame, us per frame, and kB of a whole bag; medians over the runs, the first one not timed."""
+    """Level -> bytes per frame, us per frame, and kB per bag; medians over the runs after a warm-up."""
     found = {}
     for level in LEVELS:
         sizes, times, whole = [], [], []
@@ -60,7 +60,7 @@ def costs(sim: str, runs: list[RunRecord], folder: Path) -> dict[Level, tuple[fl
 
 
 def loop(sim: str, driver: str, roads: list[Road], folder: Path) -> tuple[float, float]:
-    """Milliseconds per frame of the loop through ROS without and with a bag, medians of the roads, in turn."""
+    """Time per frame of the loop through ROS without and with a bag, ms; medians over the roads."""
     plain: list[float] = []
     recorded: list[float] = []
     with running_graph({sim: "/ds1"}, driver, command_timeout=10.0, logs=folder / "logs") as executor:
@@ -90,14 +90,16 @@ def main() -> None:
     console = Console()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        again = statistics.median(
+        resimulation = statistics.median(
             1e6 * seconds_of(lambda run=run: list(resimulate(options.sim, run))) / len(run.observations)  # type: ignore[misc]
             for run in runs
         )
-        table = Table("level", "kB per frame", "us per frame", "of it driving again", f"bag of {frames:.0f} frames, kB")
+        table = Table(
+            "level", "kB per frame", "us per frame", "of which re-simulation", f"bag of {frames:.0f} frames, kB"
+        )
         found = costs(options.sim, runs, folder)
         for level, (size, took, whole) in found.items():
-            part = "" if level == "telemetry" else f"{again:.0f}"
+            part = "" if level == "telemetry" else f"{resimulation:.0f}"
             table.add_row(level, f"{size / 1e3:.2f}", f"{took:.0f}", part, f"{whole:.0f}")
         console.print(table)
         plain, recorded = loop(options.sim, options.driver, roads, folder)

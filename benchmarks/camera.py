@@ -1,7 +1,8 @@
-"""What a frame costs, and how the twin's frames compare with photographs.
+"""Times the rendering of images, and compares images of the twin with photographs.
 
-`python benchmarks/camera.py` times every simulator's camera at 320 x 160 and 640 x 480 beside a plain bilinear
-`cv2.warpPerspective`; `python benchmarks/camera.py FOLDER` also compares the twin with the JPEG images in FOLDER.
+`python benchmarks/camera.py` times the camera of every simulator at 320 x 160 and 640 x 480, relative to a plain
+bilinear `cv2.warpPerspective`; `python benchmarks/camera.py FOLDER` also compares the twin with the JPEG images in
+FOLDER.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from ds_sim.simulator import VehicleState
 
 
 def poses(seed: int) -> list[VehicleState]:
-    """Along the lane of a random road at 6 m/s, a little rolled and pitched."""
+    """Poses along the lane of a random road at 6 m/s, slightly rolled and pitched."""
     lane = generate(np.random.default_rng(seed), max_angle=60).right_lane_centre
     headings = np.unwrap(np.arctan2(*np.diff(lane, axis=0).T[::-1]))
     rates = np.gradient(headings) / np.hypot(*np.diff(lane, axis=0).T) * 6.0
@@ -37,7 +38,7 @@ def poses(seed: int) -> list[VehicleState]:
 
 
 def median_ms(call: Callable[[VehicleState], object], states: list[VehicleState]) -> float:
-    """Median milliseconds of a call over some poses."""
+    """Median time of a call over some poses, ms."""
     times = []
     for state in states:
         started = time.perf_counter()
@@ -47,7 +48,7 @@ def median_ms(call: Callable[[VehicleState], object], states: list[VehicleState]
 
 
 def bilinear(raster: NDArray[np.uint8], size: tuple[int, int], _: VehicleState) -> object:
-    """The plain way: one perspective warp."""
+    """Baseline: one perspective warp."""
     plain = np.array([[20.0, -3.0, 1e3], [2.0, 9.0, 1500.0], [0.001, 0.004, 1.0]])
     return cv2.warpPerspective(raster, plain, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
@@ -63,18 +64,19 @@ def main() -> None:
         for width, height in ((320, 160), (640, 480)):
             camera = Camera(replace(spec.camera, width=width, height_px=height), spec.look)
             camera.render(ground, states[0])
-            ours = median_ms(partial(camera.render, ground), states)
-            bare = median_ms(partial(bilinear, raster, (width, height)), states)
-            print(f"{name:<9} {width} x {height}: {1e3 / ours:5.0f} frames/s, {ours / bare:.1f} x plain bilinear")
+            rendering = median_ms(partial(camera.render, ground), states)
+            baseline = median_ms(partial(bilinear, raster, (width, height)), states)
+            ratio = rendering / baseline
+            print(f"{name:<9} {width} x {height}: {1e3 / rendering:5.0f} frames/s, {ratio:.1f} x plain bilinear")
     if len(sys.argv) > 1:
         compare(Path(sys.argv[1]))
 
 
 def compare(folder: Path) -> None:
-    """Percentiles 5, 50, 95 of photographs (middle two thirds, 2:1) and of the twin's frames at their size."""
+    """Compare percentiles 5, 50, 95 of photographs (central 2:1 part) and of images of the twin at their size."""
     files = sorted(p for p in folder.rglob("*.jpg") if not p.name.startswith("._"))
     if not files:
-        sys.exit(f"{folder}: holds no .jpg files: name a folder of photographs, such as a tub's images")
+        sys.exit(f"{folder}: contains no .jpg files: name a folder of photographs, such as the images of a tub")
     photographs, size = [], (0, 0)
     for file in files[::5]:
         image = cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)
@@ -90,9 +92,9 @@ def compare(folder: Path) -> None:
         for state in poses(seed)[::4]:
             frame = sensor.deliver(camera.render(ground, replace(state, roll=0.0, pitch=0.0)))
             frames.append(image_statistics(cv2.resize(frame, size, interpolation=cv2.INTER_AREA)))  # type: ignore[arg-type]
-    ours, theirs = percentiles(frames), percentiles(photographs)
-    for name in ours:
-        row = "  ".join("/".join(f"{v:.2f}" for v in values) for values in (theirs[name], ours[name]))
+    of_twin, of_photographs = percentiles(frames), percentiles(photographs)
+    for name in of_twin:
+        row = "  ".join("/".join(f"{v:.2f}" for v in values) for values in (of_photographs[name], of_twin[name]))
         print(f"{name:<15} photographs, twin: {row}")
 
 

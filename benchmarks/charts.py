@@ -1,4 +1,4 @@
-"""Line charts with OpenCV: axes with round numbers, solid and dashed lines, dots, a legend."""
+"""Line charts with OpenCV: axes with round tick values, solid and dashed lines, dots, a legend."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ INK: Rgb = (30, 30, 30)
 GRID: Rgb = (225, 225, 225)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
-"""Binary places of a pixel's fraction that OpenCV is told."""
+"""Fractional bits of the pixel coordinates passed to OpenCV."""
 
 
 @dataclass(kw_only=True)
 class Chart:
-    """One picture; lines are added, then it is written.
+    """Chart to which lines are added before it is saved.
 
     Attributes:
-        title: above.
-        x_title: below the axis.
-        y_title: at the top of the axis.
-        x_range: ends of the axis.
-        y_range: the same.
+        title: text above the chart.
+        x_title: text below the x axis.
+        y_title: text at the top of the y axis.
+        x_range: ends of the x axis.
+        y_range: ends of the y axis.
         size: width and height, pixels.
         legend_at: upper left corner of the legend, as shares of the plot's width and height.
-        equal: a metre is as long on both axes; `y_range` then gives way.
+        equal: whether both axes have the same scale; `y_range` is then adjusted.
     """
 
     title: str
@@ -57,13 +57,13 @@ class Chart:
     def line(
         self, x: NDArray[np.float64], y: NDArray[np.float64], colour: Rgb, name: str = "", *, dash: int = 0
     ) -> None:
-        """Join points; with `dash` only every other so many pixels of the way."""
+        """Draw a line through points; `dash` is the length of dashes and gaps in pixels, 0 for a solid line."""
         points = np.column_stack([self._column(x), self._row(y)])
         steps = np.hypot(*np.diff(points, axis=0).T)
-        way = np.concatenate([[0.0], np.cumsum(steps)])
-        # Points at equal distances, so that dashes are equally long.
-        even = np.arange(0.0, way[-1], 1.0)
-        points = np.column_stack([np.interp(even, way, points[:, k]) for k in (0, 1)])
+        distance = np.concatenate([[0.0], np.cumsum(steps)])
+        # Points at equal distances make dashes of equal length.
+        even = np.arange(0.0, distance[-1], 1.0)
+        points = np.column_stack([np.interp(even, distance, points[:, k]) for k in (0, 1)])
         plot = self._image[self._top : self._top + self._high, self._left : self._left + self._wide]
         pieces = [points[k : k + dash + 1] for k in range(0, len(points), 2 * dash)] if dash else [points]
         for piece in pieces:
@@ -73,7 +73,7 @@ class Chart:
             self._names.append((name, colour, dash))
 
     def dots(self, x: NDArray[np.float64], y: NDArray[np.float64], colour: Rgb, name: str = "") -> None:
-        """Mark points."""
+        """Draw dots at points."""
         for column, row in zip(self._column(x), self._row(y), strict=True):
             cv2.circle(self._image, (round(column * 2**_SHIFT), round(row * 2**_SHIFT)), 4 * 2**_SHIFT, colour, -1,
                        cv2.LINE_AA, _SHIFT)  # fmt: skip
@@ -81,7 +81,7 @@ class Chart:
             self._names.append((name, colour, -1))
 
     def save(self, path: Path) -> None:
-        """Write the PNG, its legend on top."""
+        """Draw the legend and write the chart as PNG."""
         left = self._left + round(self.legend_at[0] * self._wide)
         for k, (name, colour, dash) in enumerate(self._names):
             row = self._top + round(self.legend_at[1] * self._high) + 20 * k
@@ -123,7 +123,7 @@ class Chart:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Four to nine round numbers within a range."""
+    """Four to nine round values within a range."""
     power = 10.0 ** math.floor(math.log10((high - low) / 4.0))
     step = max(m * power for m in (1.0, 2.0, 5.0) if m * power <= (high - low) / 4.0)
     first = math.ceil(low / step - 1e-9)

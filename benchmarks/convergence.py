@@ -1,8 +1,8 @@
-"""How much the physics' substep decides: the autopilot's fitness with the nominal substep and with finer ones.
+"""Influence of the physics' substep: fitness of the autopilot with the nominal substep and with finer ones.
 
-`python -m benchmarks.convergence [--roads 20] [--finer 2] [--sims bullet,softbody,donkey]`: one row per simulator, as
-Markdown for docs/simulators.md. Every road is driven twice, in this process, without camera and ROS. `--training`
-drives the paper's training set (4.2.2: 25 roads in both directions) instead and says how many drives complete.
+`python -m benchmarks.convergence [--roads 20] [--finer 2] [--sims bullet,softbody,donkey]` prints one row per
+simulator, as Markdown for docs/simulators.md. Every road is driven twice, in this process, without camera and ROS.
+`--training` drives the paper's training set (4.2.2: 25 roads in both directions) instead and counts completed drives.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from ds_road import Road, generate
 from ds_sim.simulator import Outcome
 
 MAX_ANGLE = 270
-"""Degrees, of the roads (paper 4.2.2)."""
+"""Maximum angle of the roads, degrees (paper 4.2.2)."""
 
 
 def random_roads(count: int) -> list[Road]:
-    """The first roads of seed 0."""
+    """Generate the first roads of seed 0."""
     rng = np.random.default_rng(0)
     return [generate(rng, max_angle=MAX_ANGLE) for _ in range(count)]
 
 
 def fitness_shift(car: Car, roads: list[Road], finer: int) -> tuple[list[float], list[float]]:
-    """Per road: |fitness with `finer` times the substeps less the nominal one|, and how far the paths come apart, m."""
+    """Absolute change of fitness with `finer` times the substeps, and largest distance of the paths, per road, m."""
     coarse, fine = car.make(1), car.make(finer)
-    shifts, apart = [], []
+    shifts, distances = [], []
     for road in roads:
         one, other = drive(car, coarse, road), drive(car, fine, road)
         shifts.append(abs(one.fitness - other.fitness))
         frames = min(len(one.path), len(other.path))
-        apart.append(float(np.hypot(*(one.path[:frames, :2] - other.path[:frames, :2]).T).max()))
+        distances.append(float(np.hypot(*(one.path[:frames, :2] - other.path[:frames, :2]).T).max()))
     coarse.close()
     fine.close()
-    return shifts, apart
+    return shifts, distances
 
 
 def main() -> None:
@@ -53,18 +53,19 @@ def main() -> None:
         print_training(chosen)
         return
     roads = random_roads(arguments.roads)
-    print("| simulator | substep, ms | halved: fitness moves by, mm (median, largest) | paths apart, mm (largest) |")
+    print("| simulator | substep, ms | halved: change of fitness, mm (median, max) | distance of paths, mm (max) |")
     print("|---|---|---|---|")
     for name, car in chosen.items():
-        shifts, apart = (1e3 * np.array(values) for values in fitness_shift(car, roads, arguments.finer))
+        shifts, distances = (1e3 * np.array(values) for values in fitness_shift(car, roads, arguments.finer))
+        apart = distances.max()
         print(
-            f"| {name} | {1e3 * car.substep:.3g} | {np.median(shifts):.1f}, {shifts.max():.1f} | {apart.max():.0f} |",
+            f"| {name} | {1e3 * car.substep:.3g} | {np.median(shifts):.1f}, {shifts.max():.1f} | {apart:.0f} |",
             flush=True,
         )
 
 
 def print_training(chosen: dict[str, Car]) -> None:
-    """One row per simulator: how the autopilot does on the training set, and its top speed."""
+    """Print one row per simulator: results of the autopilot on the training set, and its top speed."""
     roads = [way for road in training_roads(CollectionPlan()) for way in (road, road.reversed())]
     print("| simulator | drives | completed | smallest lateral distance, m | highest speed, km/h |")
     print("|---|---|---|---|---|")
@@ -74,8 +75,8 @@ def print_training(chosen: dict[str, Car]) -> None:
         vehicle.close()
         done = sum(d.outcome is Outcome.COMPLETED for d in drives)
         speed = 3.6 * max(float(d.path[:, 3].max()) for d in drives)
-        least = min(d.fitness for d in drives)
-        print(f"| {name} | {len(drives)} | {done} | {least:.2f} | {speed:.1f} |", flush=True)
+        fitness = min(d.fitness for d in drives)
+        print(f"| {name} | {len(drives)} | {done} | {fitness:.2f} | {speed:.1f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""An hour of simulated time at full throttle and full lock: does the physics stay finite and bounded?
+"""Checks that the physics stay finite and bounded during an hour of simulated time at full throttle and full lock.
 
-`python -m benchmarks.endurance [--minutes 60] [--sims softbody]`: one row per simulator, as Markdown. The lock changes
-sides every minute.
+`python -m benchmarks.endurance [--minutes 60] [--sims softbody]` prints one row per simulator, as Markdown. The
+steering changes sides every minute.
 """
 
 from __future__ import annotations

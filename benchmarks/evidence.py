@@ -1,6 +1,6 @@
-"""What the tests of evidence measure, as the Markdown tables of docs/simulators.md: `python -m benchmarks.evidence`.
+"""Prints the results of tests/evidence as the Markdown tables of docs/simulators.md: `python -m benchmarks.evidence`.
 
-Runs tests/evidence with pytest and prints, per vehicle, every comparison with an oracle; the exit status is pytest's.
+Runs the tests with pytest and prints every comparison with an oracle per vehicle; the exit status is that of pytest.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def main() -> int:
 
 
 def _number(value: float) -> str:
-    """Three digits, and nothing smaller than a thousandth."""
+    """Format with three significant digits and at most three decimals."""
     return f"{round(value, 3) + 0.0:.3g}"
 
 

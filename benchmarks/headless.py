@@ -1,4 +1,4 @@
-"""The closed loop of vehicle, lane and autopilot without camera and ROS: what a frame's physics decide, and no more."""
+"""Closed loop of vehicle, lane and autopilot without camera and ROS, which depends on the physics alone."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from ds_twin_donkey.vehicle import DonkeyVehicle
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """One run.
+    """Result of one run.
 
     Attributes:
         fitness: smallest lateral distance, m (paper 3.3).
         outcome: how it ended.
-        path: (frames + 1, 4) of x, y, yaw, speed in road metres, the start included.
+        path: (steps + 1, 4) x, y, yaw, speed in road metres, including the start.
     """
 
     fitness: float
@@ -46,13 +46,13 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class Car:
-    """A vehicle that can be made with finer steps, and how its autopilot drives it.
+    """Vehicle that can be made with finer substeps, and settings of its autopilot.
 
     Attributes:
-        make: a vehicle whose substeps are so many times the nominal ones.
-        gains: of its autopilot.
-        preview: m ahead of the car's middle that the autopilot watches.
-        substep: nominal, s.
+        make: makes a vehicle whose number of substeps is a multiple of the nominal one.
+        gains: gains of its autopilot.
+        preview: distance of the autopilot's preview point ahead of the car's centre, m.
+        substep: nominal substep, s.
     """
 
     make: Callable[[int], Vehicle]
@@ -62,7 +62,7 @@ class Car:
 
 
 def cars() -> dict[str, Car]:
-    """The three vehicles by the names of their simulators."""
+    """The three vehicles, by name of their simulator."""
     return {
         "bullet": Car(
             make=_bullet,
@@ -86,7 +86,7 @@ def cars() -> dict[str, Car]:
 
 
 def drive(car: Car, vehicle: Vehicle, road: Road) -> Drive:
-    """Let the autopilot drive a road, as `ds_sim.road_simulator` would, until the run ends."""
+    """Let the autopilot drive a road until the run ends, as `ds_sim.road_simulator` would."""
     lane = road.right_lane_centre
     ahead = lane[1] - lane[0]
     vehicle.reset(float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(0))
@@ -123,7 +123,7 @@ def _donkey(finer: int) -> Vehicle:
 
 
 class _FinerDonkey(DonkeyVehicle):
-    """The twin with shorter substeps, which are no parameter of the car."""
+    """Twin with shorter substeps, which are not a parameter of the car."""
 
     def __init__(self, finer: int) -> None:
         super().__init__()

@@ -1,11 +1,11 @@
-"""What computes a network fastest with one thread, how far the answers differ, and whether a drive ends differently.
+"""Compares inference backends on one thread: speed, steering, and outcomes of drives.
 
-`python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, turn by turn, so that a busy machine is equally
-slow for all. It gives the processor time of this process, which other programs disturb little, and the time on the
-wall.
+`python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, alternating between backends, so that a
+busy machine slows down all alike. It prints the CPU time of this process, which other programs affect little, and the
+wall-clock time.
 
-`--roads 17` also drives so many random roads in both directions on every simulator with each backend (17: 102 drives
-each), holds the outcomes against PyTorch's, and compares the steering on frames of PyTorch's drives.
+`--roads 17` also drives that many random roads in both directions on every simulator with each backend (17: 102 drives
+each), compares the outcomes with those of PyTorch, and compares the steering on frames of drives with PyTorch.
 """
 
 from __future__ import annotations
@@ -38,56 +38,56 @@ BACKENDS = ("torch", "onnx", "openvino")
 
 
 def speed(name: str, frames: int, table: Table) -> None:
-    """Milliseconds a frame with its preprocessing, and seconds to load, one row a backend."""
+    """Add one row per backend: time per frame including preprocessing, ms, and time to load, s."""
     image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), dtype=np.uint8)
-    seen = Frame(image=image, speed=5.0, crop=Crop(54, 0))
+    frame = Frame(image=image, speed=5.0, crop=Crop(54, 0))
     pilots, loading = {}, {}
     for backend in BACKENDS:
         started = time.process_time()
         pilots[backend] = BuiltInPilot(name, backend)
-        pilots[backend].predict(seen)
+        pilots[backend].predict(frame)
         loading[backend] = time.process_time() - started
-    busy: dict[str, list[float]] = {backend: [] for backend in BACKENDS}
+    cpu: dict[str, list[float]] = {backend: [] for backend in BACKENDS}
     wall: dict[str, list[float]] = {backend: [] for backend in BACKENDS}
     for _ in range(frames):
         for backend, pilot in pilots.items():
-            begin, began = time.process_time(), time.perf_counter()
-            pilot.predict(seen)
-            busy[backend].append(1e3 * (time.process_time() - begin))
-            wall[backend].append(1e3 * (time.perf_counter() - began))
+            cpu_start, wall_start = time.process_time(), time.perf_counter()
+            pilot.predict(frame)
+            cpu[backend].append(1e3 * (time.process_time() - cpu_start))
+            wall[backend].append(1e3 * (time.perf_counter() - wall_start))
     for backend in BACKENDS:
-        median, least = np.median(busy[backend]), min(busy[backend])
+        median, minimum = np.median(cpu[backend]), min(cpu[backend])
         table.add_row(
-            name, backend, f"{least:.2f}", f"{median:.2f}", f"{min(wall[backend]):.2f}",
+            name, backend, f"{minimum:.2f}", f"{median:.2f}", f"{min(wall[backend]):.2f}",
             f"{np.median(wall[backend]):.2f}", f"{loading[backend]:.2f}",
         )  # fmt: skip
 
 
 def frames_of(driver: str, simulator: str, road: Road, seed: int, every: int) -> Iterator[NDArray[np.uint8]]:
-    """Some of the images that a driver sees on a road."""
+    """Yield every n-th image that a driver sees on a road; n is `every`."""
     world = make_simulator(simulator)
     drive = make_driver(driver, world.spec)
-    seen = world.load(road, seed=seed)
-    while seen.outcome is Outcome.RUNNING:
-        if seen.step % every == 0:
-            yield seen.image
-        seen = world.step(drive(seen))
+    observation = world.load(road, seed=seed)
+    while observation.outcome is Outcome.RUNNING:
+        if observation.step % every == 0:
+            yield observation.image
+        observation = world.step(drive(observation))
     world.close()
 
 
 def differences(name: str, roads: list[Road], console: Console) -> None:
-    """How far each backend steers from PyTorch on the same frames."""
+    """Print how much the steering of each backend differs from PyTorch on the same frames."""
     pilots = {backend: BuiltInPilot(name, backend) for backend in BACKENDS}
-    apart: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
+    deviations: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
     for simulator in SIMULATORS:
         crop = simulator_crop(simulator)
         for seed, road in enumerate(roads[:2]):
             for image in frames_of(name, simulator, road, seed, 3):
-                said = {b: p.predict(Frame(image=image, speed=0.0, crop=crop)).steering for b, p in pilots.items()}
-                for backend, values in apart.items():
-                    values.append(abs(said[backend] - said["torch"]))
-    table = Table(f"{name}, steering apart from PyTorch", "frames", "median", "95 %", "99 %", "largest")
-    for backend, values in apart.items():
+                steering = {b: p.predict(Frame(image=image, speed=0.0, crop=crop)).steering for b, p in pilots.items()}
+                for backend, values in deviations.items():
+                    values.append(abs(steering[backend] - steering["torch"]))
+    table = Table(f"{name}, steering difference to PyTorch", "frames", "median", "95 %", "99 %", "largest")
+    for backend, values in deviations.items():
         shares = (f"{v:.1e}" for v in np.percentile(values, (50, 95, 99, 100)))
         table.add_row(backend, str(len(values)), *shares)
     console.print(table)
@@ -101,29 +101,29 @@ def outcomes(name: str, roads: list[Road], console: Console) -> None:
         named = with_backend(name, backend)
         drives = [Drive(s, named, road, seed) for s in SIMULATORS for seed, road in enumerate(ways)]
         runs[backend] = list(drive_all(drives))
-    table = Table(f"{name}, {len(runs['torch'])} drives", "outcomes", "other than PyTorch's", "fitness apart, m")
+    table = Table(f"{name}, {len(runs['torch'])} drives", "outcomes", "differ from PyTorch", "difference in fitness, m")
     for backend, found in runs.items():
         pairs = list(zip(runs["torch"], found, strict=True))
         counts = ", ".join(f"{n} {o.name.lower()}" for o, n in sorted(Counter(r.outcome for r in found).items()))
         gaps = [abs(a.fitness - b.fitness) for a, b in pairs if a.outcome is b.outcome and a.outcome.is_verdict]
-        other = sum(a.outcome is not b.outcome for a, b in pairs)
+        changed = sum(a.outcome is not b.outcome for a, b in pairs)
         table.add_row(
-            backend, counts, str(other), f"median {np.median(gaps):.1e}, largest {max(gaps, default=0.0):.1e}"
+            backend, counts, str(changed), f"median {np.median(gaps):.1e}, largest {max(gaps, default=0.0):.1e}"
         )
     console.print(table)
 
 
 def main() -> None:
-    """Measure."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--frames", type=int, default=100)
-    parser.add_argument("--roads", type=int, default=0, help="random roads to drive; 0 measures time alone")
-    parser.add_argument("--seed", type=int, default=424_242, help="of the roads")
+    parser.add_argument("--roads", type=int, default=0, help="random roads to drive; 0 for timings only")
+    parser.add_argument("--seed", type=int, default=424_242, help="seed of the roads")
     parser.add_argument("--networks", default=",".join(NETWORKS))
     arguments = parser.parse_args()
     console = Console(width=120)
     torch.set_num_threads(1)
-    table = Table("network", "backend", "busy ms, least", "median", "wall ms, least", "median", "loading, busy s")
+    table = Table("network", "backend", "CPU ms, minimum", "median", "wall ms, minimum", "median", "loading, CPU s")
     names = arguments.networks.split(",")
     if arguments.frames:
         for name in names:

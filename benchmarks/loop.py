@@ -1,8 +1,8 @@
-"""How fast the closed loop runs through ROS, and where the time goes.
+"""Speed of the closed loop through ROS, and where the time is spent.
 
-`python benchmarks/loop.py [--driver dave2] [--roads 5]`: per simulator, frames per second of a simulator node and a
-driver node in lock-step, and the parts of a frame measured alone in this process: physics, camera, network. What is
-left of a frame is transport: messages, scheduling, waking up; loading a road and bringing its result home is in it.
+`python benchmarks/loop.py [--driver dave2] [--roads 5]` prints, per simulator, the frames per second of a simulator
+node and a driver node in lockstep, and the parts of a frame, measured in this process: physics, camera, network. The
+remainder is transport: messages, scheduling, waking up, loading the road and returning the result.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ds_sim.simulator import FRAME_RATE, Outcome
 
 
 def loop(name: str, driver: str, roads: list[Road]) -> tuple[float, float]:
-    """Milliseconds per frame through ROS, the median of the roads, and how far the slowest road is above it."""
+    """Time per frame through ROS, ms: median over the roads, and how much longer the slowest road takes."""
     space = {name: "/ds1"}
     with (
         tempfile.TemporaryDirectory() as logs,
@@ -45,7 +45,7 @@ def loop(name: str, driver: str, roads: list[Road]) -> tuple[float, float]:
 
 
 def parts(name: str, driver: NetworkDriver, roads: list[Road]) -> dict[str, float]:
-    """Median milliseconds of each part of a frame, alone in this process."""
+    """Median time of each part of a frame in this process, ms."""
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator)
     crop = Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
@@ -60,9 +60,9 @@ def parts(name: str, driver: NetworkDriver, roads: list[Road]) -> dict[str, floa
             command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
             spent = [0.0]
 
-            def timed(asked: object, spent: list[float] = spent) -> None:
+            def timed(command: object, spent: list[float] = spent) -> None:
                 started = time.perf_counter()
-                advance(asked)  # type: ignore[arg-type]
+                advance(command)  # type: ignore[arg-type]
                 spent[0] = time.perf_counter() - started
 
             vehicle.advance = timed  # type: ignore[method-assign, assignment]
@@ -78,7 +78,7 @@ def parts(name: str, driver: NetworkDriver, roads: list[Road]) -> dict[str, floa
 
 
 def main() -> None:
-    """Measure every simulator."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--driver", default="dave2")
     parser.add_argument("--roads", type=int, default=5)

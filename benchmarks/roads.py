@@ -1,4 +1,4 @@
-"""What a road costs: generating and validating, checking, mutating. `python benchmarks/roads.py [count]`."""
+"""Times generation, validation and mutation of roads: `python benchmarks/roads.py [count]`."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "ds_road"))  # so that it runs without the workspace
+sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "ds_road"))  # run without the workspace
 
 from ds_road import Road, generate, mutate  # noqa: E402
 
 
 def timed(name: str, calls: list[Callable[[], object]]) -> None:
-    """Print the percentiles of a list of calls."""
+    """Print percentiles of the times of some calls."""
     milliseconds = []
     for call in calls:
         started = time.perf_counter()
         call()
         milliseconds.append(1e3 * (time.perf_counter() - started))
-    median, high, most = np.percentile(milliseconds, [50, 95, 100])
-    print(f"{name:<24} median {median:6.2f} ms   95 % {high:6.2f} ms   most {most:6.2f} ms   ({len(calls)} roads)")
+    median, high, maximum = np.percentile(milliseconds, [50, 95, 100])
+    print(f"{name:<24} median {median:6.2f} ms   95 % {high:6.2f} ms   max {maximum:6.2f} ms   ({len(calls)} roads)")
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""A driver that leaves the lane within seconds: campaigns with short drives, for tests of everything around them."""
+"""Driver that leaves the lane within seconds, for tests with short campaigns."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from ds_driver.networks.pilot import Frame
 
 
 class Swerving:
-    """Steers to the right, by how bright the road ahead is: what it does depends on the image, bit by bit."""
+    """Steers right in proportion to the brightness of the road ahead, so that every bit of the image matters."""
 
-    def drive(self, seen: Frame) -> float:
-        """Steering for an image, between 0 and 0.5."""
-        return float(seen.image[80:].mean()) / 510.0
+    def drive(self, frame: Frame) -> float:
+        """Steering for a frame, between 0 and 0.5."""
+        return float(frame.image[80:].mean()) / 510.0

@@ -1,4 +1,4 @@
-"""How well hidden parameters of the twin are found again from noisy drives, from a start 30 % off.
+"""Accuracy of fitted parameters of the twin for noisy drives with known parameters and a start 30 % off.
 
 Prints a row per seed and parameter, then per parameter how many seeds are within 5 % and inside the 95 % interval.
 `python benchmarks/twin_fit.py --seeds 1,2,3,4,5 --drives 12`; about two minutes per seed on an idle core.
@@ -16,14 +16,14 @@ from ds_twin_donkey.fit import FITTED, fit
 from ds_twin_donkey.parameters import DonkeyParameters
 
 TRIM_SCALE = 0.05
-"""rad; what an error of the trim is given against, for it may be 0."""
+"""Scale for errors of the trim, rad, because the trim may be 0."""
 
 
 def main() -> None:
-    """Run the seeds."""
+    """Fit the drives of every seed and print the tables."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", default="1,2,3,4,5")
-    parser.add_argument("--drives", type=int, default=12, help="of 30.5 s each")
+    parser.add_argument("--drives", type=int, default=12, help="number of drives of 30.5 s each")
     arguments = parser.parse_args()
     close = dict.fromkeys(FITTED, 0)
     inside = dict.fromkeys(FITTED, 0)

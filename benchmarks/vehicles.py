@@ -1,7 +1,7 @@
-"""How the three vehicles differ, drawn: `python -m benchmarks.vehicles [--out docs/images]` for docs/simulators.md.
+"""Draws how the three vehicles differ, for docs/simulators.md: `python -m benchmarks.vehicles [--out docs/images]`.
 
-Same commands on one road, a step of the steering beside the linear single track, and steady circles over speed. The
-last two use the cars of tests/evidence, whose steering has no Ackermann toe, play or delay.
+The charts show the same commands on one road, a steering step beside the linear single-track model, and steady circles
+over speed. The last two use the cars of tests/evidence, whose steering has no Ackermann toe, play or delay.
 """
 
 from __future__ import annotations
@@ -24,11 +24,15 @@ from ds_sim.vehicle import Vehicle
 COLOURS: dict[str, Rgb] = {"bullet": (0, 90, 181), "softbody": (213, 94, 0), "donkey": (0, 140, 100)}
 GREY: Rgb = (170, 170, 170)
 STEERING = 9 / 85
-"""Steering of steps and circles; chosen: a whole number of the twin's pulse counts."""
+"""Steering of the step and the circles; chosen: a whole number of pulse counts of the twin."""
 
 
 class Recorder:
-    """A vehicle that remembers what it was told."""
+    """Vehicle that records its commands.
+
+    Args:
+        vehicle: wrapped vehicle.
+    """
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -53,7 +57,7 @@ class Recorder:
 
 
 def main() -> None:
-    """Draw all three."""
+    """Draw the three charts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     out = parser.parse_args().out
@@ -63,7 +67,7 @@ def main() -> None:
 
 
 def same_commands(road: Road) -> Chart:
-    """The autopilot drives the rigid car; the other two are told the same, without looking."""
+    """Chart of the paths when the autopilot drives the rigid car and the other two replay its commands."""
     car = cars()["bullet"]
     recorder = Recorder(car.make(1))
     paths = {"bullet": drive_road(car, recorder, road).path}
@@ -99,7 +103,7 @@ def same_commands(road: Road) -> Chart:
 
 
 def step() -> Chart:
-    """Yaw rate over the steady one without slip, after a step at 25 km/h."""
+    """Chart of the yaw rate after a steering step at 25 km/h, relative to the steady one without slip."""
     chart = Chart(
         title="A step of the steering at 25 km/h", x_title="time, s",
         y_title="yaw rate over that of the same car without slip", x_range=(0.0, 1.0), y_range=(0.0, 1.25),
@@ -123,7 +127,7 @@ def step() -> Chart:
 
 
 def circles() -> Chart:
-    """Radius of a steady circle over the one without slip, over speed."""
+    """Chart of the radius of steady circles over speed, relative to the one without slip."""
     chart = Chart(
         title="Steady circles at a tenth of full lock", x_title="speed, km/h on the road",
         y_title="radius over that of the same car without slip", x_range=(5.0, 30.0), y_range=(0.98, 1.10),
@@ -149,7 +153,7 @@ def circles() -> Chart:
 
 
 def _paler(colour: Rgb) -> Rgb:
-    """Half way to white."""
+    """Colour halfway to white."""
     red, green, blue = ((c + 255) // 2 for c in colour)
     return (red, green, blue)
 

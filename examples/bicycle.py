@@ -1,4 +1,4 @@
-"""A fourth simulator: the kinematic bicycle, a car that never slides. `docs/add_a_simulator.md` explains it."""
+"""Example of a fourth simulator: a kinematic bicycle, which never slides. `docs/add_a_simulator.md` explains it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from ds_sim.simulator import FRAME_TIME, AutopilotGains, Command, SimulatorSpec,
 WHEELBASE = 2.6
 """m; chosen: a compact car."""
 MAX_STEERING = math.radians(32.0)
-"""Chosen: turns on a circle of about 5 m, less than any lane's radius."""
+"""Chosen: turns on a circle of about 5 m, less than the radius of any lane."""
 STEERING_LAG = 0.1
 """s; chosen: the wheels follow the command as a first-order lag."""
 MAX_ACCELERATION = 3.0
 """m/s2 at full throttle; chosen: a small car."""
 DRAG = 0.3
-"""1/s; chosen: full throttle ends at 36 km/h, and lifting it slows the car."""
+"""1/s; chosen: the top speed is 36 km/h, and the car slows down without throttle."""
 SUBSTEPS = 10
-"""Chosen: 5 ms, a twentieth of the steering's lag."""
+"""Chosen: 5 ms, a twentieth of the steering lag."""
 
 
 class BicycleVehicle:
-    """Two wheels in line that roll where they point; its centre is the middle between them."""
+    """Two wheels in line that roll where they point; the vehicle's centre is midway between them."""
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
-        """Put it at rest; nothing of it is drawn from `rng`."""
+        """Put the vehicle at rest; `rng` is not used."""
         self._x, self._y, self._yaw, self._speed, self._angle = x, y, yaw, 0.0, 0.0
 
     def advance(self, command: Command) -> None:
-        """Hold a command for one frame. The command's steering is right positive, the wheel's angle left positive."""
+        """Advance by one step. Steering commands are right positive, wheel angles left positive."""
         dt = FRAME_TIME / SUBSTEPS
         for _ in range(SUBSTEPS):
             self._angle += (-command.steering * MAX_STEERING - self._angle) * dt / STEERING_LAG
@@ -44,7 +44,7 @@ class BicycleVehicle:
             self._yaw += self._yaw_rate() * dt
 
     def state(self) -> VehicleState:
-        """The state now; this car neither rolls nor pitches."""
+        """Current state; this car neither rolls nor pitches."""
         slip = self._slip()
         return VehicleState(
             x=self._x,
@@ -57,10 +57,10 @@ class BicycleVehicle:
         )
 
     def close(self) -> None:
-        """It holds nothing."""
+        """Do nothing: the model holds no resources."""
 
     def _slip(self) -> float:
-        """Direction in which the centre moves, from the heading, rad."""
+        """Angle from the heading to the direction of motion of the centre, rad."""
         return math.atan(0.5 * math.tan(self._angle))
 
     def _yaw_rate(self) -> float:
@@ -68,7 +68,7 @@ class BicycleVehicle:
 
 
 class BicycleSimulator(RoadSimulator):
-    """The bicycle with a camera, a look and gains for the autopilot."""
+    """Simulator of the bicycle: adds a camera, a look and gains for the autopilot."""
 
     def __init__(self) -> None:
         spec = SimulatorSpec(

@@ -1,8 +1,8 @@
-"""Put a trained network into ds_driver, with a card that says what it was made of and how well it drives.
+"""Ships a trained network with ds_driver, with a card on its training data and performance.
 
 `python tools/ship_network.py --data DATA --offline DATA2 --training DIR [--network dave2] [--name NAME] [--roads 25]
-[--seed 424242]` drives roads that no training has seen on every simulator in both directions, compares the network with
-the autopilot on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
+[--seed 424242]` drives roads not seen in training on every simulator in both directions, compares the network with the
+autopilot on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ PAPER = {
     "chauffeur": {"mean_squared_error": 0.07, "success": 0.72},
     "epoch": {"mean_squared_error": 0.09, "success": 0.52},
 }
-"""Paper, Table 1, networks for plain images, on the twin; steering there in the same [-1, 1]."""
+"""Paper, Table 1, networks for plain images, on the twin; steering is in [-1, 1] there, too."""
 
 
 def main() -> None:
-    """Assess, then copy weights and write the card."""
+    """Assess the network, copy the weights and write the card."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--offline", type=Path, required=True)
     parser.add_argument("--training", type=Path, required=True)
     parser.add_argument("--network", default="dave2")
-    parser.add_argument("--name", help="to ship it under, the architecture's if left out")
+    parser.add_argument("--name", help="name to ship it under; that of the architecture if omitted")
     parser.add_argument("--roads", type=int, default=25)
     parser.add_argument("--seed", type=int, default=424242)
     arguments = parser.parse_args()
@@ -49,12 +49,12 @@ def main() -> None:
     training = json.loads((arguments.training / "training.json").read_text())
     roads = roads_both_ways(arguments.roads, arguments.seed)
     trained_on = _road_ids(arguments.data)
-    seen = sorted(trained_on & ({road.road_id for road in roads} | _road_ids(arguments.offline)))
-    if seen:
-        sys.exit(f"roads {', '.join(seen)} were trained on: choose another --seed, or another offline set")
-    found = predict(arguments.offline, str(weights), _say)
+    overlap = sorted(trained_on & ({road.road_id for road in roads} | _road_ids(arguments.offline)))
+    if overlap:
+        sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
+    found = predict(arguments.offline, str(weights), _print_progress)
     errors = {name: predictions.errors for name, predictions in found.items()}
-    success = success_rates(str(weights), list(SIMULATORS), roads, arguments.seed, _say)
+    success = success_rates(str(weights), list(SIMULATORS), roads, arguments.seed, _print_progress)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]
@@ -111,7 +111,7 @@ def main() -> None:
     print(json.dumps({"success": success, **card["offline"]}))
 
 
-def _say(done: int, total: int, line: str) -> None:
+def _print_progress(done: int, total: int, line: str) -> None:
     print(f"{done}/{total} {line}", flush=True)
 
 

@@ -98,7 +98,7 @@ def test_unknown_backends_and_devices_are_refused(backend: str, device: str, sai
 
 def test_a_gpu_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(BackendError, match="no GPU that PyTorch can use is here: leave out --device cuda"):
+    with pytest.raises(BackendError, match="PyTorch finds no usable GPU: leave out --device cuda"):
         NetworkDriver("dave2@cuda")
 
 

@@ -90,7 +90,7 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
         train(data, tmp_path / "parts", replace(plan(2), seed=9), lambda _: None, crops)
     with pytest.raises(DatasetError, match="another plan or other data"):
         train(data, tmp_path / "parts", plan(3), lambda _: None, {"donkey": Crop(50, 0)})
-    with pytest.raises(DatasetError, match="75 images to train on, expected at least one batch of 128"):
+    with pytest.raises(DatasetError, match="75 images for training, expected at least one batch of 128"):
         train(data, tmp_path / "few", replace(plan(1), batch_size=128), lambda _: None, crops)
     for content in (b"", b"no checkpoint"):
         (tmp_path / "parts" / "checkpoint.pt").write_bytes(content)
@@ -128,7 +128,7 @@ def test_unequal_simulators_are_refused_in_one_line() -> None:
 def test_a_gpu_that_is_not_there_and_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert device_of("auto").type == "cpu"
-    with pytest.raises(TrainingError, match=r"^no GPU .*leave out --device cuda"):
+    with pytest.raises(TrainingError, match=r"^PyTorch finds no usable GPU.*leave out --device cuda"):
         device_of("cuda")
     with pytest.raises(TrainingError, match="expected auto, cpu or cuda"):
         device_of("tpu")

@@ -1,6 +1,6 @@
-"""Networks driving in simulation, in this process and without ROS.
+"""Drives networks in simulation, in this process and without ROS.
 
-Public names are imported when they are first used; `__init__.pyi` lists them.
+Public names are imported on first use; `__init__.pyi` lists them.
 """
 
 import lazy_loader

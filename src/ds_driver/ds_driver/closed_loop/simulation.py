@@ -1,4 +1,4 @@
-"""Drives roads in this process and in workers, without ROS: what assessment and comparison share."""
+"""Drives roads in this process or in worker processes, without ROS."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Driver = Callable[[Observation], Command]
 
 @dataclass(frozen=True)
 class Drive:
-    """A road to be driven.
+    """One road to drive.
 
     Attributes:
-        simulator: name, as the registry knows it.
-        driver: `autopilot`, or any name that `ds_driver.networks.network_driver.NetworkDriver` takes.
-        road: to drive.
-        seed: of the run.
+        simulator: name known to `ds_sim.registry`.
+        driver: `autopilot`, or any name accepted by `ds_driver.networks.network_driver.NetworkDriver`.
+        road: road to drive.
+        seed: seed of the run.
     """
 
     simulator: str
@@ -36,30 +36,34 @@ class Drive:
 
 
 def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
-    """A driver for one simulator: the autopilot with its gains, or a network with its crop.
+    """Make a driver for one simulator: the autopilot with its gains, or a network with its crop.
+
+    Args:
+        driver: name as in `Drive.driver`.
+        spec: spec of the simulator.
 
     Raises:
-        ValueError: the name stands for nothing, or what it stands for cannot be used.
+        ValueError: the name is unknown, or the driver cannot be loaded.
     """
     if driver == AUTOPILOT:
         autopilot = Autopilot(spec.autopilot)
-        return lambda seen: autopilot.command(seen.lane.preview_lateral_position, seen.vehicle.speed)
+        return lambda frame: autopilot.command(frame.lane.preview_lateral_position, frame.vehicle.speed)
     from ds_driver.networks.network_driver import NetworkDriver
     from ds_driver.networks.preprocessing import Crop
 
     network, crop = NetworkDriver(driver), Crop(spec.crop_top, spec.crop_bottom)
-    return lambda seen: network.command(seen.image, seen.vehicle.speed, crop, seen.step)
+    return lambda frame: network.command(frame.image, frame.vehicle.speed, crop, frame.step)
 
 
 def drive_road(simulator: Simulator, driver: Driver, road: Road, seed: int) -> RunRecord:
-    """Drive a road to its end; whatever breaks in the simulator or the driver ends the run as an error."""
+    """Drive a road until the run ends; failures of simulator or driver end the run as an error."""
     session = Session(simulator)
     observation = session.start(road, seed)
     while session.driving and observation is not None:
         try:
             command = driver(observation)
         except DriverError as error:
-            # In the graph, too, a driver without an answer is a silent one.
+            # As in the ROS graph, a driver without an answer counts as silent.
             session.end(Outcome.DRIVER_SILENT, str(error))
             break
         observation = session.advance(command)
@@ -68,25 +72,25 @@ def drive_road(simulator: Simulator, driver: Driver, road: Road, seed: int) -> R
 
 
 def drive_all(drives: Sequence[Drive], *, workers: int | None = None) -> Iterator[RunRecord]:
-    """Drive every road, in order, in worker processes; the records do not depend on their number."""
+    """Drive all roads in worker processes and yield the records in order; they do not depend on `workers`."""
     return map_in_processes(_drive, drives, workers=workers)
 
 
 @cache
 def _simulator(name: str) -> Simulator:
-    """One per worker: they take a while to make."""
+    """Simulator of this worker, cached because it is slow to make."""
     return make_simulator(name)
 
 
 @cache
 def _network(driver: str, simulator: str) -> Driver:
-    """One per worker; a driver forgets the last run when one begins."""
+    """Network of this worker; it is reset when a run starts."""
     return make_driver(driver, _simulator(simulator).spec)
 
 
 def _drive(drive: Drive) -> RunRecord:
     simulator = _simulator(drive.simulator)
-    # The autopilot remembers its last error, so every drive gets a new one.
-    alone = drive.driver == AUTOPILOT
-    driver = make_driver(AUTOPILOT, simulator.spec) if alone else _network(drive.driver, drive.simulator)
+    # The autopilot keeps its previous error, so every drive gets a new one.
+    is_autopilot = drive.driver == AUTOPILOT
+    driver = make_driver(AUTOPILOT, simulator.spec) if is_autopilot else _network(drive.driver, drive.simulator)
     return drive_road(simulator, driver, drive.road, drive.seed)

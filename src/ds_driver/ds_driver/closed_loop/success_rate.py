@@ -1,4 +1,4 @@
-"""How well a driver drives: its success on roads that it has not seen (paper 4.2.2)."""
+"""Success rate of a driver on roads not seen in training (paper 4.2.2)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ds_road import Road, generate
 from ds_sim.simulator import Outcome
 
 Progress = Callable[[int, int, str], None]
-"""Called with drives done, drives in all, and a line about the last one."""
+"""Called with the number of drives done, their total number, and a line about the last one."""
 
 
 def unseen_roads(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
-    """Random roads as in the paper's test set (4.2.2: 25 roads, maximum angle 270)."""
+    """Generate random roads as in the paper's test set (4.2.2: 25 roads, maximum angle 270 degrees)."""
     rng = np.random.default_rng(seed)
     return [generate(rng, max_angle=max_angle) for _ in range(count)]
 
@@ -29,16 +29,16 @@ def success_rates(
 
     Args:
         driver: `autopilot`, a shipped network, or a weights file.
-        simulators: names.
-        roads: to drive, each in both directions.
-        seed: of the first road's runs; those of the next one have one more.
-        progress: told after every drive.
+        simulators: names of the simulators.
+        roads: roads to drive, each in both directions.
+        seed: seed of the runs on the first road; it increases by one per road.
+        progress: called after every drive.
 
     Returns:
         Simulator -> `forward` and `reverse` -> share in [0, 1].
 
     Raises:
-        DriverError: a drive ended without a verdict, so that there is no share.
+        DriverError: a drive ended in an error, so that there is no success rate.
     """
     drives = [
         Drive(name, driver, road if way == "forward" else road.reversed(), seed + i)
@@ -53,7 +53,7 @@ def success_rates(
             raise DriverError(
                 f"{drive.simulator}, road {drive.road.road_id}, seed {drive.seed}: {run.outcome.name.lower()}"
                 f"{': ' if run.message else ''}{run.message}: "
-                f"an error says nothing of how {driver} drives, mend it first"
+                f"an error says nothing about {driver}: fix it and run the assessment again"
             )
         completed[drive.simulator][way] += run.outcome is Outcome.COMPLETED
         progress(

@@ -1,6 +1,6 @@
-"""Controllers without ROS: the reference autopilot, speed control, and conversions of steering commands.
+"""Controllers without ROS: autopilot, speed control, conversions of driving commands.
 
-Public names are imported when they are first used; `__init__.pyi` lists them.
+Public names are imported on first use; `__init__.pyi` lists them.
 """
 
 import lazy_loader

@@ -1,22 +1,22 @@
-"""The two control laws of the paper (section 3.2.1): the autopilot's steering, and everybody's throttle."""
+"""Control laws of the paper (section 3.2.1): steering of the autopilot, and throttle of all drivers."""
 
 from __future__ import annotations
 
 from ds_sim.simulator import AutopilotGains, Command
 
 START_THROTTLE = 0.5
-"""Throttle when a vehicle must start with the wheels at full lock, where equation 2 gives none (maxitwo)."""
+"""Throttle for starting with the wheels at full lock, where equation 2 gives none (maxitwo)."""
 _STANDSTILL = 0.1
-"""m/s below which a vehicle counts as standing."""
+"""Speed below which a vehicle counts as standing, m/s."""
 
 
 def throttle(steering: float, speed: float, *, max_speed: float = 30.0, min_speed: float = 15.0) -> float:
-    """The paper's equation 2.
+    """Throttle by the paper's equation 2.
 
     Args:
-        steering: -1 to 1.
-        speed: m/s.
-        max_speed: threshold, and K = H below it, km/h (paper 4.2.4: 30).
+        steering: steering in [-1, 1].
+        speed: current speed, m/s.
+        max_speed: speed threshold, and K = H below it, km/h (paper 4.2.4: 30).
         min_speed: K = L above the threshold, km/h (maxitwo: 15).
 
     Returns:
@@ -31,13 +31,13 @@ def throttle(steering: float, speed: float, *, max_speed: float = 30.0, min_spee
 
 
 class Autopilot:
-    """The paper's equation 1: a PID controller on the lateral position, for one run.
+    """Autopilot by the paper's equation 1: a PID controller on the lateral position, for one run.
 
-    The lateral position is taken at a point ahead of the vehicle (`preview_lateral_position`), as a driver does who
-    looks where the car will be; the authors' simulators send the autopilot an error of its own as well (`cte_pid`).
+    The lateral position is taken at a preview point ahead of the vehicle (`preview_lateral_position`), as a human
+    driver looks ahead; the authors' simulators also send the autopilot a separate error (`cte_pid`).
 
     Args:
-        gains: of the vehicle.
+        gains: gains for the vehicle.
     """
 
     def __init__(self, gains: AutopilotGains) -> None:
@@ -46,11 +46,11 @@ class Autopilot:
         self._total = 0.0
 
     def command(self, lateral_position: float, speed: float) -> Command:
-        """Steer back to the middle of the lane.
+        """Compute the command that steers back to the centre of the lane.
 
         Args:
-            lateral_position: m, right positive.
-            speed: m/s.
+            lateral_position: lateral position of the preview point, m, right positive.
+            speed: current speed, m/s.
         """
         gains = self._gains
         previous = lateral_position if self._previous is None else self._previous

@@ -1,7 +1,7 @@
-"""Between this project's commands and those of other stacks: signs, units and the vehicle's geometry. No ROS.
+"""Converts between this project's commands and messages of other driving stacks. No ROS.
 
-The table of signs and units is in docs/drivers.md. Messages are read and filled by their attributes, so that nothing
-here depends on a package that may not be installed.
+The table of signs and units is in docs/drivers.md. Messages are accessed by attribute, so that nothing here depends on
+a package that may not be installed.
 
 Sources: REP-103 (left positive); the bicycle model (Rajamani, Vehicle Dynamics and Control, 2012, section 2.2); the
 comments in ackermann_msgs/AckermannDrive.msg, autoware_control_msgs/Lateral.msg and deepracer_interfaces_pkg/
@@ -16,20 +16,20 @@ from dataclasses import dataclass
 from typing import Any
 
 STANDSTILL = 1e-3
-"""m/s of a commanded speed below which a yaw rate says nothing about the wheels: a car cannot turn on the spot."""
+"""Commanded speed below which a yaw rate does not determine the wheel angle, m/s: a car cannot turn on the spot."""
 
 
 class MotionError(ValueError):
-    """A request that no vehicle here can follow."""
+    """A request that no vehicle of this project can follow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What turns a yaw rate into a steering command.
+    """Geometry of a vehicle, needed to convert yaw rates to steering.
 
     Attributes:
         wheelbase: m.
-        max_steering_angle: of the front wheels at |steering| = 1, rad.
+        max_steering_angle: angle of the front wheels at |steering| = 1, rad.
     """
 
     wheelbase: float
@@ -51,25 +51,25 @@ class Geometry:
         return -steering * self.max_steering_angle
 
     def angle_for(self, speed: float, yaw_rate: float) -> float:
-        """Wheel angle in rad, left positive, with which the bicycle model turns at a yaw rate (rad/s) and speed."""
+        """Wheel angle (rad, left positive) at which the bicycle model has a yaw rate (rad/s) at a speed (m/s)."""
         return 0.0 if abs(speed) < STANDSTILL else math.atan(self.wheelbase * yaw_rate / speed)
 
     def yaw_rate_of(self, speed: float, angle: float) -> float:
-        """Yaw rate in rad/s of the bicycle model, left positive."""
+        """Yaw rate of the bicycle model, rad/s, left positive, at a speed (m/s) and wheel angle (rad)."""
         return speed * math.tan(angle) / self.wheelbase
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What a driver of any stack asks for.
+    """Request of a driver of any stack.
 
     Attributes:
         steering: -1 full left to +1 full right.
-        speed: wanted, m/s; None if a throttle is given instead.
+        speed: desired speed, m/s; None if a throttle is given instead.
         throttle: 0 to 1; None if a speed is given instead.
 
     Raises:
-        MotionError: not a finite number, backwards, or neither speed nor throttle.
+        MotionError: a value is not finite or requests reversing, or not exactly one of speed and throttle is given.
     """
 
     steering: float
@@ -94,7 +94,7 @@ def _finite(**values: float) -> None:
 
 
 def from_twist(twist: Any, geometry: Geometry) -> Motion:
-    """geometry_msgs/Twist: linear.x in m/s, angular.z in rad/s, left positive."""
+    """Convert a geometry_msgs/Twist: linear.x in m/s, angular.z in rad/s, left positive."""
     speed, yaw_rate = float(twist.linear.x), float(twist.angular.z)
     _finite(**{"linear.x": speed, "angular.z": yaw_rate})
     return Motion(geometry.steering_of(geometry.angle_for(speed, yaw_rate)), speed=speed)
@@ -107,7 +107,7 @@ def to_twist(twist: Any, motion: Motion, geometry: Geometry) -> None:
 
 
 def from_ackermann(drive: Any, geometry: Geometry) -> Motion:
-    """ackermann_msgs/AckermannDrive: steering_angle in rad, left positive; speed in m/s."""
+    """Convert an ackermann_msgs/AckermannDrive: steering_angle in rad, left positive; speed in m/s."""
     angle, speed = float(drive.steering_angle), float(drive.speed)
     _finite(steering_angle=angle, speed=speed)
     return Motion(geometry.steering_of(angle), speed=speed)
@@ -119,7 +119,7 @@ def to_ackermann(drive: Any, motion: Motion, geometry: Geometry) -> None:
 
 
 def from_servo(servo: Any, _geometry: Geometry) -> Motion:
-    """deepracer_interfaces_pkg/ServoCtrlMsg: angle in [-1, 1], left positive; throttle in [-1, 1]."""
+    """Convert a deepracer_interfaces_pkg/ServoCtrlMsg: angle in [-1, 1], left positive; throttle in [-1, 1]."""
     angle, throttle = float(servo.angle), float(servo.throttle)
     _finite(angle=angle, throttle=throttle)
     for name, value in (("angle", angle), ("throttle", throttle)):
@@ -136,7 +136,7 @@ def to_servo(servo: Any, motion: Motion, _geometry: Geometry) -> None:
 
 
 def from_autoware(control: Any, geometry: Geometry) -> Motion:
-    """autoware_control_msgs/Control: steering_tire_angle in rad, left positive; velocity in m/s."""
+    """Convert an autoware_control_msgs/Control: steering_tire_angle in rad, left positive; velocity in m/s."""
     angle, speed = float(control.lateral.steering_tire_angle), float(control.longitudinal.velocity)
     _finite(steering_tire_angle=angle, velocity=speed)
     return Motion(geometry.steering_of(angle), speed=speed)
@@ -156,17 +156,17 @@ def _speed(motion: Motion) -> float:
 
 @dataclass(frozen=True)
 class MessageKind:
-    """A message by which other stacks drive.
+    """Type of message used by other stacks to drive.
 
     Attributes:
-        package: that holds it.
-        type_name: in that package.
-        topic: where stacks usually send it, relative.
-        body: path of attributes from the message to the part with the values; "" for the message itself.
-        stamp: path of attributes to its stamp; "" if it has none.
-        read: from that part to a motion.
-        fill: that part from a motion.
-        needs_throttle: it carries a throttle instead of a speed.
+        package: package that defines the message.
+        type_name: name of the message in that package.
+        topic: usual topic, relative.
+        body: attribute path from the message to the part with the values; "" for the message itself.
+        stamp: attribute path from the message to its stamp; "" if it has none.
+        read: converts that part to a motion.
+        fill: fills that part from a motion.
+        needs_throttle: whether it carries a throttle instead of a speed.
     """
 
     package: str
@@ -198,11 +198,11 @@ KINDS = {
     ),
     "autoware": MessageKind("autoware_control_msgs", "Control", "control_cmd", "", "stamp", from_autoware, to_autoware),
 }
-"""By the name that parameters use."""
+"""Name used in parameters -> type of message."""
 
 
 def part(message: Any, path: str) -> Any:
-    """An attribute of a message by its path, such as `header.stamp`; the message itself for ""."""
+    """Attribute of a message by its path, such as `header.stamp`; the message itself for ""."""
     for name in filter(None, path.split(".")):
         message = getattr(message, name)
     return message

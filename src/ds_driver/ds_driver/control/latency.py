@@ -1,4 +1,4 @@
-"""How long a driver takes from an image to its command. No ROS."""
+"""Statistics of the time that a driver takes from an image to its command. No ROS."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from collections import deque
 import numpy as np
 
 WINDOW = 200
-"""Frames that are summed up: ten seconds at 20 Hz; chosen."""
+"""Number of frames in the statistics; chosen: ten seconds at 20 Hz."""
 
 
 class Latency:
-    """Collects the times of the last frames."""
+    """Collects the latencies of the last frames."""
 
     def __init__(self) -> None:
         self._seconds: deque[float] = deque(maxlen=WINDOW)
         self.answered = 0
-        """Frames answered in all."""
+        """Total number of frames answered."""
         self.refused = 0
-        """Frames that could not be answered in all."""
+        """Total number of frames that could not be answered."""
 
     def add(self, seconds: float) -> None:
-        """A frame was answered after so many seconds."""
+        """Record that a frame was answered after a time in s."""
         self._seconds.append(seconds)
         self.answered += 1
 
     def values(self) -> dict[str, str]:
-        """What is told, by name; times of the last `WINDOW` frames in ms."""
+        """Values for the diagnostics, by name; times in ms over the last `WINDOW` frames."""
         values = {"frames answered": str(self.answered), "frames refused": str(self.refused)}
         if self._seconds:
             times = 1e3 * np.array(self._seconds)

@@ -80,7 +80,7 @@ def torch_device(name: str) -> torch.device:
         BackendError: a GPU is asked for and there is none.
     """
     if name == "cuda" and not torch.cuda.is_available():
-        raise BackendError("no GPU that PyTorch can use is here: leave out --device cuda, or install PyTorch for CUDA")
+        raise BackendError("PyTorch finds no usable GPU: leave out --device cuda, or install PyTorch for CUDA")
     return torch.device(name)
 
 

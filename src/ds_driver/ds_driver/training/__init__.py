@@ -1,6 +1,6 @@
 """Training of driving networks (paper 3.2.2).
 
-Public names are imported when they are first used; `__init__.pyi` lists them.
+Public names are imported on first use; `__init__.pyi` lists them.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""The paper's changes to training images (maxitwo): flip, shift, shadow, brightness (without its overflow)."""
+"""Augments training images as in the paper (maxitwo): flip, shift, shadow, brightness (without maxitwo's overflow)."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-LARGEST_SHIFT = (50, 5)
-"""Columns, rows (maxitwo)."""
+MAX_SHIFT = (50, 5)
+"""Largest shift in columns and rows (maxitwo)."""
 STEERING_PER_COLUMN = 0.002
-"""Steering that a shift by a column adds: the lane moves to the right, so one steers right (maxitwo)."""
+"""Steering added per column of shift: the lane moves right, so the car must steer right (maxitwo)."""
 
 
 def augment(image: NDArray[np.uint8], steering: float, rng: np.random.Generator) -> tuple[NDArray[np.uint8], float]:
-    """Change half of the images, each in up to four ways.
+    """Augment an image with probability one half, in up to four ways.
 
     Args:
-        image: (160, 320, 3) uint8 RGB, before the crop.
-        steering: its label in [-1, 1], -1 full left.
-        rng: source of every random choice.
+        image: (160, 320, 3) uint8 RGB, before cropping.
+        steering: label of the image in [-1, 1], -1 full left.
+        rng: source of all random numbers.
 
     Returns:
-        An image of the same shape, and its label in [-1, 1].
+        Image of the same shape, and its label in [-1, 1].
     """
     if rng.random() < 0.5:
         return image, steering
     if rng.random() < 0.5:
         image, steering = np.ascontiguousarray(image[:, ::-1]), -steering
     if rng.random() < 0.5:
-        columns, rows = (int(rng.integers(-limit, limit + 1)) for limit in LARGEST_SHIFT)
+        columns, rows = (int(rng.integers(-limit, limit + 1)) for limit in MAX_SHIFT)
         image = _shifted(image, columns, rows)
         steering = min(max(steering + STEERING_PER_COLUMN * columns, -1.0), 1.0)
     if rng.random() < 0.5:
@@ -39,13 +39,13 @@ def augment(image: NDArray[np.uint8], steering: float, rng: np.random.Generator)
 
 
 def _shifted(image: NDArray[np.uint8], columns: int, rows: int) -> NDArray[np.uint8]:
-    """Move an image right and down; what comes in from outside is black (maxitwo)."""
+    """Shift an image right and down, filling with black (maxitwo)."""
     move = np.array([[1, 0, columns], [0, 1, rows]], np.float32)
     return cv2.warpAffine(image, move, (image.shape[1], image.shape[0]), flags=cv2.INTER_NEAREST)
 
 
 def _shadow(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Darken one side of a random line to 0.2 to 0.5 (maxitwo)."""
+    """Darken one side of a random line to 0.2 to 0.5 of its brightness (maxitwo)."""
     rows, columns = image.shape[:2]
     top, bottom = rng.integers(0, columns, 2)
     side = 0 if rng.random() < 0.5 else columns

@@ -1,10 +1,10 @@
-"""Hybrid training: one network for all simulators, each equally represented (paper 3.2.2, 4.2.2)."""
+"""Hybrid training: one network for all simulators, all equally represented (paper 3.2.2, 4.2.2)."""
 
 from __future__ import annotations
 
 import os
 
-os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages: training on a CPU runs up to twice as fast
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training on a CPU up to twice as fast
 
 import ctypes
 import hashlib
@@ -32,24 +32,24 @@ Report = Callable[[str], None]
 
 
 class TrainingError(ValueError):
-    """A training that cannot be done here."""
+    """Training is not possible with these options on this machine."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingPlan:
-    """How to train.
+    """Settings of a training.
 
     Attributes:
-        network: architecture.
-        seed: of the weights, the split, the order and the augmentation.
-        epochs: at most; `SCHEDULES` has the paper's.
-        patience: epochs without a better validation loss before stopping.
-        batch_size: images (paper 4.2.2: 128).
-        learning_rate: of Adam (paper 4.2.2: 1e-4).
+        network: name of the architecture.
+        seed: seed of weights, split, order and augmentation.
+        epochs: largest number of epochs; `SCHEDULES` has those of the paper.
+        patience: number of epochs without a lower validation loss after which training stops.
+        batch_size: images per batch (paper 4.2.2: 128).
+        learning_rate: learning rate of Adam (paper 4.2.2: 1e-4).
         validation: share of the roads held out (paper 3.2.2: 20 %).
-        images_per_simulator: at most, None for all.
-        threads: of the mathematics.
-        device: `cpu`, `cuda`, or `auto`, which takes a GPU where there is one.
+        images_per_simulator: largest number of images per simulator; None for all.
+        threads: number of threads that PyTorch uses.
+        device: `cpu`, `cuda`, or `auto`, which uses a GPU if there is one.
     """
 
     network: str = "dave2"
@@ -66,7 +66,7 @@ class TrainingPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """How long to train a network; attributes as in `TrainingPlan`."""
+    """Duration of a training; attributes as in `TrainingPlan`."""
 
     epochs: int
     patience: int
@@ -84,12 +84,12 @@ SCHEDULES: dict[str, dict[str, Schedule]] = {
         "epoch": Schedule(epochs=500, patience=20),
     },
 }
-"""Name -> network -> schedule; `paper` (4.2.2, for plain images) wants a GPU, `laptop` is chosen: see the cards."""
+"""Name -> network -> schedule; `paper` (4.2.2, plain images) needs a GPU; `laptop` is chosen, see the model cards."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Epoch:
-    """Mean squared errors of one pass over the data."""
+    """Losses (mean squared errors) of one epoch."""
 
     epoch: int
     training_loss: float
@@ -106,41 +106,47 @@ def train(
     *,
     trusted: Collection[str] = (),
 ) -> list[Epoch]:
-    """Train a network; stopped at any time it goes on after the last whole epoch.
+    """Train a network; an interrupted training resumes after the last complete epoch.
 
     Args:
-        data: folder of a data set.
-        out: folder for `<network>.safetensors` (the best epoch), the checkpoint, and `training.json` at the end.
-        plan: how to train.
-        report: takes a line now and then.
-        crops: rows cut off per simulator; those of `ds_driver.data.crops` if left out.
-        trusted: simulators of the user's own that the data set may name.
+        data: folder of the data set.
+        out: output folder, created if missing, for `<network>.safetensors` (best epoch), the checkpoint, and
+            `training.json` at the end.
+        plan: settings of the training.
+        report: called with lines of progress.
+        crops: crop per simulator; those of `ds_driver.data.crops` if omitted.
+        trusted: simulators outside the project that the data set may name.
+
+    Returns:
+        Losses of all epochs, including those before an interruption.
 
     Raises:
         DatasetError: the data set cannot be used.
-        ds_sim.registry.UnknownSimulatorError: a part of it comes from a simulator that is not known here.
+        ds_sim.registry.UnknownSimulatorError: part of the data set comes from an unknown simulator.
     """
     device = device_of(plan.device)
     _keep_freed_memory()
     torch.set_num_threads(plan.threads)
-    # On a GPU cuDNN may else choose another algorithm, and other bytes, each time.
+    # Otherwise cuDNN may choose another algorithm each time, with results that differ in the last bits.
     torch.backends.cudnn.deterministic = True
     out.mkdir(parents=True, exist_ok=True)
     samples = read_samples(data)
     check_equal(samples)
     training, validation = split(samples, plan)
-    del samples  # those left out need not stay in memory
+    del samples  # frees those that are not used
     crops = crops or crops_of(data, {s.simulator for s in training}, trusted=trusted)
     if len(training) < plan.batch_size:
         raise DatasetError(
-            f"{len(training)} images to train on, expected at least one batch of {plan.batch_size}: collect more"
+            f"{len(training)} images for training, expected at least one batch of {plan.batch_size}: collect more"
         )
     identity = _identity(plan, training + validation, crops)
     torch.manual_seed(plan.seed)
     network = make_network(plan.network).to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.Adam(network.parameters(), lr=plan.learning_rate)
     history = _resume(out / "checkpoint.pt", network, optimizer, identity)
-    report(f"{len(training)} images to train on, {len(validation)} to validate, {len(history)} epochs done before")
+    report(
+        f"{len(training)} images for training, {len(validation)} for validation, {len(history)} epochs completed before"
+    )
     while len(history) < plan.epochs and not _stalled(history, plan.patience):
         number = len(history) + 1
         started = time.monotonic()
@@ -166,7 +172,7 @@ def train(
 
 
 def _keep_freed_memory() -> None:
-    """Tell glibc not to hand memory back between batches: 14 to 35 % more images a second on a CPU."""
+    """Make glibc keep freed memory between batches: 14 to 35 % more images per second on a CPU."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         for option, value in ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, 2**31 - 1), (M_TOP_PAD, 2**28)):
@@ -174,11 +180,11 @@ def _keep_freed_memory() -> None:
 
 
 def schedule_of(name: str, network: str) -> Schedule:
-    """The schedule of a name for a network.
+    """Look up a schedule by name for a network.
 
     Raises:
-        TrainingError: there is no such schedule.
-        ds_driver.networks.architectures.UnknownNetworkError: there is no such network.
+        TrainingError: the schedule does not exist.
+        ds_driver.networks.architectures.UnknownNetworkError: the network does not exist.
     """
     if name not in SCHEDULES:
         raise TrainingError(f"unknown schedule {name!r}: expected {' or '.join(SCHEDULES)}")
@@ -188,20 +194,20 @@ def schedule_of(name: str, network: str) -> Schedule:
 
 
 def device_of(name: str) -> torch.device:
-    """The device of a name.
+    """Choose the device for `auto`, `cpu` or `cuda`.
 
     Raises:
-        TrainingError: a GPU is asked for and there is none, or the name is no device's.
+        TrainingError: the name is unknown, or a GPU is requested and there is none.
     """
     if name not in ("auto", "cpu", "cuda"):
         raise TrainingError(f"unknown device {name!r}: expected auto, cpu or cuda")
     if name == "cuda" and not torch.cuda.is_available():
-        raise TrainingError("no GPU that PyTorch can use is here: leave out --device cuda, or install PyTorch for CUDA")
+        raise TrainingError("PyTorch finds no usable GPU: leave out --device cuda, or install PyTorch for CUDA")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
 def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list[Sample]]:
-    """Training and validation samples: equal shares of every simulator, and no road in both."""
+    """Split samples into training and validation: equal numbers of every simulator, and no road in both."""
     rng = np.random.default_rng(plan.seed)
     roads = sorted({sample.road_id for sample in samples})
     held_out = set(rng.permutation(roads)[: max(1, round(plan.validation * len(roads)))].tolist())
@@ -213,7 +219,7 @@ def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list
         part = [sample for sample in samples if (sample.road_id in held_out) is held]
         absent = {s.simulator for s in samples} - {s.simulator for s in part}
         if absent:
-            raise DatasetError(f"{', '.join(sorted(absent))} has too few roads for a split: collect more roads on it")
+            raise DatasetError(f"{', '.join(sorted(absent))} has too few roads for a split: collect more roads there")
         share = plan.validation if held else 1.0 - plan.validation
         parts.append(balance(part, rng, limit=round(limit * share) if limit else None))
     return parts[0], parts[1]
@@ -235,7 +241,7 @@ def _train_epoch(
     batches = [order[i : i + plan.batch_size] for i in range(0, len(order) - plan.batch_size + 1, plan.batch_size)]
     losses = []
     started = time.monotonic()
-    for index, (images, labels) in enumerate(_loaded(samples, batches, crops, (plan.seed, number)), start=1):
+    for index, (images, labels) in enumerate(_load_batches(samples, batches, crops, (plan.seed, number)), start=1):
         optimizer.zero_grad(set_to_none=True)
         with torch.autocast(device.type, dtype=torch.bfloat16):
             predicted = network(images.to(device, torch.bfloat16))
@@ -255,17 +261,17 @@ def _validate(network: nn.Module, samples: list[Sample], crops: dict[str, Crop],
     device = next(network.parameters()).device
     batches = [np.arange(i, min(i + plan.batch_size, len(samples))) for i in range(0, len(samples), plan.batch_size)]
     total = 0.0
-    for images, labels in _loaded(samples, batches, crops, None):
+    for images, labels in _load_batches(samples, batches, crops, None):
         with torch.autocast(device.type, dtype=torch.bfloat16):
             predicted = network(images.to(device, torch.bfloat16))
         total += float(nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device), reduction="sum"))
     return total / len(samples)
 
 
-def _loaded(
+def _load_batches(
     samples: list[Sample], batches: list[np.ndarray], crops: dict[str, Crop], seed: tuple[int, int] | None
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """Batches of images and labels, the next one decoded while one is in use; augmented if there is a seed."""
+    """Batches of images and labels; decodes the next one while one is in use, and augments them if there is a seed."""
 
     def load(index: int) -> tuple[Tensor, Tensor]:
         rng = np.random.default_rng([*seed, index]) if seed else None
@@ -312,17 +318,17 @@ def _save(
 def _resume(
     path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, identity: dict[str, object]
 ) -> list[Epoch]:
-    """Take up a checkpoint of the same plan; read as plain tensors, never as code."""
+    """Resume from a checkpoint of the same plan, loaded as plain tensors, never as code."""
     if not path.exists():
         return []
     try:
         state = torch.load(path, weights_only=True)
-        known = state["identity"]
-    except Exception as error:  # torch raises whatever its reader stumbles over
+        recorded = state["identity"]
+    except Exception as error:  # torch.load may raise anything on a damaged file
         raise DatasetError(f"{path} cannot be read ({type(error).__name__}): delete it and train again") from None
-    if known != identity:
+    if recorded != identity:
         raise DatasetError(
-            f"{path.parent} holds a training with another plan or other data: choose another folder or delete it"
+            f"{path.parent} contains a training with another plan or other data: choose another folder or delete it"
         )
     network.load_state_dict(state["network"])
     optimizer.load_state_dict(state["optimizer"])
@@ -330,11 +336,11 @@ def _resume(
 
 
 def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop]) -> dict[str, object]:
-    """What must be equal for a training to go on; more epochs or threads are welcome."""
+    """What must match for a training to be resumed; the number of epochs, patience, threads and device may change."""
     digest = hashlib.sha256()
     for sample in samples:
         digest.update(f"{sample.simulator} {sample.road_id} {sample.steering} {len(sample.jpeg)} ".encode())
     for simulator, crop in sorted(crops.items()):
         digest.update(f"{simulator} {crop.top} {crop.bottom} ".encode())
-    fixed = {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience", "device")}
-    return {**fixed, "data": digest.hexdigest()}
+    settings = {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience", "device")}
+    return {**settings, "data": digest.hexdigest()}
