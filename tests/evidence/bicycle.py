@@ -1,4 +1,4 @@
-"""The linear single-track model of the textbooks, integrated by SciPy: an oracle that shares no code with a vehicle.
+"""Linear single-track model integrated by SciPy: an oracle that shares no code with the vehicles.
 
 Pacejka, Tire and Vehicle Dynamics, ch. 1.3 (two axles, small angles, constant speed) with the tyres of ch. 7 (slip
 that builds up over the relaxation length). Left positive throughout, SI units.
@@ -22,11 +22,11 @@ class Axle:
     """Both tyres of an axle.
 
     Attributes:
-        distance: from the centre of mass, m.
+        distance: distance from the centre of mass, m.
         stiffness: lateral force over slip angle, N/rad; infinite for a tyre that does not slip.
         relaxation: length over which slip builds up, m.
         damping: time constant of the carcass, s.
-        compliance: by how much a lateral force turns the wheels with it (towards more force positive), rad/N.
+        compliance: angle by which a lateral force turns the wheels, positive towards more force, rad/N.
     """
 
     distance: float
@@ -38,16 +38,16 @@ class Axle:
 
 @dataclass(frozen=True, kw_only=True)
 class SingleTrack:
-    """A car as two axles.
+    """Car as two axles.
 
     Attributes:
         mass: kg.
         yaw_inertia: kg m^2.
-        front: axle.
-        rear: axle.
-        turning_resistance: moment against the bend per lateral acceleration, kg m: the outer wheels carry more load,
-            and so more rolling resistance: its coefficient times the moment that goes over to them.
-        scale: road metres per metre of these numbers.
+        front: front axle.
+        rear: rear axle.
+        turning_resistance: yaw moment against the bend per lateral acceleration, kg m; it arises because the outer
+            wheels carry more load and therefore have more rolling resistance.
+        scale: road metres per metre of the model.
     """
 
     mass: float
@@ -59,19 +59,19 @@ class SingleTrack:
 
     @property
     def wheelbase(self) -> float:
-        """m, of the model."""
+        """Wheelbase in metres of the model."""
         return self.front.distance + self.rear.distance
 
     @property
     def slips(self) -> bool:
-        """Whether the tyres do."""
+        """True if the tyres slip."""
         return math.isfinite(self.front.stiffness)
 
     @property
     def understeer_gradient(self) -> float:
-        """Steering angle per lateral acceleration, rad s^2/m (in the model's metres): W_f / C_f - W_r / C_r.
+        """Steering angle per lateral acceleration, rad s^2/m (metres of the model): W_f / C_f - W_r / C_r.
 
-        W is the share of the mass that an axle has to turn, with what it needs against the turning resistance.
+        W is the share of the mass that an axle must accelerate sideways, including its share of the turning resistance.
         """
         if not self.slips:
             return 0.0
@@ -83,13 +83,13 @@ class SingleTrack:
         )
 
     def steady_yaw_rate(self, speed: float, steering: float) -> float:
-        """rad/s at a speed (m/s of the model) and a steering angle (rad): Gillespie ch. 6."""
+        """Steady yaw rate, rad/s, at a speed (m/s of the model) and a steering angle (rad): Gillespie ch. 6."""
         return speed * steering / (self.wheelbase + self.understeer_gradient * speed**2)
 
     def yaw_rate(
         self, speed: float, steering: Callable[[float], float], times: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """(n,) rad/s at the times (s), from straight ahead at time 0, under a steering angle over time (rad)."""
+        """Yaw rate at the times, (n,) rad/s, from straight ahead at time 0 s, for a steering angle over time (rad)."""
         if not self.slips:
             return np.array([speed * math.tan(steering(t)) / self.wheelbase for t in times])
         front, rear = self.front, self.rear
@@ -99,7 +99,7 @@ class SingleTrack:
 
         def slopes(time: float, s: NDArray[np.float64]) -> list[float]:
             v, r, slip_front, slip_rear, force_front, force_rear = s
-            # The wheels follow the compliance at once; the algebraic loop is closed by a lag of 1 ms.
+            # The wheels follow the compliance instantly; a lag of 1 ms breaks the algebraic loop.
             turned_front = steering(time) + front.compliance * force_front
             turned_rear = rear.compliance * force_rear
             rate_front = (v + front.distance * r - speed * turned_front - speed * slip_front) / front.relaxation

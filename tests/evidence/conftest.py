@@ -1,4 +1,4 @@
-"""Every comparison with an oracle is noted: `python -m benchmarks.evidence` prints the tables of docs/simulators.md."""
+"""Records every comparison with an oracle, which `python -m benchmarks.evidence` prints as tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Compare = Callable[..., None]
 
 @pytest.fixture
 def compare(record_property: Callable[[str, object], None]) -> Compare:
-    """Asserts that a measured value is an oracle's within a tolerance, and notes both as a property of the test."""
+    """Function that asserts that a measured value equals an oracle's within a tolerance, and records both."""
 
     def check(
         vehicle: str,

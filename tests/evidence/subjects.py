@@ -1,7 +1,7 @@
-"""The three vehicles as the tests of evidence see them: a car to drive, and what the textbook makes of its constants.
+"""The three vehicles under test: a car to drive, and the textbook model with its constants.
 
-Where a mechanism is not part of the textbook's model (Ackermann's toe, the servo's play and delay), the car is made
-without it; each has a test of its own beside the vehicle.
+Mechanisms outside the textbook model (Ackermann toe, play and delay of the servo) are switched off; the tests of each
+vehicle cover them.
 """
 
 from __future__ import annotations
@@ -28,21 +28,22 @@ B, S, D = BulletParameters(), SoftbodyParameters(), DonkeyParameters()
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """One vehicle under test; lengths in road metres unless a name says otherwise.
+    """One vehicle under test; lengths in road metres unless stated otherwise ("model" is the vehicle's own scale).
 
     Attributes:
-        make: the car for tests of handling.
-        model: what the textbook makes of it.
+        name: name of the simulator.
+        make: makes the car for the handling tests.
+        model: textbook model of the car.
         lock: steering angle at full lock, rad.
-        steering_rate: rad/s; infinite for at once.
-        steering_delay: s from a command to the first angle that the tyres feel.
-        mass: that is to be slowed, kg (rotating parts included), in the vehicle's own scale.
-        coasting_force: constant part without throttle, N.
-        regeneration: part without throttle that grows with speed up to `fade_speed`, N.
-        fade_speed: own m/s.
-        coasting_delay: s that the car drives on as before after the throttle is lifted, at 7 road m/s.
-        pitch_per_deceleration: rad per own m/s^2.
-        fast: road m/s at which the understeer shows.
+        steering_rate: rad/s; infinite if instantaneous.
+        steering_delay: time from a command to the first change of the angle at the tyres, s.
+        mass: effective mass including rotating parts, model scale, kg.
+        coasting_force: constant part of the braking force without throttle, N.
+        regeneration: part of the braking force without throttle that grows with speed up to `fade_speed`, N.
+        fade_speed: model m/s.
+        coasting_delay: time for which the car continues to be driven after the throttle is lifted at 7 road m/s, s.
+        pitch_per_deceleration: rad per model m/s^2.
+        fast: speed at which understeer is measurable, road m/s.
     """
 
     name: str
@@ -61,25 +62,25 @@ class Subject:
 
     @property
     def scale(self) -> float:
-        """Road metres per metre of this vehicle."""
+        """Road metres per model metre."""
         return self.model.scale
 
     def steered(self, angle: float) -> Callable[[float], float]:
-        """The front wheels' angle over time (s) after a step to an angle, rad."""
+        """Angle of the front wheels (rad) over time (s) after a step to an angle."""
 
         def at(time: float) -> float:
-            since = time - self.steering_delay
-            return min(angle, self.steering_rate * since) if since > 0.0 else 0.0
+            elapsed = time - self.steering_delay
+            return min(angle, self.steering_rate * elapsed) if elapsed > 0.0 else 0.0
 
         return at
 
 
 def bullet() -> Subject:
-    """Tyres that do not slip: the single track is the kinematic one."""
+    """Rigid car: its tyres do not slip, so the single-track model is the kinematic one."""
     ahead = B.wheelbase * (1.0 - B.front_share)
     spinning = (4 * B.wheel_spin_inertia + 2 * B.rotor_inertia) / B.wheel_radius
     front, rear = ahead, B.wheelbase - ahead
-    # Springs about the body's centre of mass, which lies a little off the car's.
+    # The body's centre of mass, about which the springs act, is slightly off that of the car.
     front_arm, rear_arm = B.wheelbase / 2 - B.body_forward, B.wheelbase / 2 + B.body_forward
     pitch = 2 * (B.spring_stiffness(front=True) * front_arm**2 + B.spring_stiffness(front=False) * rear_arm**2)
     lever = B.sprung_mass * B.centre_of_mass_height
@@ -89,7 +90,7 @@ def bullet() -> Subject:
         model=SingleTrack(mass=B.mass, yaw_inertia=1.0, front=Axle(distance=front), rear=Axle(distance=rear)),
         lock=B.max_steering_angle,
         steering_rate=B.steering_rate,
-        # A substep's contacts are solved where the knuckles stood before it.
+        # The contacts of a substep are solved with the knuckles where they were before it.
         steering_delay=FRAME_TIME / B.substeps,
         mass=B.mass + spinning / B.wheel_radius,
         coasting_force=B.rolling_resistance * B.mass * GRAVITY,
@@ -101,19 +102,19 @@ def bullet() -> Subject:
 
 
 def softbody() -> Subject:
-    """Parallel steering; the arms' bushes turn the wheels, as the compliance of each axle."""
+    """Soft car with parallel steering; the bushes of the arms give each axle a steering compliance."""
     p = replace(S, ackermann=0.0)
     reach = p.track / 2.0 - p.rail_half_width
-    # Of the two beams of one arm, sideways at the wheel.
+    # Lateral stiffness of the two beams of one arm at the wheel.
     sideways = 2.0 * p.arm_stiffness * reach**2 / (reach**2 + p.bush_spacing**2)
-    # The arms turn the body only: a wheel's own mass is turned by its tyre.
+    # The arms accelerate the body only: the mass of a wheel is accelerated by its tyre.
     carried = 0.5 * p.sprung_mass / p.mass / sideways
     half = p.mass * GRAVITY / 2.0
     lever = p.sprung_mass * p.centre_of_mass_height
     pitch = p.sprung_mass * (math.tau * p.ride_frequency * p.wheelbase / 2.0) ** 2
 
     def axle(stiffness: float, toe: float) -> Axle:
-        # The arms are springs behind the tyre's: what they give builds the slip up over a longer way.
+        # The arms are springs in series with the tyre: their flex lengthens the distance over which slip builds up.
         relaxation = p.lateral_relaxation + 0.5 * stiffness / sideways
         return Axle(distance=p.wheelbase / 2.0, stiffness=stiffness, relaxation=relaxation,
                     damping=p.carcass_damping, compliance=toe)  # fmt: skip
@@ -126,7 +127,7 @@ def softbody() -> Subject:
             yaw_inertia=p.yaw_inertia,
             front=axle(p.front_cornering_stiffness * half, -carried / p.front_arm),
             rear=axle(p.rear_cornering_stiffness * half, carried / p.rear_arm),
-            # The leaning body's weight goes over to the outer wheels too.
+            # The weight of the leaning body also loads the outer wheels.
             turning_resistance=p.rolling_resistance
             * (
                 p.mass * p.centre_of_mass_height
@@ -146,13 +147,13 @@ def softbody() -> Subject:
 
 
 def donkey() -> Subject:
-    """Parallel steering, a servo that is at once where it is told to be; model metres inside."""
+    """Twin with parallel steering and an instantaneous servo; the model is in model metres."""
     p = D.changed(ackermann=0.0, servo_backlash=0.0, servo_lag=1e-6, servo_rate=1e6, command_delay=0.0)
     half = p.mass * GRAVITY / 2.0
     axle = {"distance": p.wheelbase / 2.0, "relaxation": p.relaxation_length, "damping": p.carcass_damping}
     lever = p.mass * p.centre_of_mass_height
     roll = p.roll_inertia * (math.tau * p.roll_frequency) ** 2
-    # Lifted at 7 road m/s, the decaying voltage still drives until it meets the motor's back-EMF: by half, on average.
+    # After lifting at 7 road m/s the decaying voltage drives until it equals the back-EMF, at half force on average.
     constant, share = p.rolling_resistance * p.mass * GRAVITY, 7.0 / SCALE / p.free_speed
     after = p.motor_lag * math.log1p(constant / p.stall_force / share)
     return Subject(
@@ -184,7 +185,7 @@ SUBJECTS = {"bullet": bullet, "softbody": softbody, "donkey": donkey}
 
 
 def drive(vehicle: Vehicle, frames: int, steering: float, throttle: float) -> list[VehicleState]:
-    """States at the ends of so many frames under one command."""
+    """Drive some steps under one command and return the state after each."""
     states = []
     for _ in range(frames):
         vehicle.advance(Command(steering, throttle))
@@ -193,14 +194,14 @@ def drive(vehicle: Vehicle, frames: int, steering: float, throttle: float) -> li
 
 
 def started(subject: Subject) -> Vehicle:
-    """The car at rest in the origin."""
+    """Make the car, at rest at the origin."""
     vehicle = subject.make()
     vehicle.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
     return vehicle
 
 
 def settled(vehicle: Vehicle, speed: float, *, frames: int = 240) -> float:
-    """Bring a car to a speed (road m/s) straight ahead and find the throttle that keeps it there."""
+    """Drive straight until the car keeps a speed (road m/s); returns the throttle for it."""
     total = 0.0
     throttle = 0.0
     for _ in range(frames):
@@ -213,5 +214,5 @@ def settled(vehicle: Vehicle, speed: float, *, frames: int = 240) -> float:
 
 
 def times(frames: int) -> NDArray[np.float64]:
-    """Of the frames after a change of command, s, the moment itself included."""
+    """Times of the frames after a change of command, including the change itself, s."""
     return np.arange(frames + 1, dtype=np.float64) * np.float64(FRAME_TIME)

@@ -1,6 +1,6 @@
-"""The substep decides nothing: halving it moves the fitness by less than 2 cm on roads that the autopilot drives.
+"""Tests that results do not depend on the substep: halving it changes the autopilot's fitness by less than 2 cm.
 
-Twenty roads and more are driven by `python -m benchmarks.convergence`; docs/simulators.md has its table.
+`python -m benchmarks.convergence` drives more roads; its table is in docs/simulators.md.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ds_sim.simulator import Outcome
 
 
 @pytest.mark.parametrize("name", sorted(cars()))
-def test_halving_the_substep_moves_the_fitness_by_less_than_two_centimetres(name: str) -> None:
+def test_halving_the_substep_changes_the_fitness_by_less_than_two_centimetres(name: str) -> None:
     shifts, _ = fitness_shift(cars()[name], random_roads(3), 2)
     assert 0.0 < max(shifts) < 0.02
 

@@ -1,4 +1,4 @@
-"""The same evidence for every vehicle, each against the textbook's equations with that vehicle's own constants."""
+"""Compares the handling of every vehicle with textbook equations for its own constants."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def subject(request: pytest.FixtureRequest) -> Subject:
 
 
 STEPS = {
-    # Name of the vehicle, speed in road m/s, steering. Steps that keep the tyres in their linear range (below 0.2 g),
-    # and keep the speed; the twin's is a whole number of pulse counts.
+    # Name of the vehicle, speed in road m/s, steering. These steps keep the tyres in their linear range (below 0.2 g)
+    # and hardly change the speed; that of the twin is a whole number of pulse counts.
     "bullet_at_25_kmh": ("bullet", 7.0, -0.1),
     "softbody_at_25_kmh": ("softbody", 7.0, -0.05),
     "softbody_at_72_kmh": ("softbody", 20.0, -0.03),
@@ -29,22 +29,22 @@ STEPS = {
 
 
 @pytest.mark.parametrize("case", STEPS)
-def test_a_step_of_the_steering_is_answered_as_the_single_track_says(case: str, compare: Compare) -> None:
-    """Yaw rate over time against SciPy: the whole curve, its rise time and its overshoot."""
+def test_the_response_to_a_steering_step_is_that_of_the_single_track_model(case: str, compare: Compare) -> None:
+    """Compares the yaw rate over time with SciPy: whole curve, rise time and overshoot."""
     name, speed, steering = STEPS[case]
     subject = SUBJECTS[name]()
     car = started(subject)
     throttle = settled(car, speed)
     before = car.state().speed
-    # From a frame's end to the next the rate is smooth; 40 frames are 2 s.
+    # The rate is smooth between frames; 40 frames are 2 s.
     measured = np.array([0.0, *(s.yaw_rate for s in drive(car, 40, steering, throttle))])
     angle = -steering * subject.lock
     car.close()
 
     oracle = subject.model.yaw_rate(before / subject.scale, subject.steered(angle), times(40))
     at, by = f"step at {3.6 * speed:.0f} km/h: ", "SciPy, single track"
-    # Measured: 0.15 % for the tyres that do not slip; 1.5 to 2.6 % for those that do, more the harder it is steered:
-    # they soften as slip grows, the oracle's do not.
+    # Measured: 0.15 % for tyres that do not slip; 1.5 to 2.6 % for those that do, increasing with steering, because
+    # they soften with growing slip and those of the oracle do not.
     band = 0.04 if subject.model.slips else 0.005
     worst = int(np.abs(measured - oracle).argmax())
     compare(name, at + "yaw rate where it is furthest off, rad/s", by,
@@ -79,8 +79,8 @@ def test_a_steady_circle_has_the_radius_that_steering_and_speed_give(
             measured=-last.speed / last.yaw_rate, expected=radius * subject.scale, rel=0.02)  # fmt: skip
 
 
-def test_the_understeer_gradient_is_that_of_the_axles(subject: Subject, compare: Compare) -> None:
-    """What a faster circle takes from the steering angle, per lateral acceleration, in degrees per g."""
+def test_the_understeer_gradient_follows_from_the_axles(subject: Subject, compare: Compare) -> None:
+    """Steering angle lost on a faster circle per lateral acceleration, in degrees per g."""
     points = []
     car = started(subject)
     for speed in (3.0, subject.fast):
@@ -97,10 +97,8 @@ def test_the_understeer_gradient_is_that_of_the_axles(subject: Subject, compare:
             **({"rel": 0.05} if subject.model.slips else {"off": 0.05}))  # fmt: skip
 
 
-def test_lifting_the_throttle_stops_it_within_the_distance_that_its_forces_give(
-    subject: Subject, compare: Compare
-) -> None:
-    """The only brake there is (throttle goes from 0 up): m dv/dt = -c - k min(v, v_f), solved by hand.
+def test_coasting_to_a_stop_takes_the_distance_that_follows_from_the_forces(subject: Subject, compare: Compare) -> None:
+    """Coasting is the only way to brake: m dv/dt = -c - k min(v, v_f), solved by hand.
 
     Above the fade speed (v^2 - v_f^2) m / 2 / (c + k v_f); below it m/k (v - c/k ln(1 + k v / c)).
     """
@@ -115,15 +113,15 @@ def test_lifting_the_throttle_stops_it_within_the_distance_that_its_forces_give(
     slow = min(speed, subject.fade_speed)
     distance = mass / slope * (slow - constant / slope * math.log1p(slope * slow / constant))
     distance += 0.5 * mass * (speed**2 - slow**2) / (constant + subject.regeneration)
-    # Until the motor has followed the pedal it drives on as before: a time constant's worth of the speed.
+    # Until the motor has followed the pedal it continues to drive: adds the speed times the delay.
     distance += speed * subject.coasting_delay
     assert abs(states[-1].speed) < 1e-3
     compare(subject.name, "stopping distance from 25 km/h, road m", "m dv/dt = -c - k v, by hand",
             measured=states[-1].x - first.x, expected=distance * subject.scale, rel=0.02)  # fmt: skip
 
 
-def test_the_nose_dips_by_what_the_springs_give_under_the_deceleration(subject: Subject, compare: Compare) -> None:
-    """Pitch = (moment of the masses' inertia) / (springs' stiffness less the leaning weight), in steady slowing."""
+def test_the_nose_dips_in_proportion_to_the_deceleration(subject: Subject, compare: Compare) -> None:
+    """Steady pitch = moment of inertial forces / (stiffness of springs minus effect of the leaning weight)."""
     car = started(subject)
     settled(car, 7.0)
     states = drive(car, 30, 0.0, 0.0)
@@ -138,8 +136,8 @@ def test_the_nose_dips_by_what_the_springs_give_under_the_deceleration(subject: 
             measured=math.degrees(pitch[steady].mean()), expected=math.degrees(expected), rel=0.05)  # fmt: skip
 
 
-def test_turned_by_a_right_angle_it_drives_the_same(subject: Subject) -> None:
-    """The plane has no preferred direction; and left is the mirror of right."""
+def test_driving_does_not_depend_on_the_heading(subject: Subject) -> None:
+    """The plane has no preferred direction, and left mirrors right."""
     ends = []
     for yaw, side in ((0.0, 1.0), (math.pi / 2, 1.0), (0.0, -1.0)):
         car = subject.make()

@@ -1,4 +1,4 @@
-"""Tyres that slip along and across at once, and where the whole car loses its grip; oracles worked out by hand."""
+"""Compares combined slip of tyres and the grip limit of whole cars with oracles worked out by hand."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from ds_twin_donkey.vehicle import DonkeyVehicle
 B, S, D = BulletParameters(), SoftbodyParameters(), DonkeyParameters()
 
 RAMP = 300
-"""Frames in which the steering goes to its end: slow enough that the car does not overshoot."""
+"""Steps over which the steering is turned to its end; slow enough that the car does not overshoot."""
 SLIPS = [(along, across) for along in (-0.3, -0.05, 0.0, 0.02, 0.1, 1.0) for across in (-0.4, -0.06, 0.0, 0.02, 0.15)]
 
 
 def brush(along: float, across: float, load: float, rated: float) -> tuple[float, float]:
-    """Pacejka ch. 3: along the slip, mu N (1 - (1 - s)^3), s the elastic force over 3 mu N; full sliding at s = 1."""
+    """Brush model (Pacejka ch. 3): force mu N (1 - (1 - s)^3) along the slip, s = elastic force / (3 mu N), up to 1."""
     grip = load * S.friction * (1.0 - S.load_sensitivity * (load / rated - 1.0))
     elastic = np.array([S.slip_stiffness * along, S.front_cornering_stiffness * across]) * load
     size = float(np.hypot(*elastic))
@@ -43,13 +43,13 @@ def brush(along: float, across: float, load: float, rated: float) -> tuple[float
 
 
 def softbody_tyre(along: float, across: float, load: float, rated: float) -> tuple[float, float]:
-    """Forces (N) of the soft car's wheel after 2 s at one slip, a share of the tread's speed."""
+    """Forces (N) on the soft car's wheel after 2 s at constant slip, relative to the speed of the tread."""
     tread, dt = 10.0, 0.001
     plan = WheelPlan(
         corner=CornerNodes(0, 1, 2), static_load=rated, cornering_stiffness=S.front_cornering_stiffness,
         toe_per_shift=0.0, spin_inertia=1.0,
     )  # fmt: skip
-    # x, y, and velocities of the wheel and of its two bushes: the wheel slides to the right for a force to the left.
+    # Positions and velocities of the wheel and its two bushes: sliding to the right causes a force to the left.
     nodes = [0.0, 0.0, tread * (1.0 - along), -tread * across, 0.2, 0.0, 0.0, 0.0, -0.2, 0.0, 0.0, 0.0]
     wheel = Wheel(S, plan, nodes, dt=dt)
     wheel.carry(load)
@@ -61,7 +61,7 @@ def softbody_tyre(along: float, across: float, load: float, rated: float) -> tup
 
 
 @pytest.mark.parametrize("load", [1500.0, 3700.0, 6000.0])
-def test_the_soft_cars_tyre_is_the_brush_within_its_friction_circle(load: float, compare: Compare) -> None:
+def test_the_soft_cars_tyre_is_a_brush_model_within_its_friction_circle(load: float, compare: Compare) -> None:
     grip = load * S.friction * (1.0 - S.load_sensitivity * (load / 3700.0 - 1.0))
     for along, across in SLIPS:
         force, expected = softbody_tyre(along, across, load, 3700.0), brush(along, across, load, 3700.0)
@@ -70,7 +70,7 @@ def test_the_soft_cars_tyre_is_the_brush_within_its_friction_circle(load: float,
         if math.hypot(*expected) < grip * (1.0 - 1e-9):
             assert force == pytest.approx(expected, rel=1e-3, abs=1e-3 * load)
         else:
-            # Sliding as a whole it leans towards the stiffer direction of its carcass, but never pushes.
+            # In full sliding the force leans towards the stiffer direction of the carcass, but still opposes the slip.
             assert force[0] * along + force[1] * across > 0.0
     alone, driven = (softbody_tyre(along, 0.06, load, 3700.0)[1] for along in (0.0, 0.1))
     by_hand = brush(0.1, 0.06, load, 3700.0)[1] / brush(0.0, 0.06, load, 3700.0)[1]
@@ -80,13 +80,13 @@ def test_the_soft_cars_tyre_is_the_brush_within_its_friction_circle(load: float,
 
 
 @pytest.mark.parametrize("load", [1.0, 3.43, 6.0])
-def test_the_twins_tyre_stays_on_its_friction_circle(load: float, compare: Compare) -> None:
-    """Side force = sqrt(1 - (drive / mu N)^2) of what it is without drive; never more than mu N in all."""
+def test_the_twins_tyre_stays_within_its_friction_circle(load: float, compare: Compare) -> None:
+    """The side force is sqrt(1 - (drive / mu N)^2) times that without drive; the total never exceeds mu N."""
     model, rated, speed = CarModel(D), 3.43, 0.5
     grip = load * D.friction * (1.0 - D.load_sensitivity * (load / rated - 1.0))
 
     def tyre(drive: float, slip: float) -> tuple[float, float]:
-        # In steady rolling the slip has built up: across = speed x slip.
+        # In steady rolling the slip is fully built up: across = speed x slip.
         along, across, rate = model._tyre(speed, speed * slip, slip, load, rated, D.front_stiffness, drive)
         assert rate == pytest.approx(0.0, abs=1e-9)
         return along, across
@@ -99,18 +99,18 @@ def test_the_twins_tyre_stays_on_its_friction_circle(load: float, compare: Compa
             assert along == pytest.approx(min(max(share, -1.0), 1.0) * grip, rel=1e-6, abs=1e-9)
             assert math.hypot(along, across) <= grip * (1.0 + 1e-9)
             magic = math.sin(D.shape * math.atan(D.front_stiffness * load / (D.shape * grip) * slip))
-            left = math.sqrt(1.0 - min(abs(share), 1.0) ** 2)
-            assert across == pytest.approx(-magic * left * grip, rel=1e-3, abs=1e-6)
+            remaining = math.sqrt(1.0 - min(abs(share), 1.0) ** 2)
+            assert across == pytest.approx(-magic * remaining * grip, rel=1e-3, abs=1e-6)
     compare("donkey", f"remaining side force with 0.9 of the grip as drive force, {load:g} N", "friction circle",
             measured=tyre(0.9 * grip + rolling, 0.1)[1] / tyre(rolling, 0.1)[1],
             expected=math.sqrt(1.0 - 0.9**2), rel=0.01)  # fmt: skip
 
 
 def sliding(vehicle: Vehicle, speed: float, largest: float) -> tuple[float, float]:
-    """Turn the steering slowly to a share of its lock and find where the car holds the bend hardest.
+    """Turn the steering slowly to a share of its lock and find the largest lateral acceleration.
 
     Returns:
-        Lateral acceleration (m/s^2, of the road), the mean of half a second, and the front wheels' angle then (rad).
+        Lateral acceleration (road m/s^2, mean over half a second), and angle of the front wheels at that time (rad).
     """
     vehicle.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
     throttle = settled(vehicle, speed)
@@ -129,32 +129,32 @@ def sliding(vehicle: Vehicle, speed: float, largest: float) -> tuple[float, floa
 def grip_limit(
     friction: float, outer: float, inner: float, *, sensitivity: float, share: float, lever: float, length: float
 ) -> float:
-    """In g, by hand: both front wheels slide; the rear ones hold what balances them.
+    """Largest lateral acceleration in g, by hand: both front wheels slide, and the rear ones balance them.
 
     Args:
-        friction: of the tyres.
+        friction: friction coefficient of the tyres.
         outer: angle of the outer front wheel, rad.
-        inner: angle of the inner one.
-        sensitivity: relative loss of friction per relative gain of load.
-        share: the front's of the moment that goes over to the outer wheels, over its share of the weight.
+        inner: angle of the inner front wheel, rad.
+        sensitivity: relative loss of friction per relative increase of load.
+        share: the front axle's share of the lateral load transfer over its share of the weight.
         lever: height of the centre of mass over the track.
         length: wheelbase over the track.
     """
 
     def excess(a: float) -> float:
-        # Gained by the outer wheel and lost by the inner one, as a share of their load.
-        over = 2.0 * share * a * lever
-        on_outer = (1.0 + over) * (1.0 - sensitivity * over)
-        on_inner = (1.0 - over) * (1.0 + sensitivity * over)
+        # Load transferred from the inner to the outer wheel, as a share of their load.
+        transfer = 2.0 * share * a * lever
+        on_outer = (1.0 + transfer) * (1.0 - sensitivity * transfer)
+        on_inner = (1.0 - transfer) * (1.0 + sensitivity * transfer)
         hold = 0.5 * (on_outer * math.cos(outer) + on_inner * math.cos(inner))
-        # The outer wheel, which carries more, also drags more: a moment against the bend.
+        # The outer wheel, which carries more load, also has more drag: a moment against the bend.
         drag = 0.25 * (on_outer * math.sin(outer) - on_inner * math.sin(inner)) / length
         return a - friction * (hold - drag)
 
     return float(brentq(excess, 0.0, 3.0))
 
 
-def test_the_soft_car_slides_where_its_tyres_friction_ends(compare: Compare) -> None:
+def test_the_soft_car_slides_at_the_limit_of_friction(compare: Compare) -> None:
     parallel = replace(S, ackermann=0.0)
     lateral, angle = sliding(SoftbodyVehicle(parallel), 15.0, 0.6)
     limit = grip_limit(S.friction, angle, angle, sensitivity=S.load_sensitivity, share=2.0 * S.roll_front_share,
@@ -163,8 +163,8 @@ def test_the_soft_car_slides_where_its_tyres_friction_ends(compare: Compare) -> 
             measured=lateral / GRAVITY, expected=limit, rel=0.05)  # fmt: skip
 
 
-def test_the_twin_slides_where_its_tyres_friction_ends(compare: Compare) -> None:
-    """Only a faster car than ours gets there; stiff tyres and a strong motor do it at small angles and one speed."""
+def test_the_twin_slides_at_the_limit_of_friction(compare: Compare) -> None:
+    """The nominal car is too slow to slide; with stiff tyres and a strong motor it does at small angles."""
     car = D.changed(full_duty=0.9, stall_force=100.0, drive_front_share=0.0, front_stiffness=15.0,
                     rear_stiffness=17.0, ackermann=0.0)  # fmt: skip
     lateral, angle = sliding(DonkeyVehicle(car), 3.5 * SCALE, 1.0)
@@ -174,9 +174,8 @@ def test_the_twin_slides_where_its_tyres_friction_ends(compare: Compare) -> None
             measured=lateral / SCALE / GRAVITY, expected=limit, rel=0.05)  # fmt: skip
 
 
-def test_the_rigid_car_slides_near_coulombs_limit(compare: Compare) -> None:
-    """Measured 6 % above the hand's value: where a tyre slides, the engine chooses its force's direction (see
-    `BulletVehicle`); below mu g in any case."""
+def test_the_rigid_car_slides_near_the_coulomb_limit(compare: Compare) -> None:
+    """Measured 6 % above the value by hand, due to the engine's friction (see `BulletVehicle`), but below mu g."""
     lateral, angle = sliding(BulletVehicle(B), 8.0, 1.0)
     inner, outer = B.wheel_angles(angle)
     bars = {True: B.front_anti_roll, False: B.rear_anti_roll}
