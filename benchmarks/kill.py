@@ -1,16 +1,16 @@
-"""Nothing lost: kills a campaign's processes at seeded moments, goes on, and compares with the undisturbed campaign.
+"""Kills processes of a campaign at seeded moments, resumes it, and checks that no result is lost or changed.
 
-`python -m benchmarks.kill [--moments 25] [--seed 1] [--kinds simulator,driver]`: one row per moment, as Markdown, and
-status 1 if anything differs. Moments are uniform over the time that the undisturbed campaign takes, or with `--driving`
-over that in which it drives. They are counted from its last line before them, so that they fall at the same place
-however busy the machine is. After each one the campaign is gone on with until it is done, and then
+`python -m benchmarks.kill [--moments 25] [--seed 1] [--kinds simulator,driver]` prints one row per moment, as Markdown,
+and exits with status 1 if anything differs. Moments are uniform over the duration of the undisturbed campaign, or with
+`--driving` over the time in which it drives. They are relative to its last line of progress before them, so that they
+fall at the same place however busy the machine is. After each kill the campaign is resumed until it is complete. Then
 
-- maps, evaluation and bags are byte for byte those of the undisturbed campaign, and no file is left over;
-- what stood in the store at the moment stands there unchanged, and the simulators' logs show no second run of it;
-- at most as many runs as were under way were driven twice;
-- no process is left.
+- maps, evaluation and bags must equal those of the undisturbed campaign byte for byte, with no files left over;
+- executions in the store at the moment of the kill must be unchanged, and not driven again according to the logs;
+- at most as many runs as were in progress may have been driven twice;
+- no process may be left.
 
-`tests/graph/test_kill.py` does it for a few moments.
+`tests/graph/test_kill.py` does this for a few moments.
 """
 
 from __future__ import annotations
@@ -42,21 +42,23 @@ WHOLE = "undisturbed"
 DRIVER = "benchmarks.swerving_driver:Swerving"
 KILLS = ("simulator", "driver", "worker", "orchestrator")
 KINDS = (*KILLS, "two", "sigterm", "sigint")
-"""`worker` is all processes of one graph, `two` is two processes of any kind; the last two end the orchestrator."""
+"""What to kill: `worker` is all processes of one graph, `two` are any two processes, and the last two are signals to
+the orchestrator."""
 LIMIT = 240.0
-"""Seconds for a campaign; chosen: ten times what it takes on a free machine."""
+"""Longest duration of a campaign, s; chosen: ten times what it takes on an idle machine."""
 ORPHAN_TIME = 10.0
-"""Seconds in which the processes of a killed orchestrator have to be gone."""
+"""Time within which the processes of a killed orchestrator must end, s."""
 SESSIONS = 3
-"""Times that the command is given at most; chosen: one more than should be needed."""
+"""Largest number of times that the command is given; chosen: one more than should be necessary."""
 STATUS = {"sigterm": 143, "sigint": 130}
-"""Of an orchestrator that was asked to stop amid its runs, as shells have it; Python's begin and end do not listen."""
+"""Exit status of an orchestrator stopped by a signal during its runs, as in shells; Python does not handle signals
+while it starts and exits."""
 _MARK = "DS_KILL_MARK"
 
 
 @dataclass
 class Session:
-    """One life of the orchestrator, with every process that descends from it."""
+    """One process of the orchestrator, with all its descendants."""
 
     folder: Path
     driver: str
@@ -70,7 +72,7 @@ class Session:
         config = self.folder.with_suffix(".yaml")
         config.write_text(CONFIG.format(driver=self.driver))
         what = ["resume", str(self.folder)] if self.resume else ["run", str(config), "--out", str(self.folder)]
-        # A shell lets its background jobs ignore SIGINT, and who inherits that never hears it.
+        # Background jobs of a shell ignore SIGINT, and child processes inherit that.
         command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_orchestrator.cli.main"]
         command += ["campaign", *what, "--workers", str(self.workers)]
         path = os.pathsep.join(filter(None, (str(Path.cwd()), os.environ.get("PYTHONPATH"))))
@@ -83,12 +85,12 @@ class Session:
         self.began = time.monotonic()
 
     def lines(self) -> int:
-        """How many lines of progress were written, by all sessions."""
+        """Number of lines of progress written by all sessions."""
         path = self.folder.with_suffix(".err")
         return path.read_bytes().count(b"\n") if path.exists() else 0
 
     def wait_until(self, line: int, delay: float) -> None:
-        """Until so many seconds after a line of this session, or the end."""
+        """Wait until `delay` seconds after a line of this session, or until its end."""
         deadline = time.monotonic() + LIMIT
         while self.lines() - self.written < line and self.process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.005)
@@ -97,7 +99,7 @@ class Session:
             time.sleep(0.005)
 
     def wait(self) -> int:
-        """Until it ends by itself; its exit status."""
+        """Wait until the session ends; returns its exit status."""
         try:
             return self.process.wait(LIMIT)
         except subprocess.TimeoutExpired:
@@ -105,13 +107,13 @@ class Session:
             raise RuntimeError(f"the campaign in {self.folder} did not end within {LIMIT:.0f} s") from None
 
     def victims(self, kind: str, rng: np.random.Generator) -> list[int]:
-        """Processes to end; the orchestrator where there is no such process at this moment."""
+        """Choose processes to kill; the orchestrator if there is currently no process of this kind."""
         me = self.process.pid
         graph = {pid: domain for pid, domain in marked(self.folder).items() if pid != me}
         of_kind = {pid: "driver" if "ds_driver" in command_line(pid) else "simulator" for pid in graph}
         if kind == "worker" and graph:
             domain = rng.choice(sorted(set(graph.values())))
-            return [pid for pid, mine in graph.items() if mine == domain]
+            return [pid for pid, own in graph.items() if own == domain]
         if kind == "two" and graph:
             return [int(pid) for pid in rng.choice(sorted([me, *graph]), 2, replace=False)]
         chosen = sorted(pid for pid, what in of_kind.items() if what == kind)
@@ -119,7 +121,7 @@ class Session:
 
 
 def marked(folder: Path) -> dict[int, str]:
-    """Living processes that descend from a campaign's command, and the ROS domain of each."""
+    """Running processes that descend from a campaign's command, and the ROS domain of each."""
     found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and int(entry.name) != os.getpid():
@@ -134,7 +136,7 @@ def marked(folder: Path) -> dict[int, str]:
 
 
 def command_line(pid: int) -> str:
-    """What a process was started with, or nothing if it has ended."""
+    """Command line of a process; "" if it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
     except OSError:
@@ -142,14 +144,14 @@ def command_line(pid: int) -> str:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Every file of maps, evaluation and bags, unfinished and hidden ones too."""
+    """Contents of all files of maps, evaluation and bags, including partial and hidden ones."""
     parts = ("maps", "evaluation", "bags")
     files = (path for part in parts for path in sorted((folder / part).rglob("*")) if path.is_file())
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def stored(folder: Path) -> dict[tuple[str, str], tuple[object, ...]]:
-    """Test and simulator -> road and all that the store knows of the execution; empty before it has tables."""
+    """Executions in the store: (test, simulator) -> road and all columns; empty before the tables exist."""
     path = folder / "campaign.sqlite"
     if not path.exists():
         return {}
@@ -164,7 +166,7 @@ def stored(folder: Path) -> dict[tuple[str, str], tuple[object, ...]]:
 
 
 def driven(folder: Path) -> Counter[tuple[str, str]]:
-    """How often each road was driven to a verdict on each simulator, as the simulators' own logs have it."""
+    """Number of runs with a verdict per simulator and road, according to the logs of the simulators."""
     counts: Counter[tuple[str, str]] = Counter()
     space_of = {"bullet": "ds1", "softbody": "ds2", "donkey": "twin"}
     for simulator, space in space_of.items():
@@ -175,7 +177,7 @@ def driven(folder: Path) -> Counter[tuple[str, str]]:
 
 
 def processes_left(folder: Path) -> int:
-    """How many processes there still are when they had time to end."""
+    """Number of processes left after `ORPHAN_TIME`."""
     deadline = time.monotonic() + ORPHAN_TIME
     while (left := len(marked(folder))) and time.monotonic() < deadline:
         time.sleep(0.1)
@@ -183,12 +185,12 @@ def processes_left(folder: Path) -> int:
 
 
 def undisturbed(folder: Path, driver: str = DRIVER) -> list[float]:
-    """Run the campaign that the others are held against; the seconds at which its lines came, and its end."""
+    """Run the reference campaign; returns the times of its lines of progress and of its end, s."""
     return lines_of(Session(folder, driver, 1))
 
 
 def lines_of(session: Session) -> list[float]:
-    """See a session to its end; the seconds at which its lines came, and its end."""
+    """Wait for a session to end; returns the times of its lines of progress and of its end, s."""
     times = [0.0]
     while session.process.poll() is None and times[-1] < LIMIT:
         time.sleep(0.005)
@@ -201,7 +203,7 @@ def lines_of(session: Session) -> list[float]:
 
 @dataclass
 class Report:
-    """What came of one moment."""
+    """Result of one kill."""
 
     line: int
     delay: float
@@ -225,16 +227,16 @@ def disturbed(
     driver: str = DRIVER,
     driving: bool = False,
 ) -> Report:
-    """Run the campaign, end a process at a moment, go on to the end, and look for differences.
+    """Run the campaign, kill processes at a random moment, resume to the end, and look for differences.
 
     Args:
-        folder: of the campaign; beside it lies the undisturbed one.
-        times: of the undisturbed one's lines, and of its end.
-        kind: of `KINDS`.
-        workers: graphs at the same time.
-        rng: chooses the moment and the process.
-        driver: at the wheel.
-        driving: choose a moment between the first stage's begin and the last run's end, not of the whole time.
+        folder: folder of the campaign, beside that of the undisturbed one.
+        times: times of the lines and of the end of the undisturbed campaign, s.
+        kind: one of `KINDS`.
+        workers: number of graphs at the same time.
+        rng: source of the moment and of the process to kill.
+        driver: name of the driver.
+        driving: restrict the moment to the time between the start of the first stage and the end of the last run.
     """
     moment = float(rng.uniform(*((times[1], times[EXECUTIONS + 2]) if driving else (0.0, times[-1]))))
     line = int(np.searchsorted(times[:-1], moment, side="right")) - 1
@@ -261,7 +263,7 @@ def disturbed(
         status = Session(folder, driver, workers, resume=bool(before)).wait()
     report.seconds = time.monotonic() - session.began
     if status:
-        report.problems.append(f"status {status} at last")
+        report.problems.append(f"final status {status}")
     if left := processes_left(folder):
         report.problems.append(f"{left} processes left at the end")
     report.problems += differences(folder, folder.with_name(WHOLE), before)
@@ -272,7 +274,7 @@ def disturbed(
 
 
 def name_of(pid: int, orchestrator: int) -> str:
-    """What a process is in the graph."""
+    """Role of a process: orchestrator, driver, or the name of a simulator."""
     line = command_line(pid)
     if pid == orchestrator:
         return "orchestrator"
@@ -280,16 +282,18 @@ def name_of(pid: int, orchestrator: int) -> str:
 
 
 def differences(folder: Path, whole: Path, before: dict[tuple[str, str], tuple[object, ...]]) -> list[str]:
-    """What differs from the undisturbed campaign, and from what stood in the store at the moment."""
+    """Differences from the undisturbed campaign, and from the store at the moment of the kill."""
     problems = []
-    ours, theirs = results(folder), results(whole)
-    for name in sorted(ours.keys() | theirs.keys()):
-        if ours.get(name) != theirs.get(name):
-            what = "missing" if name not in ours else "left over" if name not in theirs else "different"
+    found, expected = results(folder), results(whole)
+    for name in sorted(found.keys() | expected.keys()):
+        if found.get(name) != expected.get(name):
+            what = "missing" if name not in found else "left over" if name not in expected else "different"
             problems.append(f"{name} {what}")
     after, reference = stored(folder), stored(whole)
     if after != reference or len(reference) != EXECUTIONS:
-        problems.append(f"{len(after)} executions in the store that are not the {EXECUTIONS} of the undisturbed one")
+        problems.append(
+            f"the {len(after)} executions in the store differ from the {EXECUTIONS} of the undisturbed campaign"
+        )
     problems += [f"{'/'.join(key)} changed" for key, row in before.items() if after.get(key) != row]
     runs = driven(folder)
     twice = [key for key, row in before.items() if runs[(key[1], str(row[0]))] != 1]
@@ -303,12 +307,12 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--moments", type=int, default=25)
-    parser.add_argument("--first", type=int, default=0, help="number of the first moment, to repeat one")
+    parser.add_argument("--first", type=int, default=0, help="number of the first moment, to repeat a single one")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kinds", default=",".join(KILLS), help=f"of {', '.join(KINDS)}")
     parser.add_argument("--driver", default=DRIVER)
-    parser.add_argument("--driving", action="store_true", help="moments while roads are driven only")
-    parser.add_argument("--out", type=Path, help="folder for the campaigns; a temporary one is removed")
+    parser.add_argument("--driving", action="store_true", help="choose moments only while roads are driven")
+    parser.add_argument("--out", type=Path, help="folder for the campaigns; a temporary one if omitted")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = (arguments.out or Path(temporary)).resolve()
@@ -326,7 +330,7 @@ def main() -> None:
             bad += bool(r.problems)
             print(
                 f"| {number} | {r.delay:.2f} s after line {r.line} | {kind}: {r.killed} | {r.workers} | {r.kept} | "
-                f"{r.again} | {r.sessions} | {r.seconds:.0f} | {'; '.join(r.problems) or 'the same'} |",
+                f"{r.again} | {r.sessions} | {r.seconds:.0f} | {'; '.join(r.problems) or 'identical'} |",
                 flush=True,
             )
     sys.exit(bad > 0)
