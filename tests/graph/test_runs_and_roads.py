@@ -17,7 +17,7 @@ import pytest
 
 from ds_road import Road, generate
 from ds_sim.ros import conversions as messages
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
 
@@ -85,25 +85,35 @@ def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
     assert time.monotonic() - started < 60.0  # a busy machine drives slowly
 
 
-def test_a_run_whose_client_died_is_ended_and_the_next_one_begins(graph: Any) -> None:
-    """Somebody else's goal is under way, and nobody waits for it."""
+def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any) -> None:
+    """The second client waits, says for whom, and is refused; it ends the run when its client is gone."""
     import rclpy
     from ds_interfaces.action import DriveRoad
     from rclpy.action import ActionClient
     from rclpy.node import Node
 
+    from ds_orchestrator.graph import executor
+
     node = Node("somebody")
     client = ActionClient(node, DriveRoad, "/ds1/drive_road")
     assert client.wait_for_server(10.0)
-    goal = DriveRoad.Goal(road=messages.road_to_message(ROAD), seed=1)
+    goal = DriveRoad.Goal(road=messages.road_to_message(ROAD), seed=1, sync="realtime")
     sent = client.send_goal_async(goal)
     rclpy.spin_until_future_complete(node, sent, timeout_sec=10.0)
     assert sent.result() is not None and sent.result().accepted
-    started = time.monotonic()
-    run = graph.execute("donkey", ROAD, 5)
+    said: list[str] = []
+    graph._report = said.append
+    limit, executor.BUSY_TIME = executor.BUSY_TIME, 1.0
+    try:
+        run = graph.execute("donkey", ROAD, 5)
+    finally:
+        executor.BUSY_TIME = limit
+    assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.BUSY, 0)
+    assert ROAD.road_id in run.message and "/somebody" in run.message
+    assert said == ["/ds1 drives for /somebody: waiting 1 s at most"]
     node.destroy_node()
+    run = graph.execute("donkey", ROAD, 5)
     assert run.outcome is Outcome.COMPLETED, run.message
-    assert time.monotonic() - started < 60.0  # a busy machine drives slowly
 
 
 def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
@@ -147,7 +157,8 @@ def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> 
             rclpy.spin_once(node, timeout_sec=0.1)
         answer = future.result()
         assert answer is not None, name
-        assert not answer.accepted and answer.reason and "\n" not in answer.reason, name
+        assert not answer.accepted and answer.reason.value == Reason.BAD_ROAD, name
+        assert answer.message and "\n" not in answer.message, name
     node.destroy_node()
     assert graph.execute("donkey", ROAD, 1).outcome is Outcome.COMPLETED
 
@@ -207,7 +218,9 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
     from ds_orchestrator.graph.supervisor import Supervisor
 
     domain = RosDomain()
-    supervisor = Supervisor([driver_process("dave2", SPACE)], domain=domain.number, logs=logs)
+    driver = driver_process("dave2", SPACE)
+    driver.parameters.update({"crop_top": [40], "crop_bottom": [0]})  # no simulator is there to be asked
+    supervisor = Supervisor([driver], domain=domain.number, logs=logs)
     rclpy.init(domain_id=domain.number)
     node = Node("camera")
     images = node.create_publisher(Image, "/ds1/camera/image_raw", 1)
@@ -246,3 +259,66 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
         rclpy.try_shutdown()
         supervisor.close()
         domain.close()
+
+
+def _answer_all(name: str, steering: float) -> Any:
+    """A driver in the test's process that answers every image."""
+    from ds_interfaces.msg import DriveCommand
+    from rclpy.node import Node
+    from sensor_msgs.msg import Image
+
+    node = Node(name)
+    publisher = node.create_publisher(DriveCommand, "/ds1/drive", 1)
+
+    def answer(image: Image) -> None:
+        publisher.publish(DriveCommand(header=image.header, steering=steering, throttle=0.3))
+
+    node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
+    return node
+
+
+def test_two_drivers_are_noticed_and_named_and_give_no_verdict(
+    lonely_simulator: Any, spin: Callable[..., None]
+) -> None:
+    """They are found by their commands; one alone drives again."""
+    names = ("driver", "another")
+    executor, _ = lonely_simulator
+    nodes = [_answer_all(name, steering) for name, steering in zip(names, (0.0, 0.4), strict=True)]
+    spin(*nodes)
+    executor.wait_until_ready(30.0)
+    deadline = time.monotonic() + 10.0
+    while nodes[0].count_subscribers("/ds1/camera/image_raw") < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    run = executor.execute("donkey", ROAD, 1)
+    assert (run.outcome, run.reason) == (Outcome.SIM_ERROR, Reason.TWO_DRIVERS), run.message
+    assert all(f"/{name}" in run.message for name in names) and run.steps < 5
+    nodes[1].destroy_node()
+    straight = executor.execute("donkey", Road([(125.0, 25.0 * i) for i in range(9)]), 1)
+    assert straight.outcome is Outcome.COMPLETED, straight.message
+
+
+def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(graph: Any) -> None:
+    """Killed, so that ROS still lists it for a while."""
+    domain = graph.context.get_domain_id()
+    command = [sys.executable, "-m", "ds_sim.ros.simulator_node", "--ros-args", "-r", "__ns:=/ds1"]
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
+    second = subprocess.Popen(command, env=environment, start_new_session=True)
+    try:
+        deadline = time.monotonic() + 60.0
+        log = graph._supervisor._log("simulator_ds1")
+        while "2 simulators live in /ds1" not in log.read_text() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(0.5)  # until the second one has found the first one, too
+        run = graph.execute("donkey", ROAD, 1)
+        assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.TWO_SIMULATORS, 0), run.message
+    finally:
+        second.kill()
+        second.wait()
+    time.sleep(2.5)
+    assert graph.execute("donkey", ROAD, 1).outcome is Outcome.COMPLETED
+
+
+def test_a_driver_without_parameters_asks_its_simulator_and_says_so(graph: Any) -> None:
+    gains = make_simulator("donkey").spec.autopilot
+    log = graph._supervisor._log("driver").read_text()
+    assert f"/ds1: gains from donkey: proportional {gains.proportional:g}" in log

@@ -13,17 +13,14 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from scipy.spatial.transform import Rotation
 
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose, base_frame, body_pose, camera_frame, camera_pose
 from ds_sim.simulator import Command, Observation, VehicleState
 
-ROAD_FRAME = "road"
 _OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
-_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Axes of an optical frame (right, down, forward) as columns in its body's frame (forward, left, up): REP-103."""
 
 
 class TypesError(ValueError):
@@ -58,9 +55,7 @@ class MessageFactory:
 
     def __init__(self, namespace: str) -> None:
         self._types: Any = typestore().types
-        prefix = namespace.strip("/")
-        self.camera_frame = f"{prefix}/camera".strip("/")
-        self.base_frame = f"{prefix}/base_link".strip("/")
+        self.camera_frame, self.base_frame = camera_frame(namespace), base_frame(namespace)
 
     def _make(self, name: str, **fields: Any) -> Any:
         package, kind = name.split("/")
@@ -80,9 +75,15 @@ class MessageFactory:
         return self._make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
     def road(self, road: Road) -> Any:
-        """A road as its control points."""
-        points = [self._point(x, y) for x, y in road.control_points]
-        return self._make("ds_interfaces/Road", road_id=road.road_id, control_points=points)
+        """All of a road."""
+        return self._make(
+            "ds_interfaces/Road",
+            road_id=road.road_id,
+            control_points=[self._point(x, y) for x, y in road.control_points],
+            lane_width=road.lane_width,
+            sampled=road.sampled,
+            maxitwo_compatible=road.maxitwo_compatible,
+        )
 
     def outcome(self, value: int) -> Any:
         """How a run stands or ended."""
@@ -110,8 +111,7 @@ class MessageFactory:
         )
 
     def odometry(self, vehicle: VehicleState, nanoseconds: int) -> Any:
-        """Planar pose in the road frame, twist in the vehicle's (REP-105)."""
-        unknown = np.zeros(36)
+        """Planar pose in the road frame, twist in the vehicle's (REP-105); ground truth, as its covariances say."""
         pose = self._make(
             "geometry_msgs/Pose",
             position=self._point(vehicle.x, vehicle.y),
@@ -126,13 +126,15 @@ class MessageFactory:
             "nav_msgs/Odometry",
             header=self._header(nanoseconds, ROAD_FRAME),
             child_frame_id=self.base_frame,
-            pose=self._make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=unknown),
-            twist=self._make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=unknown),
+            pose=self._make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=GROUND_TRUTH_COVARIANCE),
+            twist=self._make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=GROUND_TRUTH_COVARIANCE),
         )
 
-    def _transform(self, nanoseconds: int, parent: str, child: str, place: Any, turn: Rotation) -> Any:
-        x, y, z, w = (float(v) for v in turn.as_quat())
-        transform = self._make("geometry_msgs/Transform", translation=place, rotation=self._quaternion(x, y, z, w))
+    def _transform(self, nanoseconds: int, parent: str, child: str, pose: Pose) -> Any:
+        place, turn = pose
+        transform = self._make(
+            "geometry_msgs/Transform", translation=self._vector(*place), rotation=self._quaternion(*turn)
+        )
         stamped = self._make(
             "geometry_msgs/TransformStamped",
             header=self._header(nanoseconds, parent),
@@ -142,16 +144,12 @@ class MessageFactory:
         return self._make("tf2_msgs/TFMessage", transforms=[stamped])
 
     def body_transform(self, vehicle: VehicleState, nanoseconds: int) -> Any:
-        """From the road to the body, which is at rest on the ground below its centre; roll, pitch, heave included."""
-        turn = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
-        place = self._vector(vehicle.x, vehicle.y, vehicle.heave)
-        return self._transform(nanoseconds, ROAD_FRAME, self.base_frame, place, turn)
+        """Pose of the body in the road frame, roll, pitch and heave included."""
+        return self._transform(nanoseconds, ROAD_FRAME, self.base_frame, body_pose(vehicle))
 
     def camera_transform(self, camera: CameraSpec, nanoseconds: int) -> Any:
-        """From the body to the camera's optical frame (REP-103: x right, y down, z forward)."""
-        turn = Rotation.from_matrix(Rotation.from_euler("Y", camera.pitch).as_matrix() @ _OPTICAL)
-        place = self._vector(camera.forward, 0.0, camera.height)
-        return self._transform(nanoseconds, self.base_frame, self.camera_frame, place, turn)
+        """Pose of the camera's optical frame in the body's frame."""
+        return self._transform(nanoseconds, self.base_frame, self.camera_frame, camera_pose(camera))
 
     def camera_info(self, camera: CameraSpec, nanoseconds: int) -> Any:
         """Intrinsics and distortion of the delivered image; equals `ds_sim.ros.conversions.camera_info_message`."""

@@ -29,7 +29,7 @@ from ds_bags.limits import (
     printable,
     regular_file,
 )
-from ds_road import Road, RoadError
+from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.registry import received_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
@@ -306,11 +306,18 @@ def _road(bag: BagReader, facts: dict[str, str]) -> Road:
     """The road of the custom data, else of the first road message."""
     if "road" in facts:
         try:
-            return Road(json.loads(facts["road"]))
+            return road_from_json(json.loads(facts["road"]))
         except RecursionError:
             raise RoadError("a road that is nested too deeply") from None
     for connection, _, raw in bag.messages(bag.of_type(ROAD)):
-        return Road([(point.x, point.y) for point in bag.message(connection, raw).control_points])
+        message = bag.message(connection, raw)
+        # Roads of version 0.1 have control points alone.
+        return road_from_fields(
+            [(point.x, point.y) for point in message.control_points],
+            lane_width=float(getattr(message, "lane_width", 0.0)),
+            sampled=bool(getattr(message, "sampled", False)),
+            maxitwo_compatible=bool(getattr(message, "maxitwo_compatible", False)),
+        )
     raise RoadError("no road")
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from ds_bags.layout import BagError, Level, partial_path
 from ds_bags.message_factory import MessageFactory, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_road import road_to_json
 from ds_sim.registry import spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -40,7 +41,7 @@ def facts_of(simulator: str, run: RunRecord, level: Level) -> dict[str, str]:
         "simulator": simulator,
         "engine": spec_of(simulator).engine,
         "level": level,
-        "road": json.dumps(run.road.control_points),
+        "road": json.dumps(road_to_json(run.road)),
         "road_id": run.road.road_id,
         "seed": str(run.seed),
         **{f"version.{name}": version for name, version in versions().items()},

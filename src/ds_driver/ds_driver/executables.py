@@ -1,4 +1,4 @@
-"""Starts this package's nodes so that Ctrl-C ends them at once, also while their libraries are being imported."""
+"""Entry points of this package's nodes; a signal ends them at once, also during their imports."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from ds_sim.executables import start
 
 
 def driver() -> None:
-    """The network that drives simulators."""
+    """Run a network that drives simulators."""
     start("ds_driver.ros.driver_node")
 
 
 def autopilot() -> None:
-    """The reference driver."""
+    """Run the reference driver."""
     start("ds_driver.ros.autopilot_node")
 
 
 def camera_driver() -> None:
-    """The network on someone's stack."""
+    """Run a network on another ROS stack."""
     start("ds_driver.ros.camera_driver_node")
 
 
 def cmd_vel_adapter() -> None:
-    """Someone's driver on our simulators."""
+    """Run the adapter for drivers that know only standard messages."""
     start("ds_driver.ros.cmd_vel_adapter_node")

@@ -1,6 +1,15 @@
 """Roads: spline, lanes, validity, generation, mutation, features, JSON."""
 
-from ds_road.files import check, parse_roads, read_raw_roads, read_roads, road_from_json, road_to_json, write_roads
+from ds_road.files import (
+    check,
+    parse_roads,
+    read_raw_roads,
+    read_roads,
+    road_from_fields,
+    road_from_json,
+    road_to_json,
+    write_roads,
+)
 from ds_road.generation import MutationError, generate, mutate
 from ds_road.picture import draw
 from ds_road.road import LANE_WIDTH, Road, RoadError
@@ -19,6 +28,7 @@ __all__ = [
     "parse_roads",
     "read_raw_roads",
     "read_roads",
+    "road_from_fields",
     "road_from_json",
     "road_to_json",
     "write_roads",

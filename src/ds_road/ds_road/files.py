@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,32 @@ def road_from_json(raw: Any) -> Road:
     if maxitwo_compatible:
         raise RoadError("maxitwo_compatible is true for a road given by road_points, expected control_points")
     return Road.from_road_points(raw["road_points"], lane_width=lane_width)
+
+
+def road_from_fields(
+    points: Sequence[Sequence[float]],
+    *,
+    lane_width: float = 0.0,
+    sampled: bool = False,
+    maxitwo_compatible: bool = False,
+) -> Road:
+    """Road from the fields of a `ds_interfaces/msg/Road`.
+
+    Args:
+        points: control points, or the centre line itself if `sampled`, m.
+        lane_width: m; 0 stands for the usual width.
+        sampled: no spline is laid through the points.
+        maxitwo_compatible: the spline ignores the first point.
+
+    Raises:
+        RoadError: the fields make no road.
+    """
+    width = lane_width or LANE_WIDTH
+    if not sampled:
+        return Road(points, lane_width=width, maxitwo_compatible=maxitwo_compatible)
+    if maxitwo_compatible:
+        raise RoadError("the road is both sampled and maxitwo_compatible: expected at most one of them")
+    return Road.from_road_points(points, lane_width=width)
 
 
 def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ds_road import Road
-from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, Simulator, SimulatorError
+from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, Reason, Simulator, SimulatorError
 
 
 @dataclass(kw_only=True)
@@ -22,6 +22,7 @@ class RunRecord:
         commands: command k led from frame k to frame k + 1.
         outcome: how the run ended; RUNNING until then.
         message: one line of explanation where the outcome alone is not enough.
+        reason: the same for programs.
     """
 
     road: Road
@@ -30,6 +31,7 @@ class RunRecord:
     commands: list[Command] = field(default_factory=list)
     outcome: Outcome = Outcome.RUNNING
     message: str = ""
+    reason: Reason = Reason.NONE
 
     @property
     def fitness(self) -> float:
@@ -107,11 +109,12 @@ class Session:
         self.run.outcome = observation.outcome
         return observation
 
-    def end(self, outcome: Outcome, message: str) -> None:
+    def end(self, outcome: Outcome, message: str, reason: Reason = Reason.NONE) -> None:
         """End the run from outside, for example when it is cancelled or the driver is silent."""
         if self.run is not None and self.run.outcome is Outcome.RUNNING:
             self.run.outcome = outcome
             self.run.message = message
+            self.run.reason = reason
 
 
 def _without_image(observation: Observation) -> Observation:

@@ -36,6 +36,21 @@ class SimulatorError(RuntimeError):
     """A simulator cannot continue; the run ends as an error, never as a failure of the driver."""
 
 
+class Reason(IntEnum):
+    """Why a request was refused, or why a run ended without a verdict. Values of ds_interfaces/msg/Reason."""
+
+    NONE = 0
+    BAD_ROAD = 1
+    BAD_GOAL = 2
+    NO_ROAD = 3
+    BUSY = 4
+    TWO_SIMULATORS = 5
+    TWO_DRIVERS = 6
+    COMMAND_REFUSED = 7
+    WRONG_STAMP = 8
+    RESET = 9
+
+
 class Outcome(IntEnum):
     """How a run ended; values as in ds_interfaces/msg/Outcome."""
 

@@ -1,47 +1,80 @@
-"""The reference driver as a node: it reads the lane state instead of the camera (paper, equation 1)."""
+"""Reference driver as a node: it reads the lane state instead of the camera (paper, equation 1)."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 from ds_interfaces.msg import VehicleState
+from ds_interfaces.srv import GetSimulatorInfo
 from numpy.typing import NDArray
 from rclpy.node import Node
 
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.ros.simulator_client import Answer, SimulatorClient
+from ds_driver.ros.simulator_info import SimulatorInfo
+from ds_sim.ros.conversions import gains_of
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import AutopilotGains, Command
 
+ASK = -1.0
+"""Value of a gain that asks the simulator."""
 GAINS = (
-    ("proportional", 0.7, 0.0, 100.0, "On the lateral position, 1/m (K_P), one for each namespace."),
-    ("derivative", 0.0, 0.0, 100.0, "On its difference from frame to frame, 1/m (K_D), one for each namespace."),
-    ("integral", 0.0, 0.0, 100.0, "On its running sum, 1/m (K_I), one for each namespace."),
-    ("max_speed", 30.0, 1.0, 200.0, "Threshold and K = H of equation 2, km/h, one for each namespace."),
-    ("min_speed", 15.0, 1.0, 200.0, "K = L of equation 2, km/h, one for each namespace."),
+    ("proportional", 0.0, 100.0, "On the lateral position, 1/m (K_P)"),
+    ("derivative", 0.0, 100.0, "On its difference from frame to frame, 1/m (K_D)"),
+    ("integral", 0.0, 100.0, "On its running sum, 1/m (K_I)"),
+    ("max_speed", 1.0, 200.0, "Threshold and K = H of equation 2, km/h"),
+    ("min_speed", 1.0, 200.0, "K = L of equation 2, km/h"),
 )
-"""Name, default, range and meaning of the gains of equations 1 and 2; the ranges keep out what cannot be meant."""
+"""Name, bounds and meaning of the gains of equations 1 and 2; the bounds keep out typing errors."""
 
 
 class AutopilotNode(Node):
-    """Drives one simulator or several by the lateral position, each with its own gains."""
+    """Drives one simulator or several by the lateral position, with gains for which it asks before each run."""
 
     def __init__(self) -> None:
         super().__init__("autopilot")
-        namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
+        self._namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
+        count, rest = len(self._namespaces), ", one for each namespace; -1 asks the simulator."
         columns = {
-            name: declare(self, name, [default] * len(namespaces), about, low=low, high=high, length=len(namespaces))
-            for name, default, low, high, about in GAINS
+            name: declare(self, name, [ASK] * count, about + rest, low=ASK, high=high, length=count)
+            for name, _, high, about in GAINS
         }
-        self._eyes = [
-            SimulatorClient(
-                self, namespace, _pilot(AutopilotGains(**{name: values[i] for name, values in columns.items()}))
-            )
-            for i, namespace in enumerate(namespaces)
-        ]
-        self.get_logger().info(f"the autopilot drives {', '.join(namespaces) or 'its own namespace'}")
+        for name, low, _, _ in GAINS:
+            for value in columns[name]:
+                if value != ASK and value < low:
+                    raise ValueError(f"parameter {name} is {value}: expected at least {low:g}, or -1")
+        self._given = [{name: values[i] for name, values in columns.items()} for i in range(count)]
+        self._gains: list[AutopilotGains | None] = [None] * count
+        purpose = "for the autopilot's gains (the parameters of the gains do without)"
+        self._info = SimulatorInfo(self, self._namespaces, purpose, self._on_info)
+        self._simulators = []
+        for index, (namespace, given) in enumerate(zip(self._namespaces, self._given, strict=True)):
+            asks = ASK in given.values()
+            client = SimulatorClient(self, namespace, partial(self._info.ask, index) if asks else None)
+            self._simulators.append(client)
+            if asks:
+                self._info.ask(index)
+            else:
+                self._use(index, AutopilotGains(**given), "from parameters")
+        names = ", ".join(filter(None, self._namespaces)) or self.get_namespace()
+        self.get_logger().info(f"the autopilot drives {names}")
+
+    def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
+        given = {name: value for name, value in self._given[index].items() if value != ASK}
+        self._use(index, replace(gains_of(info), **given), f"from {info.name}")
+
+    def _use(self, index: int, gains: AutopilotGains, source: str) -> None:
+        """Drive a simulator with gains, and log them when they change."""
+        if gains != self._gains[index]:
+            name = self._namespaces[index] or self.get_namespace()
+            shown = ", ".join(f"{key} {value:g}" for key, value in asdict(gains).items())
+            self.get_logger().info(f"{name}: gains {source}: {shown}")
+        self._gains[index] = gains
+        self._simulators[index].drive_with(_pilot(gains))
 
 
 def _pilot(gains: AutopilotGains) -> Answer:
@@ -57,7 +90,7 @@ def _pilot(gains: AutopilotGains) -> Answer:
 
 
 def main() -> None:
-    """Run the autopilot until it is told to stop."""
+    """Run the autopilot until a signal stops it."""
     sys.exit(run_node(AutopilotNode))
 
 

@@ -1,4 +1,4 @@
-"""Lets a driver that knows only standard messages drive a simulator: turns its commands into `DriveCommand`s."""
+"""Converts the commands of a driver that knows only standard messages into `DriveCommand`s for a simulator."""
 
 from __future__ import annotations
 
@@ -8,20 +8,16 @@ from typing import Any
 
 from ds_interfaces.msg import DriveCommand, VehicleState
 from ds_interfaces.srv import GetSimulatorInfo
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.task import Future
 from std_msgs.msg import Header
 
 from ds_driver.control.command_conversions import KINDS, Geometry, Motion, MotionError, part
 from ds_driver.control.speed_controller import SpeedController
 from ds_driver.control.stamp_matching import StampMatcher
 from ds_driver.ros.command_publisher import message_type
+from ds_driver.ros.simulator_info import SimulatorInfo
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
-
-ASK_AGAIN = 1.0
-"""Seconds between two questions for the vehicle's geometry; chosen."""
 
 
 class CmdVelAdapter(Node):
@@ -46,20 +42,14 @@ class CmdVelAdapter(Node):
         self.create_subscription(VehicleState, "state", self._on_state, 5)
         self.create_subscription(message_type(self._kind), self._kind.topic, self._on_command, 5)
         if self._geometry is None:
-            self._info = self.create_client(GetSimulatorInfo, "get_info")
-            self._asking = self.create_timer(ASK_AGAIN, self._ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            purpose = "for the vehicle's geometry (parameters wheelbase and max_steering_angle do without)"
+            self._info = SimulatorInfo(self, [""], purpose, self._on_info)
+            self._info.ask(0)
         self.get_logger().info(f"{self._kind.type_name} on {self._kind.topic} drives")
 
-    def _ask(self) -> None:
-        if self._info.service_is_ready():
-            self._info.call_async(GetSimulatorInfo.Request()).add_done_callback(self._on_info)
-
-    def _on_info(self, answer: Future) -> None:
-        info = answer.result()
-        if info is not None and self._geometry is None:
-            self._asking.cancel()
-            self._geometry = Geometry(info.wheelbase, info.max_steering_angle)
-            self.get_logger().info(f"{info.name}: wheelbase {info.wheelbase:.3f} m, {info.max_steering_angle:.3f} rad")
+    def _on_info(self, _index: int, info: GetSimulatorInfo.Response) -> None:
+        self._geometry = Geometry(info.wheelbase, info.max_steering_angle)
+        self.get_logger().info(f"{info.name}: wheelbase {info.wheelbase:.3f} m, {info.max_steering_angle:.3f} rad")
 
     def _on_state(self, state: VehicleState) -> None:
         if state.step == 0:
@@ -87,7 +77,7 @@ class CmdVelAdapter(Node):
         header = Header(stamp=state.header.stamp, frame_id=state.header.frame_id)
         if isinstance(motion, MotionError):
             self.get_logger().warning(f"command refused: {motion}", throttle_duration_sec=1.0)
-            # So that the simulator, too, knows of it, and the run's result says why it ended.
+            # An invalid command, so that the result of the run says why it ended.
             self._drive.publish(DriveCommand(header=header, steering=math.nan, throttle=math.nan))
             return
         if motion.throttle is not None:
@@ -102,7 +92,7 @@ def _nanoseconds(stamp: Any) -> int:
 
 
 def main() -> None:
-    """Run the adapter until it is told to stop."""
+    """Run the adapter until a signal stops it."""
     sys.exit(run_node(CmdVelAdapter))
 
 

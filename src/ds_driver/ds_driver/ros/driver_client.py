@@ -1,4 +1,4 @@
-"""Shows recorded images to a driver node of the graph, one at a time, and waits for the answer with the same stamp."""
+"""Plays a simulator towards a driver node: shows it recorded images one by one and waits for each answer."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from types import TracebackType
 
 import rclpy
 from ds_interfaces.msg import DriveCommand, VehicleState
+from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
@@ -18,7 +19,7 @@ from ds_sim.ros import conversions as messages
 from ds_sim.simulator import FRAME_TIME
 
 PATIENCE = 10.0
-"""s that a driver gets for one image; the default of a simulator that `ds drive` starts."""
+"""s that a driver gets for one image: what `ds drive` gives it."""
 REPEAT = 0.5
 """s after which an unanswered image is sent again, as a simulator's node does."""
 
@@ -28,7 +29,7 @@ class NoDriverError(RuntimeError):
 
 
 class DriverClient:
-    """A driver node as a function of frames; publishes what a simulator in its namespace would.
+    """Driver node as a function of frames; publishes and serves what it needs of a simulator.
 
     Args:
         namespace: where the driver looks for a simulator.
@@ -41,15 +42,17 @@ class DriverClient:
         self._image = self._node.create_publisher(Image, f"{namespace}/camera/image_raw", 5)
         self._state = self._node.create_publisher(VehicleState, f"{namespace}/state", 50)
         self._node.create_subscription(DriveCommand, f"{namespace}/drive", self._on_command, 10)
+        self._node.create_service(GetSimulatorInfo, f"{namespace}/get_info", self._on_get_info)
         self._asked = Header()
         self._answer: float | None = None
-        self._count = 0
+        self._count = self._step = 0
+        self._crop: Crop | None = None
 
     def wait_for_driver(self, limit: float = 20.0) -> None:
-        """Wait until somebody takes images and gives commands.
+        """Wait until a node takes images and gives commands.
 
         Raises:
-            NoDriverError: nobody does.
+            NoDriverError: there is none within `limit` seconds.
         """
         deadline = time.monotonic() + limit
         while not (self._image.get_subscription_count() and self._node.count_publishers(f"{self._namespace}/drive")):
@@ -57,9 +60,14 @@ class DriverClient:
                 raise NoDriverError(f"after {limit:.0f} s there is no driver for {self._namespace}: start one first")
             rclpy.spin_once(self._node, timeout_sec=0.05)
 
-    def __call__(self, frame: RecordedFrame, _crop: Crop) -> float | None:
-        """The node's steering for one image, (160, 320, 3), or None if it does not answer in time."""
+    def __call__(self, frame: RecordedFrame, crop: Crop) -> float | None:
+        """Steering of the node for one image, (160, 320, 3), or None if it does not answer in time.
+
+        With another crop another run begins, before which the node asks for the crop.
+        """
         assert frame.image is not None
+        self._step = self._step + 1 if crop == self._crop else 0
+        self._crop = crop
         # Stamps never repeat, so a late answer to one image is none to the next.
         self._count += 1
         self._asked = Header(stamp=messages.to_time(1.0 + self._count * FRAME_TIME), frame_id="camera")
@@ -67,7 +75,7 @@ class DriverClient:
         rows, columns, channels = frame.image.shape
         image = Image(header=self._asked, height=rows, width=columns, encoding="rgb8", step=columns * channels)
         image.data = frame.image.tobytes()
-        state = VehicleState(header=self._asked, step=self._count - 1, speed=frame.speed)
+        state = VehicleState(header=self._asked, step=self._step, speed=frame.speed)
         deadline, again = time.monotonic() + PATIENCE, 0.0
         while self._answer is None and time.monotonic() < deadline:
             if time.monotonic() >= again:
@@ -76,6 +84,11 @@ class DriverClient:
                 again = time.monotonic() + REPEAT
             rclpy.spin_once(self._node, timeout_sec=0.05)
         return self._answer
+
+    def _on_get_info(self, _: object, response: GetSimulatorInfo.Response) -> GetSimulatorInfo.Response:
+        crop = self._crop or Crop()
+        response.name, response.crop_top, response.crop_bottom = "recording", crop.top, crop.bottom
+        return response
 
     def _on_command(self, message: DriveCommand) -> None:
         if message.header.stamp == self._asked.stamp and -1.0 <= message.steering <= 1.0:

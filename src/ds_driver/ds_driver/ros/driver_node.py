@@ -1,12 +1,14 @@
-"""The driver node: images in, the network's commands out, for one simulator or several."""
+"""Driver node: images in, a network's commands out, for one simulator or several."""
 
 from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 
 import numpy as np
 from ds_interfaces.msg import VehicleState
+from ds_interfaces.srv import GetSimulatorInfo
 from numpy.typing import NDArray
 from rclpy.node import Node
 
@@ -14,13 +16,18 @@ from ds_driver.networks.backends import with_backend
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.ros.simulator_client import Answer, SimulatorClient
+from ds_driver.ros.simulator_info import SimulatorInfo
+from ds_sim.ros.conversions import crop_of
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import Command
 
+ASK = -1
+"""Value of a crop parameter that asks the simulator."""
+
 
 class DriverNode(Node):
-    """Runs a network; it sees images and speed, never the road, and knows of a simulator only its crop."""
+    """Runs a network on images and speeds; of a simulator it knows only the crop, for which it asks before each run."""
 
     def __init__(self) -> None:
         super().__init__("driver")
@@ -28,19 +35,45 @@ class DriverNode(Node):
         about = "What computes the network."
         backend = declare(self, "backend", "auto", about, choices=("auto", "torch", "onnx", "openvino"))
         device = declare(self, "device", "cpu", "Where it is computed.", choices=("cpu", "cuda"))
-        namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
-        about = "Rows of the image at the {} that the network does not see, one number for each namespace."
+        self._namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
+        count = len(self._namespaces)
+        about = (
+            "Image rows at the {} that the network does not see, one number for each namespace; -1 asks the simulator."
+        )
         tops, bottoms = (
-            declare(self, name, [0] * len(namespaces), about.format(end), low=0, high=152, length=len(namespaces))
+            declare(self, name, [ASK] * count, about.format(end), low=ASK, high=152, length=count)
             for name, end in (("crop_top", "top"), ("crop_bottom", "bottom"))
         )
+        self._given = list(zip(tops, bottoms, strict=True))
+        self._crops: list[Crop | None] = [None] * count
         self._driver = NetworkDriver(with_backend(network, backend, device))
         self._milliseconds: list[float] = []
-        self._eyes = [
-            SimulatorClient(self, namespace, self._answer_with(Crop(top, bottom)))
-            for namespace, top, bottom in zip(namespaces, tops, bottoms, strict=True)
-        ]
-        self.get_logger().info(f"{network} drives {', '.join(namespaces) or 'its own namespace'}")
+        purpose = "for the crop of its images (parameters crop_top and crop_bottom do without)"
+        self._info = SimulatorInfo(self, self._namespaces, purpose, self._on_info)
+        self._simulators = []
+        for index, (namespace, crop) in enumerate(zip(self._namespaces, self._given, strict=True)):
+            asks = ASK in crop
+            client = SimulatorClient(self, namespace, partial(self._info.ask, index) if asks else None)
+            self._simulators.append(client)
+            if asks:
+                self._info.ask(index)
+            else:
+                self._use(index, Crop(*crop), "from parameters")
+        self.get_logger().info(f"{network} drives {', '.join(filter(None, self._namespaces)) or self.get_namespace()}")
+
+    def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
+        pairs = zip(self._given[index], crop_of(info), strict=True)
+        top, bottom = (told if given == ASK else given for given, told in pairs)
+        self._use(index, Crop(top, bottom), f"from {info.name}")
+
+    def _use(self, index: int, crop: Crop, source: str) -> None:
+        """Drive a simulator with a crop, and log the crop when it changes."""
+        if crop != self._crops[index]:
+            name = self._namespaces[index] or self.get_namespace()
+            rows = f"{crop.top} rows cut off at the top, {crop.bottom} at the bottom"
+            self.get_logger().info(f"{name}: crop {source}: {rows}")
+        self._crops[index] = crop
+        self._simulators[index].drive_with(self._answer_with(crop))
 
     def _answer_with(self, crop: Crop) -> Answer:
         def answer(image: NDArray[np.uint8], state: VehicleState) -> Command:
@@ -52,7 +85,7 @@ class DriverNode(Node):
         return answer
 
     def destroy_node(self) -> None:
-        """Say in the log how long the answers took."""
+        """Print how long the answers took."""
         if self._milliseconds:
             median, slow, longest = np.percentile(self._milliseconds, (50, 99, 100))
             # By now ROS may be shut down, and its logger with it.
@@ -65,7 +98,7 @@ class DriverNode(Node):
 
 
 def main() -> None:
-    """Run the driver until it is told to stop."""
+    """Run the driver until a signal stops it."""
     sys.exit(run_node(DriverNode))
 
 

@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from ds_interfaces.msg import DriveCommand, VehicleState
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
@@ -25,22 +27,39 @@ LOCKSTEP_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 class SimulatorClient:
     """Subscribes to the camera and the state of one simulator and publishes the answer to each frame.
 
+    It appears in the ROS graph when it can answer, with the first call of `drive_with`.
+
     Args:
-        node: that owns the subscriptions.
+        node: node that owns the subscriptions.
         namespace: of the simulator; "" for topics relative to the node's own.
-        answer: called once per frame. A ValueError leaves the frame unanswered and is told in one line. At a
-            DriverError, too, which no later frame mends, a command that no simulator executes says so in the run.
+        on_start: called at the first frame of each run, which then waits for `drive_with`; None if every run is driven
+            by the same answer.
     """
 
-    def __init__(self, node: Node, namespace: str, answer: Answer) -> None:
+    def __init__(self, node: Node, namespace: str, on_start: Callable[[], None] | None = None) -> None:
         self._node = node
-        self._answer = answer
+        self._prefix = f"{namespace}/" if namespace else ""
+        self._on_start = on_start
+        self._answer: Answer | None = None
+        self._drive: Publisher | None = None
         self._image: Image | None = None
         self._state: VehicleState | None = None
-        prefix = f"{namespace}/" if namespace else ""
-        node.create_subscription(Image, f"{prefix}camera/image_raw", self._on_image, LOCKSTEP_QOS)
-        node.create_subscription(VehicleState, f"{prefix}state", self._on_state, 5)
-        self._drive = node.create_publisher(DriveCommand, f"{prefix}drive", 1)
+        self._start: Time | None = None
+
+    def drive_with(self, answer: Answer) -> None:
+        """Answer frames from now on, a frame that waits included.
+
+        Args:
+            answer: called once per frame. A ValueError leaves the frame unanswered and is logged in one line. At a
+                DriverError, which would come again with every frame, an invalid command is sent, so that the result of
+                the run says so.
+        """
+        self._answer = answer
+        if self._drive is None:
+            self._drive = self._node.create_publisher(DriveCommand, f"{self._prefix}drive", 1)
+            self._node.create_subscription(Image, f"{self._prefix}camera/image_raw", self._on_image, LOCKSTEP_QOS)
+            self._node.create_subscription(VehicleState, f"{self._prefix}state", self._on_state, 5)
+        self._answer_if_complete()
 
     def _on_image(self, image: Image) -> None:
         self._image = image
@@ -48,11 +67,16 @@ class SimulatorClient:
 
     def _on_state(self, state: VehicleState) -> None:
         self._state = state
+        if state.step == 0 and self._on_start is not None and state.header.stamp != self._start:
+            self._start, self._answer = state.header.stamp, None
+            self._on_start()
         self._answer_if_complete()
 
     def _answer_if_complete(self) -> None:
-        image, state = self._image, self._state
-        if image is None or state is None or image.header.stamp != state.header.stamp:
+        image, state, drive = self._image, self._state, self._drive
+        if image is None or state is None or drive is None or image.header.stamp != state.header.stamp:
+            return
+        if self._answer is None:
             return
         self._image = None
         try:
@@ -60,9 +84,9 @@ class SimulatorClient:
         except ValueError as error:
             self._node.get_logger().error(f"frame not answered: {error}", throttle_duration_sec=1.0)
             if isinstance(error, DriverError):
-                self._drive.publish(DriveCommand(header=image.header, steering=math.nan, throttle=0.0))
+                drive.publish(DriveCommand(header=image.header, steering=math.nan, throttle=0.0))
             return
-        self._drive.publish(DriveCommand(header=image.header, steering=command.steering, throttle=command.throttle))
+        drive.publish(DriveCommand(header=image.header, steering=command.steering, throttle=command.throttle))
 
 
 def _pixels(image: Image) -> NDArray[np.uint8]:

@@ -214,7 +214,7 @@ class Campaign:
         for attempt in range(self._config.retries + 1):
             if self._stop.is_set():
                 raise Stopped
-            run = self._executor.execute(simulator, _as_driven(test.road), test.seed)
+            run = self._executor.execute(simulator, test.road, test.seed)
             if run.outcome.is_error and self._stop.is_set():
                 raise Stopped
             if run.outcome.is_verdict:
@@ -285,11 +285,6 @@ def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") ->
         bag=bag,
         steering=np.array([command.steering for command in run.commands], dtype=np.float64),
     )
-
-
-def _as_driven(road: Road) -> Road:
-    """The same centre line for a simulator, which is sent control points alone, not that a spline ignores the first."""
-    return Road(road.control_points[1:], lane_width=road.lane_width) if road.maxitwo_compatible else road
 
 
 def trajectory_sha256(run: RunRecord) -> str:

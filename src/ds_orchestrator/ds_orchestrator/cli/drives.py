@@ -53,12 +53,6 @@ def drive(
     make_simulator(sim).close()
     if not attach:
         check_driver(driver)
-    if road.sampled or road.maxitwo_compatible or road.lane_width != ds_road.LANE_WIDTH:
-        # A road travels to a simulator as its control points alone, which would give another road here.
-        raise ds_road.RoadError(
-            "a road of road points, or of another lane width, can be checked and shown, not driven: give its control "
-            f"points, with lanes of {ds_road.LANE_WIDTH:g} m"
-        )
     if not road.validity.valid:
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
     if bag is not None and bag.exists():

@@ -1,18 +1,20 @@
-"""The orchestrator's ROS side: finds the simulators of a graph and drives roads on them, with a limit on every wait."""
+"""Drives roads through a graph of ROS nodes, with a limit on every wait."""
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import rclpy
 from action_msgs.msg import GoalStatus
 from ds_interfaces.action import DriveRoad
-from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
+from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -26,8 +28,9 @@ from ds_orchestrator.graph.supervisor import Supervisor
 from ds_road import Road
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
+from ds_sim.ros.neighbours import FEEDBACK, names_of
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Observation, Outcome
+from ds_sim.simulator import Observation, Outcome, Reason
 
 SERVICE_TIME = 20.0
 """Seconds that a simulator gets to answer a service or a goal."""
@@ -35,7 +38,10 @@ ATTEMPTS = 10
 """Calls of a service within that time: one that goes to a process that just died is never answered."""
 START_TIME = 90.0
 """Seconds that a graph gets to come up, importing its libraries on a busy machine included."""
+BUSY_TIME = 25.0
+"""Seconds for which a goal waits for another client's run; ROS forgets a client that was killed after 20 s."""
 _NO_IMAGE = np.empty((0, 0, 3), np.uint8)
+_NUMBERS = itertools.count()
 
 
 class GraphError(RuntimeError):
@@ -49,7 +55,9 @@ class GraphExecutor:
         namespaces: simulator name -> its namespace.
         domain: ROS domain; None for the environment's.
         command_timeout: s that a simulator waits for its driver.
-        supervisor: of the processes, if they are ours; a dead one is started again before the next run.
+        supervisor: of the graph's processes if this process started them; a dead one is started again before the next
+            run. None for nodes that somebody else started.
+        report: called with one line when a run has to wait for another client.
     """
 
     def __init__(
@@ -59,17 +67,20 @@ class GraphExecutor:
         domain: int | None,
         command_timeout: float,
         supervisor: Supervisor | None = None,
+        report: Callable[[str], None] = lambda _line: None,
     ) -> None:
         self._namespaces = dict(namespaces)
         self._timeout = command_timeout
         self._supervisor = supervisor
+        self._report = report
         self._revival = threading.Lock()
         self._driver_renewed, self._driver_starts = -math.inf, False
-        self._stopped = threading.Event()
+        self._stopped, self._closing = threading.Event(), threading.Event()
         # A context of its own, because several graphs, each in its domain, may be driven by one process.
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("orchestrator", context=self._context)
+        # Several clients may drive one simulator in turns: each finds the others by their names.
+        self._node = Node(f"orchestrator_{os.getpid()}_{next(_NUMBERS)}", context=self._context)
         self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -78,7 +89,7 @@ class GraphExecutor:
 
     @property
     def context(self) -> Context:
-        """Of the graph's domain, for further nodes of this process."""
+        """Context in the graph's domain, for further nodes of this process."""
         return self._context
 
     def wait_until_ready(self, limit: float = START_TIME, *, only: str | None = None) -> None:
@@ -86,7 +97,7 @@ class GraphExecutor:
 
         Raises:
             GraphError: the time is up; says what is missing.
-            ds_orchestrator.graph.supervisor.ProcessError: one of our processes ended.
+            ds_orchestrator.graph.supervisor.ProcessError: a process of the supervisor ended.
         """
         deadline = time.monotonic() + limit
         awaited = [only] if only else list(self._simulators)
@@ -99,10 +110,10 @@ class GraphExecutor:
                 return
 
     def check_simulators(self) -> None:
-        """Find out whether every namespace holds the simulator that its name promises.
+        """Check that every namespace holds the simulator that is expected there.
 
         Raises:
-            GraphError: it holds another one, or does not answer.
+            GraphError: a namespace holds another simulator, or does not answer.
         """
         for name, namespace in self._namespaces.items():
             found, expected = self.info(name).name, spec_of(name).name
@@ -110,7 +121,7 @@ class GraphExecutor:
                 raise GraphError(f"{namespace} is {found}, expected {expected}: start it under another namespace")
 
     def info(self, simulator: str) -> GetSimulatorInfo.Response:
-        """What a simulator tells about itself.
+        """Description of a simulator, as its node gives it.
 
         Raises:
             GraphError: it does not answer.
@@ -126,13 +137,12 @@ class GraphExecutor:
             record = RunRecord(road=road, seed=seed)
             self._revive()
             began = time.monotonic()
-            outcome, message = self._execute(simulator, record)
+            record.outcome, record.message = self._execute(simulator, record)
             if record.commands and self._driver_renewed < began:
                 self._driver_starts = False
-            if not (outcome is Outcome.DRIVER_SILENT and self._waits_for_driver(began, message, record)):
+            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for_driver(began, record)):
                 break
-        record.outcome, record.message = outcome, message
-        if self._stopped.is_set() and outcome.is_error:
+        if self._stopped.is_set() and record.outcome.is_error:
             record.outcome = Outcome.CANCELLED
         return record
 
@@ -143,41 +153,46 @@ class GraphExecutor:
     def close(self) -> None:
         """Leave the graph."""
         self.stop()
-        rclpy.try_shutdown(context=self._context)
+        self._closing.set()
         self._spinner.join(2.0)
+        # A context that is only shut down stays visible in its domain for as long as this process lives.
+        for simulator in self._simulators.values():
+            simulator.drive.destroy()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
 
     def _processes(self, simulator: str) -> set[str]:
-        """The processes of ours that a run on a simulator needs."""
+        """Processes of the supervisor that a run on a simulator needs."""
         return {simulator_process_name(self._namespaces[simulator]), DRIVER_PROCESS}
 
     def _restart(self, simulator: str) -> None:
-        """A simulator of ours that no longer answers gets a new process."""
+        """Start the supervisor's process of a simulator that no longer answers again."""
         if self._supervisor is not None and not self._stopped.is_set():
             with self._revival:
                 self._supervisor.restart(simulator_process_name(self._namespaces[simulator]))
 
     def _revive(self) -> None:
-        """Start every process of ours that has ended."""
+        """Start every process of the supervisor that has ended again."""
         if self._supervisor is not None:
             with self._revival:
                 if DRIVER_PROCESS in self._supervisor.revive():
                     self._driver_renewed, self._driver_starts = time.monotonic(), True
 
-    def _waits_for_driver(self, began: float, message: str, record: RunRecord) -> bool:
-        """A new driver of ours has not come up yet; the graph may still count the publisher of the old one."""
+    def _waits_for_driver(self, began: float, record: RunRecord) -> bool:
+        """True while the supervisor's new driver starts; the graph may still count the publisher of the old one."""
         patient = self._driver_starts and began - self._driver_renewed < START_TIME and not self._stopped.is_set()
-        # A run of before the new driver, or one that the new driver answered in whatever way, is as it is.
-        return patient and self._driver_renewed < began and not record.commands and messages.REFUSED not in message
+        # A run from before the new driver, or one that the new driver answered in any way, keeps its outcome.
+        answered = bool(record.commands) or record.reason is Reason.COMMAND_REFUSED
+        return patient and self._driver_renewed < began and not answered
 
-    def _renew_driver(self, began: float, message: str, record: RunRecord) -> None:
-        """A driver of ours that hangs gets a new process.
+    def _renew_driver(self, began: float, record: RunRecord) -> None:
+        """Start the supervisor's driver again if it hangs; one that sends invalid commands does not hang.
 
-        It drives the other simulators too, and their runs fall silent with the old process: that is no reason to
-        start a third one. One that talks nonsense does not hang.
+        It drives the other simulators too, whose runs fall silent with the old process: they must not start a third.
         """
         if self._supervisor is None or self._stopped.is_set() or DRIVER_PROCESS not in self._supervisor.names:
             return
-        if messages.REFUSED in message or self._waits_for_driver(began, message, record):
+        if record.reason is Reason.COMMAND_REFUSED or self._waits_for_driver(began, record):
             return
         with self._revival:
             if self._driver_renewed < began:
@@ -191,49 +206,68 @@ class GraphExecutor:
             self.wait_until_ready(START_TIME, only=name)
         except (GraphError, RuntimeError) as error:
             return Outcome.SIM_ERROR, str(error)
-        loaded = self._load(simulator, record)
-        if loaded is None:
+        # A goal must not be sent twice, but a service may be asked until a simulator that has just started answers.
+        if self._ask(simulator.info, GetSimulatorInfo.Request()) is None:
             self._restart(name)
-            return Outcome.SIM_ERROR, f"load_road was not answered within {SERVICE_TIME:.0f} s"
-        if not loaded.accepted:
-            return Outcome.SIM_ERROR, f"road refused: {loaded.reason}"
-        simulator.alive = time.monotonic()
-        goal = DriveRoad.Goal(command_timeout=self._timeout)
-        handle = self._call(lambda: simulator.drive.send_goal_async(goal, simulator.heard), SERVICE_TIME)
-        if handle is None or not handle.accepted:
-            return Outcome.SIM_ERROR, "the goal was not accepted: is another run under way?"
-        result = self._await_result(name, handle)
-        if result is None:
-            if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
-                self._call(handle.cancel_goal_async, 1.0)
-            if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
-                return Outcome.SIM_ERROR, f"{', '.join(sorted(dead))} ended during the run"
-            self._restart(name)
-            return Outcome.SIM_ERROR, "the simulator fell silent during the run"
-        _fill(record, result.result)
-        if Outcome(result.result.outcome.value) is Outcome.DRIVER_SILENT:
-            self._renew_driver(began, result.result.message, record)
-        return Outcome(result.result.outcome.value), result.result.message
+            return Outcome.SIM_ERROR, f"get_info was not answered within {SERVICE_TIME:.0f} s"
+        result = self._drive(name, record)
+        if isinstance(result, str):
+            return Outcome.SIM_ERROR, result
+        _fill(record, result)
+        if Outcome(result.outcome.value) is Outcome.DRIVER_SILENT:
+            self._renew_driver(began, record)
+        return Outcome(result.outcome.value), result.message
 
-    def _load(self, simulator: _Simulator, record: RunRecord) -> LoadRoad.Response | None:
-        """Load a road; a run that is under way, such as one whose client died, is ended first."""
-        request = LoadRoad.Request(road=messages.road_to_message(record.road), seed=record.seed)
-        deadline = time.monotonic() + SERVICE_TIME
+    def _drive(self, name: str, record: RunRecord) -> DriveRoad.Result | str:
+        """Send a goal and wait for its result; what went wrong, in one line, if there is none.
+
+        A simulator that drives for another client is waited for; a run whose client has died is ended.
+        """
+        simulator = self._simulators[name]
+        deadline, told = time.monotonic() + BUSY_TIME, False
         while True:
-            loaded: LoadRoad.Response | None = self._ask(simulator.load, request)
-            if loaded is None or loaded.accepted or loaded.reason != messages.BUSY or time.monotonic() > deadline:
-                return loaded
-            self._ask(simulator.reset, Trigger.Request())
-            if self._stopped.wait(0.2):
-                return loaded
+            result = self._drive_once(name, record)
+            if isinstance(result, str) or result.reason.value != Reason.BUSY:
+                return result
+            others = simulator.other_clients()
+            if not others:
+                self._ask(simulator.reset, Trigger.Request())
+            elif not told:
+                told = True
+                self._report(f"{simulator.namespace} drives for {', '.join(others)}: waiting {BUSY_TIME:.0f} s at most")
+            if time.monotonic() > deadline or self._stopped.wait(0.5 if others else 0.2):
+                return result
+
+    def _drive_once(self, name: str, record: RunRecord) -> DriveRoad.Result | str:
+        simulator = self._simulators[name]
+        simulator.alive = time.monotonic()
+        # Road and seed travel with the goal: another client's load_road cannot come in between.
+        goal = DriveRoad.Goal(
+            road=messages.road_to_message(record.road), seed=record.seed, command_timeout=self._timeout
+        )
+        handle = self._call(lambda: simulator.drive.send_goal_async(goal, simulator.heard), SERVICE_TIME)
+        if handle is None:
+            self._restart(name)
+            return f"the goal was not answered within {SERVICE_TIME:.0f} s"
+        if not handle.accepted:
+            return "the goal was rejected: is this simulator of another version?"
+        result = self._await_result(name, handle)
+        if result is not None:
+            return cast(DriveRoad.Result, result.result)
+        if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
+            self._call(handle.cancel_goal_async, 1.0)
+        if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
+            return f"{', '.join(sorted(dead))} ended during the run"
+        self._restart(name)
+        return "the simulator fell silent during the run"
 
     def _await_result(self, name: str, handle: Any) -> Any:
-        """Wait for a result for as long as the simulator shows signs of life."""
+        """Result of a goal, or None when the simulator has shown no sign of life for too long."""
         future = self._wait(self._executor.create_task(handle.get_result_async), SERVICE_TIME)
         if future is None:
             return None
         simulator = self._simulators[name]
-        # A slow driver may take its whole time for every frame until the simulator tells of its progress.
+        # A slow driver may use its whole time for every frame between two feedback messages.
         silence = messages.FEEDBACK_EVERY * self._timeout + SERVICE_TIME
         while not future.done():
             if self._stopped.is_set() or time.monotonic() - simulator.alive > silence:
@@ -273,7 +307,7 @@ class GraphExecutor:
 
     def _spin(self) -> None:
         try:
-            while rclpy.ok(context=self._context):
+            while not self._closing.is_set():
                 self._executor.spin_once(timeout_sec=0.2)
         except ExternalShutdownException:
             pass
@@ -284,28 +318,34 @@ class _Simulator:
 
     def __init__(self, node: Node, namespace: str) -> None:
         self._node = node
-        self._namespace = namespace
-        self.load = node.create_client(LoadRoad, f"{namespace}/load_road")
+        self.namespace = namespace
         self.info = node.create_client(GetSimulatorInfo, f"{namespace}/get_info")
         self.reset = node.create_client(Trigger, f"{namespace}/reset")
         self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
         self.alive = 0.0
 
     def heard(self, _feedback: Any) -> None:
-        """The simulator shows a sign of life."""
+        """Note a sign of life of the simulator."""
         self.alive = time.monotonic()
 
+    def other_clients(self) -> list[str]:
+        """Nodes other than this one that have a client of the simulator's action."""
+        own = self._node.get_fully_qualified_name()
+        found = self._node.get_subscriptions_info_by_topic(f"{self.namespace}/{FEEDBACK}")
+        return [name for name in names_of(found) if name != own]
+
     def missing(self) -> str:
-        """What is not there yet, or ""."""
-        if not (self.load.service_is_ready() and self.info.service_is_ready() and self.drive.server_is_ready()):
-            return f"there is no simulator in {self._namespace}"
-        if not self._node.count_publishers(f"{self._namespace}/drive"):
-            return f"there is no driver for {self._namespace}"
+        """What is missing for a run, in one line, or ""."""
+        if not (self.info.service_is_ready() and self.drive.server_is_ready()):
+            return f"there is no simulator in {self.namespace}"
+        if not self._node.count_publishers(f"{self.namespace}/drive"):
+            return f"there is no driver for {self.namespace}"
         return ""
 
 
 def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
-    """Take over what a simulator reports of a run."""
+    """Copy a simulator's result into a record."""
+    record.reason = Reason(result.reason.value)
     for state in result.states:
         vehicle, lane, outcome = messages.state_from_message(state)
         record.observations.append(

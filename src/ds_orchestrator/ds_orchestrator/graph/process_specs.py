@@ -1,13 +1,11 @@
-"""Which processes make up a graph: one node per simulator under its own namespace, and one driver for all of them."""
+"""Processes of a graph: one node for each simulator under its own namespace, and one driver for all of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_orchestrator.graph.supervisor import ProcessSpec
-from ds_sim.registry import spec_of
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
@@ -22,7 +20,7 @@ DRIVER_PROCESS = "driver"
 
 
 def simulator_process_name(namespace: str) -> str:
-    """What the process of the simulator in a namespace is called here, and its log."""
+    """Name of the process of the simulator in a namespace, and of its log."""
     return f"simulator_{namespace.strip('/').replace('/', '_')}"
 
 
@@ -40,26 +38,19 @@ def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> l
 
 
 def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
-    """The driver of all simulators: the autopilot with each vehicle's gains, or a network with each camera's crop."""
-    specs = [spec_of(name) for name in namespaces]
+    """One driver for all simulators; it asks each of them for its crop, or for the gains of its vehicle."""
     parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
     if driver == AUTOPILOT:
-        gains = [asdict(spec.autopilot) for spec in specs]
-        parameters |= {key: [float(g[key]) for g in gains] for key in gains[0]}
         return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.autopilot_node", parameters=parameters)
-    parameters |= {
-        "network": driver,
-        "crop_top": [spec.crop_top for spec in specs],
-        "crop_bottom": [spec.crop_bottom for spec in specs],
-    }
+    parameters["network"] = driver
     return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.driver_node", parameters=parameters)
 
 
 def check_driver(driver: str) -> None:
-    """Find out before anything starts whether a driver can be had.
+    """Check a driver's name before anything starts.
 
     Raises:
-        ValueError: its name stands for nothing, or what it stands for cannot be used.
+        ValueError: the name is unknown, or its file cannot be used.
     """
     if driver != AUTOPILOT:
         from ds_driver.networks.network_driver import load_pilot

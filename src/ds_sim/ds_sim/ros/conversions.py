@@ -1,37 +1,42 @@
-"""Between this package's plain types and ROS messages."""
+"""Converts between the plain types of this project and ROS messages."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict, fields
 
 from builtin_interfaces.msg import Time
 from ds_interfaces.action import DriveRoad
 from ds_interfaces.msg import DriveCommand, VehicleState
 from ds_interfaces.msg import Outcome as OutcomeMsg
+from ds_interfaces.msg import Reason as ReasonMsg
 from ds_interfaces.msg import Road as RoadMsg
 from ds_interfaces.srv import GetSimulatorInfo
-from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.action.server import ServerGoalHandle
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ds_road import Road
+from ds_road import Road, road_from_fields
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose
 from ds_sim.session import RunRecord
-from ds_sim.simulator import FRAME_RATE, MAX_SPEED, Command, LaneState, Observation, Outcome, SimulatorSpec
+from ds_sim.simulator import (
+    FRAME_RATE,
+    MAX_SPEED,
+    AutopilotGains,
+    Command,
+    LaneState,
+    Observation,
+    Outcome,
+    Reason,
+    SimulatorSpec,
+)
 from ds_sim.simulator import VehicleState as PlainState
 
-ROAD_FRAME = "road"
-
-BUSY = "a run is under way: wait for its result, cancel it, or call reset"
-"""Why a simulator's node loads no road now."""
-NO_ROAD = "no road is loaded: call load_road first, or give one with the goal"
-"""Why a simulator's node drives nothing now."""
-REFUSED = "the last command was refused"
-"""In the message of a run whose driver talked, but not what a vehicle can execute."""
 FEEDBACK_EVERY = 10
 """Frames between two feedback messages of a run: twice a simulated second."""
 
@@ -43,30 +48,49 @@ def to_time(seconds: float) -> Time:
 
 
 def road_from_message(message: RoadMsg) -> Road:
-    """Raises ds_road.RoadError for control points of which no road can be made."""
-    return Road([(point.x, point.y) for point in message.control_points])
+    """Road of a message; its id is computed, not copied.
+
+    Raises:
+        ds_road.RoadError: the fields make no road.
+    """
+    return road_from_fields(
+        [(point.x, point.y) for point in message.control_points],
+        lane_width=message.lane_width,
+        sampled=message.sampled,
+        maxitwo_compatible=message.maxitwo_compatible,
+    )
 
 
 def road_to_message(road: Road) -> RoadMsg:
-    """A road as its control points."""
-    return RoadMsg(road_id=road.road_id, control_points=[Point(x=x, y=y) for x, y in road.control_points])
+    """Message that makes an equal road again."""
+    return RoadMsg(
+        road_id=road.road_id,
+        control_points=[Point(x=x, y=y) for x, y in road.control_points],
+        lane_width=road.lane_width,
+        sampled=road.sampled,
+        maxitwo_compatible=road.maxitwo_compatible,
+    )
 
 
 def command_to_message(command: Command, header: Header) -> DriveCommand:
-    """A command in answer to the image with this header."""
+    """Command as the answer to the image with this header."""
     return DriveCommand(header=header, steering=command.steering, throttle=command.throttle)
 
 
 def command_from_message(message: DriveCommand) -> Command:
-    """Raises ds_sim.simulator.CommandError for NaN or values out of range."""
+    """Command of a message.
+
+    Raises:
+        ds_sim.simulator.CommandError: a value is NaN or out of range.
+    """
     return Command(message.steering, message.throttle)
 
 
 def image_to_message(observation: Observation, header: Header) -> Image:
-    """An observation's image; bytes, because arrays and lists are a thousand times slower to assign."""
+    """Image of an observation, rgb8."""
     rows, columns, channels = observation.image.shape
     message = Image(header=header, height=rows, width=columns, encoding="rgb8", step=columns * channels)
-    message.data = observation.image.tobytes()
+    message.data = observation.image.tobytes()  # assigning an array or a list takes a thousand times as long
     return message
 
 
@@ -136,18 +160,27 @@ def state_from_message(message: VehicleState) -> tuple[PlainState, LaneState, Ou
 
 
 def odometry_message(vehicle: PlainState, header: Header, child_frame: str) -> Odometry:
-    """Pose in the road frame, twist in the vehicle's (REP-105); the small angles of the body are kept in the state."""
+    """Planar pose in the road frame, twist in the vehicle's (REP-105); ground truth, as its covariances say."""
     message = Odometry(header=Header(stamp=header.stamp, frame_id=ROAD_FRAME), child_frame_id=child_frame)
     message.pose.pose.position = Point(x=vehicle.x, y=vehicle.y)
     message.pose.pose.orientation = Quaternion(z=math.sin(vehicle.yaw / 2), w=math.cos(vehicle.yaw / 2))
     message.twist.twist.linear.x = vehicle.speed
     message.twist.twist.linear.y = vehicle.lateral_speed
     message.twist.twist.angular.z = vehicle.yaw_rate
+    message.pose.covariance = message.twist.covariance = GROUND_TRUTH_COVARIANCE
+    return message
+
+
+def transform_message(pose: Pose, stamp: Time, parent: str, child: str) -> TransformStamped:
+    """Pose of a child frame in its parent, for tf2."""
+    (x, y, z), (qx, qy, qz, qw) = pose
+    message = TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child)
+    message.transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw))
     return message
 
 
 def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> GetSimulatorInfo.Response:
-    """Fill in what a simulator tells about itself."""
+    """Fill in the description of a simulator."""
     response.name = spec.name
     response.physics = spec.physics
     response.version = spec.engine
@@ -155,17 +188,30 @@ def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> G
     response.max_speed = MAX_SPEED
     response.image_width = spec.camera.width
     response.image_height = spec.camera.height_px
+    response.crop_top = spec.crop_top
+    response.crop_bottom = spec.crop_bottom
     response.vehicle_length = spec.vehicle_length
     response.vehicle_width = spec.vehicle_width
     response.wheelbase = spec.wheelbase
     response.max_steering_angle = spec.max_steering_angle
-    response.parameters = [f"crop_top={spec.crop_top}", f"crop_bottom={spec.crop_bottom}"]
-    response.parameters += [f"{key}={value}" for key, value in spec.extra.items()]
+    for gain, value in asdict(spec.autopilot).items():
+        setattr(response, f"autopilot_{gain}", value)
+    response.parameters = [f"{key}={value}" for key, value in spec.extra.items()]
     return response
 
 
+def crop_of(info: GetSimulatorInfo.Response) -> tuple[int, int]:
+    """Image rows at the top and at the bottom that a network does not see."""
+    return info.crop_top, info.crop_bottom
+
+
+def gains_of(info: GetSimulatorInfo.Response) -> AutopilotGains:
+    """Gains of the reference driver for a simulator's vehicle."""
+    return AutopilotGains(**{field.name: getattr(info, f"autopilot_{field.name}") for field in fields(AutopilotGains)})
+
+
 def drive_feedback(observation: Observation, road: Road) -> DriveRoad.Feedback:
-    """How far a run is."""
+    """Progress of a run."""
     return DriveRoad.Feedback(
         step=observation.step,
         progress=min(max(observation.lane.arc_length / road.length, 0.0), 1.0),
@@ -174,9 +220,10 @@ def drive_feedback(observation: Observation, road: Road) -> DriveRoad.Feedback:
 
 
 def drive_result(run: RunRecord) -> DriveRoad.Result:
-    """A whole run: outcome, measures, and every state and command with stamps that count from the run's start."""
+    """Result of a run: outcome, measures, and every state and command, stamped from the start of the run."""
     result = DriveRoad.Result(
         outcome=OutcomeMsg(value=int(run.outcome)),
+        reason=ReasonMsg(value=int(run.reason)),
         message=run.message,
         fitness=run.fitness,
         max_lateral_position=run.max_lateral_position,
@@ -194,8 +241,14 @@ def drive_result(run: RunRecord) -> DriveRoad.Result:
     return result
 
 
+def refusal_result(reason: Reason, message: str) -> DriveRoad.Result:
+    """Result of a goal that is refused: an error without a run."""
+    outcome = OutcomeMsg(value=int(Outcome.SIM_ERROR))
+    return DriveRoad.Result(outcome=outcome, reason=ReasonMsg(value=int(reason)), message=message)
+
+
 def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:
-    """End a goal in the action's sense: a verdict on the driver, also a bad one, is a success."""
+    """Set a goal's final state: any verdict on the driver, also a failed test, is a success of the action."""
     if outcome is Outcome.CANCELLED and goal.is_cancel_requested:
         goal.canceled()
     elif outcome.is_error:
@@ -205,7 +258,7 @@ def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:
 
 
 def road_markers(road: Road, look: Look, stamp: Time) -> MarkerArray:
-    """The road as RViz and Foxglove draw it: surface edges in white, centre line in yellow."""
+    """Line strips for RViz and Foxglove: the edges of the road in white, its centre line in yellow."""
     lines = ((road.left_edge, look.edge_line), (road.points, look.centre_line), (road.right_edge, look.edge_line))
     markers = []
     for index, (line, colour) in enumerate(lines):

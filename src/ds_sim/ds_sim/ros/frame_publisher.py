@@ -1,4 +1,4 @@
-"""Publishes what a simulator shows: image, camera info, vehicle state, odometry and the road."""
+"""Publishes what a simulator shows: image, camera info, vehicle state, odometry, transforms and the road."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from ds_road import Road
+from ds_sim.frames import base_frame, camera_frame
 from ds_sim.ros import conversions as messages
+from ds_sim.ros.transform_publisher import TransformPublisher
 from ds_sim.simulator import Observation, SimulatorSpec
 
 
 class FramePublisher:
-    """The publishers of one simulator, all reliable, with names relative to the node's namespace.
+    """Publishers of one simulator, all reliable, with names relative to the node's namespace.
 
     Args:
-        node: that owns the publishers.
-        spec: of the simulator.
-        clock: publish the stamps as time, too.
+        node: node that owns the publishers.
+        spec: description of the simulator.
+        clock: publish the stamps as simulated time on /clock, too.
     """
 
     def __init__(self, node: Node, spec: SimulatorSpec, *, clock: bool = False) -> None:
         self._spec = spec
-        prefix = node.get_namespace().strip("/")
-        self._camera_frame = f"{prefix}/camera".strip("/")
-        self._base_frame = f"{prefix}/base_link".strip("/")
+        self._camera_frame = camera_frame(node.get_namespace())
+        self._base_frame = base_frame(node.get_namespace())
+        self._transforms = TransformPublisher(node, spec.camera, self._camera_frame, self._base_frame)
         self._image = node.create_publisher(Image, "camera/image_raw", 5)
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", 5)
         self._state = node.create_publisher(VehicleState, "state", 50)
@@ -39,7 +41,7 @@ class FramePublisher:
         self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
 
     def publish(self, observation: Observation, road: Road, stamp: float) -> Header:
-        """Publish one frame, the state before the image that it belongs to; the header that an answer must carry."""
+        """Publish one frame, the state before its image; returns the header that an answer must carry."""
         header = Header(stamp=messages.to_time(stamp), frame_id=self._camera_frame)
         if self._clock is not None:
             self._clock.publish(Clock(clock=header.stamp))
@@ -49,8 +51,9 @@ class FramePublisher:
             self._info.publish(messages.camera_info_message(self._spec.camera, header))
         if self._odom.get_subscription_count():
             self._odom.publish(messages.odometry_message(observation.vehicle, header, self._base_frame))
+        self._transforms.publish(observation.vehicle, header.stamp)
         return header
 
     def publish_road(self, road: Road, stamp: float) -> None:
-        """Publish a road for viewers, which get it even if they come later."""
+        """Publish a road for viewers, also for those that join later."""
         self._markers.publish(messages.road_markers(road, self._spec.look, messages.to_time(stamp)))

@@ -1,4 +1,4 @@
-"""The parameters of a simulator's node."""
+"""Parameters of a simulator's node, and the goal options that override them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from ds_sim.ros.parameters import declare
+from ds_sim.ros.refusal import RequestRefused
+from ds_sim.simulator import Reason
 
 SYNC_MODES = ("lockstep", "first", "realtime")
 """lockstep: only the command with the stamp of the last image counts; first: the first command after it does;
@@ -16,7 +18,7 @@ realtime: frames come at 20 Hz by the wall clock, and the last command holds."""
 
 @dataclass(frozen=True)
 class SimulatorParameters:
-    """What a simulator's node is told at its start.
+    """Parameters of a simulator's node.
 
     Attributes:
         simulator: name of a known simulator, or module:Class.
@@ -32,10 +34,10 @@ class SimulatorParameters:
 
 
 def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
-    """Declare and read them; `simulator` is the default of the one of that name.
+    """Declare and read the parameters; `simulator` is the default of the parameter `simulator`.
 
     Raises:
-        ValueError: one of another type or out of range.
+        ValueError: a parameter is of another type or out of range.
     """
     return SimulatorParameters(
         simulator=declare(node, "simulator", simulator, "Known simulator, or module:Class."),
@@ -50,8 +52,13 @@ def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
 
 
 def check_goal(sync: str, command_timeout: float) -> None:
-    """Raises ValueError for a goal's wishes that cannot be met; "" and 0 stand for the node's own."""
+    """Check the options of a goal; "" and 0 stand for the node's own.
+
+    Raises:
+        RequestRefused: BAD_GOAL.
+    """
     if sync not in ("", *SYNC_MODES):
-        raise ValueError(f"sync {sync!r}: expected one of {', '.join(SYNC_MODES)}")
+        raise RequestRefused(Reason.BAD_GOAL, f"sync {sync!r}: expected one of {', '.join(SYNC_MODES)}")
     if not 0.0 <= command_timeout < math.inf:
-        raise ValueError(f"command_timeout {command_timeout}: expected seconds, or 0 for the node's own")
+        message = f"command_timeout {command_timeout}: expected seconds, or 0 for the node's own"
+        raise RequestRefused(Reason.BAD_GOAL, message)

@@ -1,0 +1,52 @@
+"""Coordinate frames of one simulator and the poses between them, as ROS names and orients them (REP-103, REP-105)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ds_sim.camera.spec import CameraSpec
+from ds_sim.simulator import VehicleState
+
+ROAD_FRAME = "road"
+"""Fixed frame of every simulator: x and y in the plane of the road, z up, metres."""
+_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Axes of an optical frame (right, down, forward) as columns in its body's frame (forward, left, up): REP-103."""
+_EXACT, _UNKNOWN = 1e-9, 1e12
+# Variances of odometry whose planar part is ground truth. All zeros would mean "unknown" (sensor_msgs/Imu) and break
+# filters that invert them; robot_localization replaces zeros by 1e-9, and Gazebo's planar_move gives 1e12 to the axes
+# that it does not observe. Order: x, y, z, roll, pitch, yaw.
+GROUND_TRUTH_COVARIANCE: NDArray[np.float64] = np.diag([_EXACT, _EXACT, _UNKNOWN, _UNKNOWN, _UNKNOWN, _EXACT]).ravel()
+"""Row-major 6 x 6 covariance of the pose (m^2, rad^2) and of the twist ((m/s)^2, (rad/s)^2) in odometry."""
+GROUND_TRUTH_COVARIANCE.setflags(write=False)
+
+Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
+"""Translation x, y, z in m, and rotation as a quaternion x, y, z, w."""
+
+
+def camera_frame(namespace: str) -> str:
+    """Name of the optical frame of the camera in a namespace."""
+    return f"{namespace.strip('/')}/camera".strip("/")
+
+
+def base_frame(namespace: str) -> str:
+    """Name of the vehicle's frame in a namespace."""
+    return f"{namespace.strip('/')}/base_link".strip("/")
+
+
+def body_pose(vehicle: VehicleState) -> Pose:
+    """Pose of the vehicle in the road frame; its origin is on the ground below the centre when the body is at rest."""
+    turn = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
+    return (vehicle.x, vehicle.y, vehicle.heave), _quaternion(turn)
+
+
+def camera_pose(camera: CameraSpec) -> Pose:
+    """Pose of the camera's optical frame in the vehicle's frame."""
+    turn = Rotation.from_matrix(Rotation.from_euler("Y", camera.pitch).as_matrix() @ _OPTICAL)
+    return (camera.forward, 0.0, camera.height), _quaternion(turn)
+
+
+def _quaternion(turn: Rotation) -> tuple[float, float, float, float]:
+    x, y, z, w = (float(v) for v in turn.as_quat())
+    return x, y, z, w

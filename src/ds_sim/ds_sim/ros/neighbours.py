@@ -1,0 +1,91 @@
+"""Finds the nodes around a simulator that would spoil a run: a second simulator, a second driver, other clients."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import LivelinessPolicy, QoSProfile
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.utilities import get_rmw_implementation_identifier
+from std_msgs.msg import Empty
+
+from ds_sim.ros.refusal import RequestRefused
+from ds_sim.simulator import Reason
+
+PRESENCE_QOS = QoSProfile(depth=1, liveliness=LivelinessPolicy.AUTOMATIC, liveliness_lease_duration=Duration(seconds=2))
+"""A simulator that was killed still stands in the ROS graph for 20 s; its liveliness ends within these 2 s."""
+FEEDBACK = "drive_road/_action/feedback"
+"""Topic to which every client of the action subscribes."""
+
+
+class Neighbours:
+    """Watches the namespace of a simulator's node.
+
+    Args:
+        node: the simulator's node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._others = 0
+        # Fast DDS does not report a participant's own publisher to it.
+        self._own = 0 if get_rmw_implementation_identifier().startswith("rmw_fastrtps") else 1
+        self._presence = node.create_publisher(Empty, "presence", PRESENCE_QOS)
+        events = SubscriptionEventCallbacks(liveliness=lambda status: self._on_liveliness(status.alive_count))
+        node.create_subscription(Empty, "presence", lambda _: None, PRESENCE_QOS, event_callbacks=events)
+
+    def _on_liveliness(self, alive: int) -> None:
+        before, self._others = self._others, alive - self._own
+        if self._others > before:
+            self._node.get_logger().error(self._crowd())
+
+    def _crowd(self) -> str:
+        return (
+            f"{self._others + 1} simulators live in {self._node.get_namespace()}: stop all but one, or start them under "
+            "other namespaces (__ns:=)"
+        )
+
+    def drivers(self) -> list[str]:
+        """Nodes that publish commands, one name for each publisher."""
+        return names_of(self._node.get_publishers_info_by_topic(_resolved(self._node, "drive")))
+
+    def clients(self) -> list[str]:
+        """Nodes that have a client of the action."""
+        return names_of(self._node.get_subscriptions_info_by_topic(_resolved(self._node, FEEDBACK)))
+
+    def busy(self, road_id: str) -> RequestRefused:
+        """Make the refusal of a request that comes during a run on this road."""
+        clients = ", ".join(self.clients()) or "none that is alive"
+        return RequestRefused(
+            Reason.BUSY,
+            f"a run on road {road_id} is under way (clients: {clients}): wait for its result, cancel it, or call reset",
+        )
+
+    def check_alone(self) -> None:
+        """Check that no other simulator lives in the namespace.
+
+        Drivers are not counted: one that was killed stands in the ROS graph for 20 s beside the one that replaces it.
+        Two that live are found by their commands.
+
+        Raises:
+            RequestRefused: TWO_SIMULATORS.
+        """
+        if self._others > 0:
+            raise RequestRefused(Reason.TWO_SIMULATORS, self._crowd())
+
+
+def names_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
+    """Full node names of publishers or subscriptions, sorted; without those that discovery has not named yet."""
+    return sorted(f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in endpoints if "UNKNOWN" not in e.node_name)
+
+
+def two_drivers(names: list[str]) -> str:
+    """One line on drivers that publish to the same topic."""
+    return f"two drivers send commands ({', '.join(names)}): stop one of them"
+
+
+def _resolved(node: Node, name: str) -> str:
+    return node.resolve_topic_name(name)
