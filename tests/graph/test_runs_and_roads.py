@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from ds_road import Road, generate
+from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.simulator import Outcome, Reason
 
@@ -319,6 +320,6 @@ def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(graph: An
 
 
 def test_a_driver_without_parameters_asks_its_simulator_and_says_so(graph: Any) -> None:
-    gains = make_simulator("donkey").spec.autopilot
+    gains = spec_of("donkey").autopilot
     log = graph._supervisor._log("driver").read_text()
     assert f"/ds1: gains from donkey: proportional {gains.proportional:g}" in log

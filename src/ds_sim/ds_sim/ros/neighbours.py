@@ -44,8 +44,8 @@ class Neighbours:
 
     def _crowd(self) -> str:
         return (
-            f"{self._others + 1} simulators live in {self._node.get_namespace()}: stop all but one, or start them under "
-            "other namespaces (__ns:=)"
+            f"{self._others + 1} simulators live in {self._node.get_namespace()}: stop all but one, or give them other "
+            "namespaces (__ns:=)"
         )
 
     def drivers(self) -> list[str]:
