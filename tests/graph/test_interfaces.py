@@ -63,7 +63,6 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     while set(NODES) - set(node.get_node_names()) and time.monotonic() < deadline:
         supervisor.check(set(NODES))
         time.sleep(0.1)
-    time.sleep(1.0)  # endpoints are announced after their node
     yield node
     node.destroy_node()
     rclpy.try_shutdown()
@@ -117,7 +116,9 @@ def test_the_document_lists_every_interface_and_no_other(graph: Any, node: str) 
     assert written
     optional = OPTIONAL.get(node, set())
     required = {row for row in written if row[:2] not in optional}
-    found = interfaces_of(graph, node)
+    deadline = time.monotonic() + 30.0
+    while not required <= (found := interfaces_of(graph, node)) and time.monotonic() < deadline:
+        time.sleep(0.1)  # endpoints are announced after their node
     assert required <= found, required - found
     assert found <= written, found - written
 
