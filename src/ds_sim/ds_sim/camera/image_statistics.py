@@ -27,7 +27,7 @@ class ImageStatistics:
         sharpness: standard deviation of the Laplacian (4 neighbours) over the contrast; dimensionless.
         noise: standard deviation within the quietest blocks after subtracting a fitted plane, grey levels.
         noise_fineness: share of that noise's power above half the Nyquist frequency along rows or columns;
-            48 / 63 = 0.76 for white noise, less for filtered noise.
+            48 / 61 = 0.79 for white noise (64 DCT terms minus a plane), less for filtered noise.
     """
 
     brightness: float
