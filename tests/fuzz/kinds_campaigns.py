@@ -146,10 +146,10 @@ def _cell(value: Any, rng: Rng) -> Any:
 
 @cache
 def _bomb() -> bytes:
-    """A gigabyte of zeros in a megabyte."""
+    """A gigabyte of zeros in a megabyte; no block refers to the one before, so that they can be repeated."""
     packer = zlib.compressobj(9)
-    block = bytes(2**24)
-    return b"".join([*(packer.compress(block) for _ in range(64)), packer.flush()])
+    first, again = (packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
+    return first + again * 63
 
 
 def _read_store(path: Path) -> object:
@@ -157,7 +157,6 @@ def _read_store(path: Path) -> object:
     store = Store(path)
     try:
         config = config_of(store)
-        store.notes(), store.errors(), store.searches(), store.results()
         return stages_of(config, store), maps_of(store)
     finally:
         store.close()
@@ -247,10 +246,13 @@ def _damage_data(folder: Path, rng: Rng) -> None:
         table = table.drop_columns([name]) if rng.random() < 0.1 else table.set_column(at, name, column)
         if not table.num_columns:
             break
+    content = pa.BufferOutputStream()
     try:
-        pq.write_table(table, path)
+        pq.write_table(table, content)
     except pa.ArrowException:
         damaged_file(path, rng)  # Parquet itself does not take this table
+    else:
+        path.write_bytes(content.getvalue().to_pybytes())
 
 
 KINDS = [

@@ -16,9 +16,10 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
+
+from ds_sim.ros.runtime import init_ros
 
 QUEUE = 5000
 """Messages that a publisher keeps for slow readers; chosen: more than the longest run of ours has on a topic."""
@@ -43,7 +44,7 @@ class GraphOutput:
     """
 
     def __init__(self, connections: Iterable[Connection], *, patient: bool) -> None:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        init_ros()
         self._node = Node("bag_replay", start_parameter_services=False)
         self._patient = patient
         self._publishers: dict[int, Publisher] = {}

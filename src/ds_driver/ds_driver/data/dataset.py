@@ -181,6 +181,17 @@ def read_drive(file: Path) -> pa.Table:
     return table.select(["image", "steering", "simulator", "road_id"])
 
 
+def _is_like(found: pa.DataType, expected: pa.DataType) -> bool:
+    """Whether a column is of a type, in any width: pandas and others write wider ones."""
+    kinds = (
+        (pa.types.is_binary, pa.types.is_large_binary),
+        (pa.types.is_string, pa.types.is_large_string),
+        (pa.types.is_floating,),
+        (pa.types.is_integer,),
+    )
+    return any(any(k(found) for k in kind) and any(k(expected) for k in kind) for kind in kinds)
+
+
 def _check_schema(file: Path, parquet: pq.ParquetFile) -> None:
     """Refuse other columns or types, and sizes beyond the limits, before anything is decompressed."""
     found = parquet.schema_arrow
@@ -191,7 +202,7 @@ def _check_schema(file: Path, parquet: pq.ParquetFile) -> None:
         if found.names.count(field.name) != 1 or field.name not in SCHEMA.names:
             raise DatasetError(f"{file} has a column {field.name!r:.60} that no data set has: collect it again")
         expected = SCHEMA.field(field.name).type
-        if field.type != expected:
+        if not _is_like(field.type, expected):
             kind = f"{field.type}"[:60]
             raise DatasetError(f"{file} has {kind} in the column {field.name}, expected {expected}: collect it again")
     about = parquet.metadata

@@ -9,13 +9,13 @@ import rclpy
 from ds_interfaces.msg import DriveCommand, VehicleState
 from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from ds_driver.data.recordings import RecordedFrame
 from ds_driver.networks.preprocessing import Crop
 from ds_sim.ros import conversions as messages
+from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import FRAME_TIME
 
 PATIENCE = 10.0
@@ -36,7 +36,7 @@ class DriverClient:
     """
 
     def __init__(self, namespace: str) -> None:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        init_ros()
         self._namespace = namespace
         self._node = Node("bag_questions", start_parameter_services=False)
         self._image = self._node.create_publisher(Image, f"{namespace}/camera/image_raw", 5)

@@ -101,7 +101,7 @@ def store_of(folder: Path, config: CampaignConfig) -> Store:
     """
     store = Store(folder / "campaign.sqlite", config=config.identity(), present=_with_present_keys)
     try:
-        _check_names(store, config)
+        _check(store, config)
     except StoreError:
         store.close()
         raise
@@ -123,12 +123,12 @@ def config_of(store: Store) -> CampaignConfig:
         StoreError: the store has tests or executions that this campaign cannot have.
     """
     config = _parsed(store.config)
-    _check_names(store, config)
+    _check(store, config)
     return config
 
 
-def _check_names(store: Store, config: CampaignConfig) -> None:
-    store.check_names(config.siblings, config.simulators, runs=config.search.runs, budget=config.settings.budget)
+def _check(store: Store, config: CampaignConfig) -> None:
+    store.check(config.siblings, config.simulators, runs=config.search.runs, budget=config.settings.budget)
 
 
 def _parsed(text: str) -> CampaignConfig:

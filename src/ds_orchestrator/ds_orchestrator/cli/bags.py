@@ -140,7 +140,7 @@ def bag_pack(campaign: Path, out: Path, by: By) -> Result:
     from ds_orchestrator.campaign.bag_groups import groups_of
 
     progress, packs = countdown(), []
-    groups = groups_of(campaign, by)
+    groups = groups_of(campaign, by, say=say)
     try:
         for done, (name, bags) in enumerate(groups.items(), start=1):
             packs.append(pack(bags, out / name, {"campaign": campaign.resolve().name, "group": name}))

@@ -87,10 +87,11 @@ def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
 def status(folder: Path) -> Result:
     """How far a campaign is, stage by stage."""
     with closing(open_store(folder)) as store:
-        return _status(store)
+        return _status(folder, store)
 
 
-def _status(store: Store) -> Result:
+def _status(folder: Path, store: Store) -> Result:
+    from ds_orchestrator.campaign.bag_groups import missing_bags, missing_line
     from ds_orchestrator.campaign.status import stages_of
 
     config = config_of(store)
@@ -101,6 +102,7 @@ def _status(store: Store) -> Result:
             counts[execution.simulator].get(execution.outcome.name, 0) + 1
         )
     stages = stages_of(config, store)
+    missing = missing_bags(folder, executions)
     driving = [stage.expected for stage in stages if stage.failures is not None]
     known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
     document: dict[str, Any] = {
@@ -109,6 +111,7 @@ def _status(store: Store) -> Result:
         "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
         "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in store.searches()],
         "outcomes": counts,
+        "missing_bags": missing,
         "errors": [
             dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
             for row in store.errors()
@@ -123,6 +126,8 @@ def _status(store: Store) -> Result:
             numbers = (stage.done, stage.expected, stage.failures) if stage.failures is not None else (None,) * 3
             table.add_row(stage.name, stage.state, *("" if n is None else str(n) for n in numbers))
         Console().print(table)
+        if missing:
+            print(missing_line(missing))
         if document["errors"]:
             print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
 

@@ -19,7 +19,6 @@ from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -29,6 +28,7 @@ from ds_road import Road
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
+from ds_sim.ros.runtime import init_ros
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, Outcome, Reason
 
@@ -78,7 +78,7 @@ class GraphExecutor:
         self._stopped, self._closing = threading.Event(), threading.Event()
         # A context of its own, because several graphs, each in its domain, may be driven by one process.
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        init_ros(context=self._context, domain_id=domain)
         # Several clients may drive one simulator in turns: each finds the others by their names.
         self._node = Node(f"orchestrator_{os.getpid()}_{next(_NUMBERS)}", context=self._context)
         self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}

@@ -269,8 +269,10 @@ class Store:
         except ValueError as error:
             raise self._file.damaged(f"the test {test_id!r:.60}: {error}") from None
 
-    def check_names(self, siblings: Sequence[str], simulators: Sequence[str], *, runs: int, budget: int) -> None:
-        """Refuse tests and executions that a campaign over these simulators cannot have.
+    def check(self, siblings: Sequence[str], simulators: Sequence[str], *, runs: int, budget: int) -> None:
+        """Refuse rows that a campaign over these simulators cannot have, before anything is made of them.
+
+        Tests and executions as such are checked where they are read.
 
         Args:
             siblings: simulators with a search.
@@ -279,8 +281,11 @@ class Store:
             budget: tests of a run.
 
         Raises:
-            StoreError: another simulator, a run or number out of range, or an execution without its test.
+            StoreError: another simulator, a run or number out of range, an execution without its test, or a value
+                of the smaller tables that is not possible.
         """
+        for read in (self.notes, self.errors, self.searches, self.results, self.given_up):
+            read()
         for table, column, known in (("tests", "sibling", siblings), ("executions", "simulator", simulators)):
             for (name,) in self._file.ask(f"SELECT DISTINCT {column} FROM {table}"):
                 if name not in known:

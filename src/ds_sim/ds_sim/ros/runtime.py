@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Callable
 from types import FrameType
+from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -49,6 +50,28 @@ class Stop:
         os._exit(128 + number)
 
 
+class LogFolderError(ValueError):
+    """ROS 2 has no folder for its logs that it can write."""
+
+
+def init_ros(**arguments: Any) -> None:
+    """Call `rclpy.init` without its signal handlers.
+
+    Args:
+        arguments: of `rclpy.init`.
+
+    Raises:
+        LogFolderError: the home folder cannot be written, and no other one is named.
+    """
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO, **arguments)
+    except RuntimeError as error:
+        if "log" not in str(error):
+            raise
+        reason = str(error).partition(", at ")[0]
+        raise LogFolderError(f"{reason}: set ROS_LOG_DIR to a folder that can be written") from None
+
+
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Make a node and spin it; the exit status is 0, or 2 when the node could not be made for bad input.
 
@@ -58,7 +81,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
     node: Node | None = None
     try:
         # rclpy's own handlers would take the context from under a node that is still being made.
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        init_ros(args=args)
         node = make_node()
         stop.interrupts = False
         executor = SingleThreadedExecutor()

@@ -1,0 +1,235 @@
+"""Campaign folders from somebody else: no code of theirs runs, and what cannot have been written is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import struct
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_campaigns import make_tests
+from tests.campaign.executors import MadeUpExecutor
+from tests.campaign.test_campaign import maps_text, run
+from tests.campaign.test_unusable_folders import content, ds
+
+from ds_driver.networks.received import received_driver
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
+from ds_orchestrator.campaign.folder import store_of
+from ds_orchestrator.store.rows import trajectory_sha256
+from ds_orchestrator.store.store import Store, StoreError
+
+Ds = Callable[..., tuple[int, str]]
+__all__ = ["ds"]  # a fixture
+SEARCH = SearchConfig(population=1, iterations=1, runs=1)
+CONFIG = CampaignConfig(siblings=["donkey"], twin=None, driver="autopilot", record="none", search=SEARCH)
+BAG = "bags/donkey-0-0001-on-donkey"
+
+
+def make(folder: Path, config: CampaignConfig = CONFIG) -> Path:
+    """A campaign of two tests, all driven."""
+    folder.mkdir()
+    store = Store(folder / "campaign.sqlite", config=config.identity())
+    for test, executions in make_tests(config, 2):
+        store.add_test(test)
+        for execution in executions:
+            store.add_execution(execution)
+    store.close()
+    return folder
+
+
+def change(folder: Path, statement: str, *values: object) -> None:
+    db = sqlite3.connect(folder / "campaign.sqlite", isolation_level=None)
+    db.execute(statement, values)
+    db.close()
+
+
+@pytest.fixture
+def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A module that leaves a trace when it is imported, where Python finds it."""
+    code = tmp_path / "code"
+    code.mkdir()
+    (code / "evilmod.py").write_text(
+        f"from pathlib import Path\nPath({str(tmp_path / 'trace')!r}).touch()\n"
+        "from ds_twin_donkey.simulator import DonkeySimulator\n\n\n"
+        "class S(DonkeySimulator):\n    pass\n\n\nclass D:\n    def drive(self, seen):\n        return 0.0\n"
+    )
+    monkeypatch.syspath_prepend(str(code))
+    yield tmp_path / "trace"
+    sys.modules.pop("evilmod", None)
+
+
+@pytest.mark.parametrize("received", [{"siblings": ["evilmod:S"]}, {"twin": "evilmod:S"}, {"driver": "evilmod:D"}])
+def test_no_verb_imports_what_a_received_campaign_names(
+    tmp_path: Path, evil: Path, ds: Ds, received: dict[str, object]
+) -> None:
+    config = CampaignConfig.model_validate({**CONFIG.model_dump(), **received})
+    folder = make(tmp_path / "received", config)
+    for verb in (("campaign", "status"), ("maps",)):
+        assert ds(*verb, folder) == (0, "")
+    status, said = ds("campaign", "resume", folder)
+    assert status == 2 and len(said.splitlines()) == 1 and "--trust 'evilmod:" in said
+    assert not evil.exists()
+
+
+def test_the_report_leaves_out_pictures_of_an_unknown_simulator_until_it_is_trusted(
+    tmp_path: Path, evil: Path, ds: Ds
+) -> None:
+    folder = make(tmp_path / "received", CampaignConfig(**{**CONFIG.model_dump(), "siblings": ["evilmod:S"]}))
+    status, said = ds("report", folder)
+    assert status == 0 and not evil.exists()
+    assert "report without its pictures: simulator 'evilmod:S'" in said and "--trust 'evilmod:S'" in said
+    page = (folder / "report.html").read_text()
+    assert "no picture: simulator &#39;evilmod:S&#39; is Python code" in page
+    status, said = ds("report", folder, "--trust", "evilmod:S")
+    assert status == 0 and evil.exists() and "without its pictures" not in said
+
+
+def test_a_received_driver_may_hold_numbers_and_no_program(tmp_path: Path) -> None:
+    for suffix in (".onnx", ".pt"):
+        (tmp_path / f"net{suffix}").touch()
+        (tmp_path / f"net{suffix}.yaml").write_text(f"file: net{suffix}\ninput: {{size: [160, 320]}}\n")
+    onnx, program = (f"{tmp_path}/net{suffix}.yaml" for suffix in (".onnx", ".pt"))
+    for name in ("autopilot", "dave2", "dave2@onnx", "weights.safetensors", onnx, f"{onnx}@openvino"):
+        assert received_driver(name) == name
+    for name in ("evilmod:D", program, f"{program}@cuda"):
+        with pytest.raises(ValueError, match="must not run code: if you trust it, name it yourself with --trust"):
+            received_driver(name)
+        assert received_driver(name, confirmed=[name]) == name
+
+
+def packed(*numbers: float) -> bytes:
+    return zlib.compress(struct.pack(f"<{len(numbers)}d", *numbers))
+
+
+IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
+    "text for a number": ("UPDATE executions SET fitness='far'", (), "fitness is text, expected a finite number"),
+    "infinity": ("UPDATE executions SET fitness=9e999", (), "fitness is inf"),
+    "a blob for text": ("UPDATE executions SET message=x'00'", (), "message is a blob"),
+    "text that is not UTF-8": ("UPDATE executions SET message=CAST(x'ff' AS TEXT)", (), "is damaged"),
+    "negative steps": ("UPDATE executions SET steps=-1", (), "steps is -1"),
+    "too many steps": ("UPDATE executions SET steps=2000000000", (), "steps of all runs, the limit"),
+    "unknown outcome": ("UPDATE executions SET outcome='WON'", (), "outcome is 'WON', expected one of COMPLETED"),
+    "an error as outcome": ("UPDATE executions SET outcome='SIM_ERROR'", (), "expected one of COMPLETED"),
+    "another trajectory": ("UPDATE executions SET trajectory_sha256=?", ("0" * 64,), "has another SHA-256"),
+    "a digest that is a number": ("UPDATE executions SET trajectory_sha256=1.5", (), "has another SHA-256"),
+    "a trajectory of NaN": (
+        "UPDATE executions SET steps=0, simulated_seconds=0, steering=?, trajectory=?, trajectory_sha256=?",
+        (packed(), packed(*[float("nan")] * 5), trajectory_sha256(np.full((1, 5), np.nan))),
+        "trajectory holds NaN or infinity",
+    ),
+    "a short trajectory": ("UPDATE executions SET trajectory=?", (packed(0.0),), "trajectory does not hold"),
+    "a largest offset of its own": ("UPDATE executions SET max_lateral_position=0.125", (), "is not the largest one"),
+    "another time": ("UPDATE executions SET simulated_seconds=1e9", (), "simulated_seconds is 1e+09"),
+    "a bag elsewhere": ("UPDATE executions SET bag='bags/../../../etc'", (), "expected a folder in bags"),
+    "another simulator": ("UPDATE executions SET simulator='bullet' WHERE rowid=1", (), "no simulator of its config"),
+    "no test": ("DELETE FROM tests WHERE rowid=1", (), "which is no test"),
+    "another road": ("UPDATE tests SET road_id='0123456789ab'", (), "those of another road"),
+    "no road": ("UPDATE tests SET control_points='[[1e400, 0]]'", (), "is damaged (the test"),
+    "brackets": ("UPDATE tests SET control_points=?", ("[" * 100_000,), "control_points is not JSON"),
+    "a path as id": ("UPDATE tests SET test_id='../x-0-0000' WHERE number=0", (), "no test"),
+    "seconds that are none": ("INSERT INTO about VALUES ('seconds search', 'long')", (), "expected seconds"),
+    "an unknown kind of error": ("INSERT INTO errors VALUES ('a','b',0,'COMPLETED','')", (), "outcome is 'COMPLETED'"),
+    "no configuration": ("UPDATE about SET value='[' WHERE key='config'", (), "is not JSON"),
+    "nested configuration": ("UPDATE about SET value=? WHERE key='config'", ("[" * 100_000,), "is not JSON"),
+    "a trigger": ("CREATE TRIGGER t AFTER INSERT ON tests BEGIN DELETE FROM about; END", (), "not a campaign's file"),
+    "a view": ("CREATE VIEW v AS SELECT 1", (), "not a campaign's file"),
+}
+
+
+@pytest.mark.parametrize("what", IMPOSSIBLE)
+def test_content_that_no_campaign_wrote_is_refused_in_one_line(tmp_path: Path, ds: Ds, what: str) -> None:
+    folder = make(tmp_path / "received")
+    statement, values, reason = IMPOSSIBLE[what]
+    change(folder, statement, *values)
+    before = content(folder)
+    status, said = ds("report", folder)
+    assert status == 2 and reason in said and len(said.splitlines()) == 1 and len(said) < 400, said
+    assert content(folder) == before
+
+
+def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path, ds: Ds) -> None:
+    import tracemalloc
+
+    folder = make(tmp_path / "received")
+    packer = zlib.compressobj(9)
+    first, again = (packer.compress(bytes(2**22)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
+    bomb = first + again * 255  # nothing in a block refers to the one before
+    change(folder, "UPDATE executions SET trajectory=?", bomb)
+    tracemalloc.start()
+    status, said = ds("campaign", "status", folder)
+    assert status == 2 and "does not hold" in said
+    assert tracemalloc.get_traced_memory()[1] < 50_000_000
+    tracemalloc.stop()
+
+
+def test_only_regular_files_are_opened_and_nothing_is_written_through_links(tmp_path: Path, ds: Ds) -> None:
+    folder = make(tmp_path / "received")
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    (folder / "report.html").symlink_to(mine)
+    status, said = ds("report", folder)
+    assert status == 2 and "outside the campaign's folder" in said and mine.read_text() == "mine"
+    (folder / "report.html").unlink()
+    os.mkfifo(folder / "report.html")
+    assert ds("report", folder)[0] == 2
+    (folder / "campaign.sqlite").unlink()
+    os.mkfifo(folder / "campaign.sqlite")
+    status, said = ds("campaign", "status", folder)
+    assert status == 2 and "is not a regular file" in said
+
+
+def test_a_journal_that_names_another_file_is_not_replayed(tmp_path: Path, ds: Ds) -> None:
+    """SQLite deletes the file that a left-over rollback journal calls its super-journal."""
+    folder = make(tmp_path / "received")
+    victim = tmp_path / "victim"
+    victim.write_bytes(b"nothing\0")
+    magic, name = bytes.fromhex("d9d505f920a163d7"), str(victim).encode()
+    header = (magic + struct.pack(">5I", 0, 1, 1, 512, 4096)).ljust(512, b"\0")
+    tail = struct.pack(">I", 2**31 // 4096 + 1) + name + struct.pack(">II", len(name), sum(name)) + magic
+    (folder / "campaign.sqlite-journal").write_bytes(header + tail)
+    status, said = ds("campaign", "status", folder)
+    assert status == 2 and "refers to other files" in said and victim.exists()
+
+
+def test_bags_that_are_gone_are_named(tmp_path: Path, ds: Ds, capsys: pytest.CaptureFixture[str]) -> None:
+    from ds_orchestrator.campaign.bag_groups import missing_bags
+
+    folder = make(tmp_path / "campaign")
+    change(folder, "UPDATE executions SET bag=? WHERE test_id='donkey-0-0001'", BAG)
+    store = Store(folder / "campaign.sqlite")
+    assert missing_bags(folder, store.executions()) == [BAG]
+    (folder / BAG).mkdir(parents=True)
+    (folder / BAG / "metadata.yaml").touch()
+    assert missing_bags(folder, store.executions()) == []
+    store.close()
+
+
+def test_a_store_of_an_earlier_version_is_migrated_and_resumed(tmp_path: Path) -> None:
+    config = CampaignConfig(
+        siblings=["donkey"], twin=None, driver="autopilot", seed=7, record="none",
+        search=SearchConfig(population=2, iterations=2, runs=1, min_angle=40, max_angle=90),
+    )  # fmt: skip
+    whole = run(tmp_path / "whole", MadeUpExecutor(), config)[1]
+    store = run(tmp_path / "old", MadeUpExecutor(runs=2), config)[1]
+    store.close()
+    raw = json.loads(config.identity())
+    raw["published"] = raw.pop("maxitwo_compatible")
+    raw["operators"]["quality"] = raw["operators"].pop("quality_loss")
+    change(tmp_path / "old", "UPDATE about SET value=? WHERE key='config'", json.dumps(raw, separators=(",", ":")))
+    store_of(tmp_path / "old", config).close()
+    rest = MadeUpExecutor()
+    store = run(tmp_path / "old", rest, config)[1]
+    assert len(rest.roads) == 2 and maps_text(store) == maps_text(whole)
+    assert store.config == config.identity()
+    store.close()
+    raw["maxitwo_compatible"] = False
+    change(tmp_path / "old", "UPDATE about SET value=? WHERE key='config'", json.dumps(raw))
+    with pytest.raises((StoreError, ConfigError)) as refused:
+        store_of(tmp_path / "old", config)
+    assert "\n" not in str(refused.value)
