@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import doctest
+from types import ModuleType
+
 import numpy as np
 import pytest
 
+from ds_orchestrator.search import archive as archive_module
+from ds_orchestrator.search import base as base_module
 from ds_orchestrator.search.algorithms import SEARCHES, DeepHyperion, DeepHyperionCS, RandomSearch
 from ds_orchestrator.search.archive import Archive
 from ds_orchestrator.search.base import Search, SearchSettings
@@ -229,3 +234,9 @@ def test_the_archive_keeps_the_elites_that_pyribs_keeps() -> None:
     for place, elite in archive.items():
         assert found[place] == pytest.approx(-0.1 if elite.failed else elite.fitness)
     assert 0 < sum(elite.failed for elite in archive.values()) < len(archive)
+
+
+@pytest.mark.parametrize("module", [archive_module, base_module])
+def test_the_examples_in_the_docstrings_run(module: ModuleType) -> None:
+    found = doctest.testmod(module)
+    assert found.attempted > 3 and not found.failed

@@ -1,8 +1,4 @@
-"""Searches for roads on which a driver fails (paper 3.3, algorithm 1), all with one interface: ask, execute, tell.
-
-They own no simulator and no clock. What a search asks for depends on its settings, its generator's seed and what it was
-told, on nothing else: told the same again, it goes the same way, which is how a stopped campaign goes on.
-"""
+"""Search algorithms for roads on which a driver fails (paper 3.3, algorithm 1); see `Search` for their interface."""
 
 from __future__ import annotations
 
@@ -18,21 +14,21 @@ from ds_road import MutationError, Road, mutate
 RANKED_SHARE = 0.5
 """Probability with which DeepHyperion-CS selects by rank, otherwise uniformly (DeepHyperion's package)."""
 RANK_BIAS = 1.5
-"""How much likelier the best rank is chosen than the middle one (DeepHyperion's package; linear ranking)."""
+"""Probability of the best rank over that of the middle one (DeepHyperion's package; linear ranking)."""
 
 
 class RandomSearch(Search):
-    """The baseline: every road is drawn like those of the other searches' initial population."""
+    """Random search, the baseline: draws every road as the other searches draw their initial population."""
 
     def _next_road(self) -> Road:
         return self._random_road()
 
 
 class DeepHyperion(Search):
-    """Mutants of elites, each from a uniformly chosen cell (paper 3.3; maxitwo chooses among cells as well)."""
+    """DeepHyperion: mutates the elite of a cell that is drawn uniformly (paper 3.3, maxitwo)."""
 
     def _next_road(self) -> Road:
-        """A mutant; a cell whose elite cannot be mutated is passed over."""
+        """Return a mutant; a cell whose elite has no valid mutant is skipped."""
         for cell in self._choices():
             try:
                 mutant = mutate(
@@ -48,17 +44,17 @@ class DeepHyperion(Search):
         return self._random_road()
 
     def _choices(self) -> Iterator[Cell]:
-        """The cells of the archive in the order in which to try them."""
+        """Yield the cells of the archive in the order in which to try them."""
         cells = sorted(self.archive)
         for index in self._rng.permutation(len(cells)):
             yield cells[index]
 
 
 class DeepHyperionCS(DeepHyperion):
-    """DeepHyperion that prefers elites whose mutants found a place before (Zohdinasab et al., TOSEM 2023).
+    """DeepHyperion that prefers elites whose mutants entered the archive (Zohdinasab et al., TOSEM 2023).
 
-    An elite's contribution score is the share of its mutants that were placed, 1 before it has any. With probability
-    `RANKED_SHARE` a cell is drawn by the rank of its score (linear ranking), otherwise uniformly.
+    The contribution score of an elite is the share of its mutants that entered the archive, 1 before the first. With
+    probability `RANKED_SHARE` a cell is drawn by the rank of its score (linear ranking), otherwise uniformly.
     """
 
     def __init__(self, settings: SearchSettings, rng: np.random.Generator) -> None:
@@ -66,7 +62,7 @@ class DeepHyperionCS(DeepHyperion):
         self._mutants: dict[Cell, list[bool]] = {}
 
     def contribution(self, cell: Cell) -> float:
-        """Contribution score of a cell's elite."""
+        """Contribution score of the elite of a cell."""
         placed = self._mutants[cell]
         return sum(placed) / len(placed) if placed else 1.0
 
@@ -90,4 +86,4 @@ SEARCHES: Mapping[str, type[Search]] = {
     "deephyperion_cs": DeepHyperionCS,
     "random": RandomSearch,
 }
-"""Every search by its name in a configuration."""
+"""Name in a configuration -> search."""

@@ -10,7 +10,13 @@ from ds_road import Road
 
 @dataclass(frozen=True, kw_only=True)
 class Elite:
-    """The road of a cell on which the driver failed, or else the one with the lowest fitness."""
+    """Road of a cell on which the driver failed first, or else the one with the lowest fitness.
+
+    Attributes:
+        road: road of the cell.
+        fitness: smallest lateral distance on it, m.
+        failed: whether the driver failed on it.
+    """
 
     road: Road
     fitness: float
@@ -18,20 +24,30 @@ class Elite:
 
 
 class Archive(dict[Cell, Elite]):
-    """The elite of each cell."""
+    """Elite of each cell.
+
+        >>> from ds_orchestrator.search import Archive
+        >>> from ds_road import Road
+        >>> road = Road([[0, 0], [0, 25], [0, 50], [0, 75]])
+        >>> archive = Archive()
+        >>> archive.place((1, 10), road, 1.5, failed=False), archive.place((1, 10), road, 1.9, failed=False)
+        (True, False)
+        >>> archive[1, 10].fitness
+        1.5
+    """
 
     def place(self, cell: Cell, road: Road, fitness: float, *, failed: bool) -> bool:
-        """Local competition (paper 3.3): the lower fitness wins, and an elite that fails already stays.
+        """Compete for a cell (paper 3.3): the lower fitness wins, and an elite on which the driver failed stays.
 
         Args:
-            cell: where the road belongs.
-            road: the candidate.
-            fitness: in m.
-            failed: whether the driver failed; it always did where the fitness is below 0, but a car that stopped in
+            cell: cell of the feature map.
+            road: candidate.
+            fitness: smallest lateral distance on the candidate, m.
+            failed: whether the driver failed; a fitness below 0 always counts as a failure, and a car that stopped in
                 its lane failed as well.
 
         Returns:
-            Whether the candidate is the cell's elite now.
+            Whether the candidate is now the elite of the cell.
         """
         failed = failed or fitness < 0.0
         elite = self.get(cell)

@@ -18,13 +18,13 @@ class SearchSettings:
     """Hyper-parameters of one search.
 
     Attributes:
-        population: random roads to begin with (paper 4.2.4: 20).
-        iterations: mutants after that (paper 4.2.4: 150).
-        min_angle: degrees, smallest maximum angle of the first roads (maxitwo: 100).
-        max_angle: degrees, largest maximum angle of the first roads (maxitwo: 300).
-        extent: m, largest move of a control point (maxitwo: 6).
-        maxitwo_compatible: as in maxitwo, one iteration more than configured, mutants whose spline ignores the first
-            control point, and turns counted with its constants.
+        population: random roads at the start (paper 4.2.4: 20).
+        iterations: mutants after those (paper 4.2.4: 150).
+        min_angle: smallest maximum angle of the random roads, degrees (maxitwo: 100).
+        max_angle: largest maximum angle of the random roads, degrees (maxitwo: 300).
+        extent: largest displacement of a control point, m (maxitwo: 6).
+        maxitwo_compatible: behave as maxitwo does: one iteration more than configured, mutants whose spline ignores
+            the first control point, and turns counted with its constants.
     """
 
     population: int = 20
@@ -36,16 +36,37 @@ class SearchSettings:
 
     @property
     def budget(self) -> int:
-        """Roads that a whole search asks for."""
+        """Number of roads that a whole search asks for."""
         return self.population + self.iterations + self.maxitwo_compatible
 
 
 class Search(ABC):
-    """`ask` for a road, execute it, `tell` its fitness; `archive` holds the elite of each cell.
+    """Base class of searches with an ask/tell interface, as in pyribs and Optuna.
+
+    `ask` returns the next road, the caller drives it in any way, and `tell` reports its fitness. The search owns no
+    simulator: what it asks for depends on its settings, the generator's seed and the reported outcomes alone.
+    `archive` maps each cell of the feature map to its elite.
+
+    A search in which the fitness is made up instead of driven:
+
+        >>> import numpy as np
+        >>> from ds_orchestrator.search import DeepHyperion, SearchSettings
+        >>> search = DeepHyperion(SearchSettings(population=3, iterations=5), np.random.default_rng(1))
+        >>> while not search.done:
+        ...     road = search.ask()
+        ...     search.tell(2.0 - 10.0 * road.curvature)
+        >>> search.budget
+        8
+        >>> worst = min(search.archive.values(), key=lambda elite: elite.fitness)
+        >>> worst.fitness == 2.0 - 10.0 * worst.road.curvature
+        True
+
+    Tell the same outcomes to a new search with the same seed, and it asks for the same roads: a stopped campaign
+    resumes in this way.
 
     Args:
         settings: hyper-parameters.
-        rng: source of every random choice.
+        rng: generator of every random choice.
     """
 
     def __init__(self, settings: SearchSettings, rng: np.random.Generator) -> None:
@@ -60,16 +81,20 @@ class Search(ABC):
 
     @property
     def budget(self) -> int:
-        """Roads that the whole search asks for."""
+        """Number of roads that the whole search asks for."""
         return self._settings.budget
 
     @property
     def done(self) -> bool:
-        """True when every road of the budget was asked for and told."""
+        """Whether the budget is spent and the last outcome is reported."""
         return self._asked == self.budget and self._pending is None
 
     def ask(self) -> Road:
-        """The next road to execute."""
+        """Return the next road to drive.
+
+        Raises:
+            RuntimeError: the outcome of the last road is missing, or the budget is spent.
+        """
         if self._pending is not None:
             raise RuntimeError("tell the fitness of the last road before asking for another one")
         if self._asked == self.budget:
@@ -81,12 +106,15 @@ class Search(ABC):
         return self._pending
 
     def tell(self, fitness: float | None, *, failed: bool = False, cell: Cell | None = None) -> None:
-        """Take in the outcome of the last road.
+        """Report the outcome of the last road.
 
         Args:
-            fitness: in m, or None when its execution was an error: nothing was learnt then.
+            fitness: smallest lateral distance, m, or None if the execution ended in an error and says nothing.
             failed: whether the driver failed; see `Archive.place`.
-            cell: where the road belongs; by its turns count and curvature if left out.
+            cell: cell of the feature map; that of the turns count and curvature if left out.
+
+        Raises:
+            RuntimeError: no road was asked for.
         """
         road = self._pending
         if road is None:
@@ -101,14 +129,14 @@ class Search(ABC):
 
     @abstractmethod
     def _next_road(self) -> Road:
-        """The next road once the initial population is there, and something in the archive."""
+        """Return the next road after the initial population; the archive is not empty."""
 
     def _learn(self, cell: Cell, placed: bool) -> None:
-        """What else a search remembers of an outcome; most remember nothing."""
+        """Update what a search keeps beside the archive; nothing by default."""
         return
 
     def _random_road(self) -> Road:
-        """A random road; an angle that was drawn becomes less likely, so that the range is covered (maxitwo)."""
+        """Draw a random road; a drawn angle becomes less likely, so that the range is covered (maxitwo)."""
         index = int(self._rng.choice(len(self._angles), p=softmax(self._angle_weights)))
         self._angle_weights[index] = np.clip(self._angle_weights[index] - 0.2, 0.01, 1.0)
         return generate(self._rng, max_angle=int(self._angles[index]))
