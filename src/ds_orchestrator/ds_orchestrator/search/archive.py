@@ -26,6 +26,8 @@ class Elite:
 class Archive(dict[Cell, Elite]):
     """Elite of each cell.
 
+    A candidate with a higher fitness than the elite does not enter:
+
         >>> from ds_orchestrator.search import Archive
         >>> from ds_road import Road
         >>> road = Road([[0, 0], [0, 25], [0, 50], [0, 75]])
