@@ -20,7 +20,7 @@ from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.networks.architectures import count_parameters
 from ds_driver.networks.weights import SHIPPED, load_network
-from ds_orchestrator.evaluation.offline_predictions import predict
+from ds_orchestrator.evaluation.open_loop import predict
 from ds_sim.registry import SIMULATORS
 
 PAPER = {
@@ -53,7 +53,7 @@ def main() -> None:
     if overlap:
         sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
     found = predict(arguments.offline, str(weights), _print_progress)
-    errors = {name: predictions.errors for name, predictions in found.items()}
+    errors = {name: answers.absolute_errors for name, answers in found.items()}
     success = success_rates(str(weights), list(SIMULATORS), roads, arguments.seed, _print_progress)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])

@@ -24,7 +24,7 @@ from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_orchestrator.evaluation.open_loop import evaluate_recording
-from ds_orchestrator.evaluation.steering_error_stats import BINS, density, distances, pooled_errors, summarise
+from ds_orchestrator.evaluation.steering_error_stats import EDGES, density, distances, pooled_errors, summarise
 from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import resimulate
@@ -200,7 +200,7 @@ def test_an_image_is_cut_to_two_to_one_at_its_top_or_its_sides() -> None:
 
 def test_density_and_distance_against_scipy(tub: Path) -> None:
     errors = RNG.normal(0.1, 0.2, 500)
-    assert float((density(errors) * np.diff(BINS)).sum()) == pytest.approx(1.0)
+    assert float((density(errors) * np.diff(EDGES)).sum()) == pytest.approx(1.0)
     moved = {"a": errors, "b": errors + 0.25}
     [(one, other, apart)] = distances(moved)
     assert (one, other) == ("a", "b") and apart == pytest.approx(0.25)

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from tests.campaign.executors import LocalExecutor, MadeUpExecutor, Silent
 
+from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.campaign.folder import LockError, locked
 from ds_orchestrator.campaign.runner import Campaign, CampaignError, Executor, Stopped
@@ -21,6 +22,7 @@ from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 from ds_orchestrator.graph.worker_pool import WorkerPool
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.maps.feature_map import to_json
+from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.store.store import Store, StoreError
 from ds_road import Road
 from ds_sim.registry import label_of
@@ -45,7 +47,7 @@ def run(folder: Path, executor: Executor, config: CampaignConfig = CONFIG) -> tu
 
 
 def maps_text(store: Store) -> str:
-    return json.dumps(to_json(maps_of(store)))
+    return json.dumps(to_json(maps_of(read_campaign(store))))
 
 
 def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
@@ -55,8 +57,8 @@ def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
     assert len(set(executor.roads)) == 16
     assert len(store.tests()) == 8 and campaign.failed_executions == 0
     # The same vehicle under two names: whatever it does alone, both unions hold the same tests in the same cells.
-    maps = maps_of(store)
-    assert maps[f"union_{DONKEYS[0]}"].cells == maps[f"union_{DONKEYS[1]}"].cells
+    maps = maps_of(read_campaign(store))
+    assert maps[MapId.union(DONKEYS[0])].cells == maps[MapId.union(DONKEYS[1])].cells
 
 
 @pytest.mark.parametrize("stop_after", [1, 5, 11])
@@ -328,7 +330,7 @@ def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_a
 def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[0]], "twin": "donkey"})
     _, store = run(tmp_path / "a", MadeUpExecutor(runs=2), config)
-    begun = {stage.name: stage for stage in stages_of(config, store)}
+    begun = {stage.name: stage for stage in stages_of(read_campaign(store))}
     search = begun[f"search {DONKEYS[0]}, run 0"]
     assert (search.done, search.expected, search.state) == (2, 4, "begun")
     twin = begun[f"twin: {DONKEYS[0]} to donkey"]
@@ -336,12 +338,12 @@ def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     assert [begun[name].state for name in ("maps", "evaluation", "report")] == ["to do"] * 3
     store.close()
     _, store = run(tmp_path / "a", MadeUpExecutor(), config)
-    results = {stage.name: stage for stage in stages_of(config, store)}
+    results = {stage.name: stage for stage in stages_of(read_campaign(store))}
     assert (results[twin.name].done, results[twin.name].expected, results[twin.name].state) == (4, 4, "done")
     assert results[search.name].failures == sum(
         e.outcome.is_failure for e in store.executions() if e.simulator != "donkey"
     )
     store.set_result("maps", store.count_executions())
-    assert {s.name: s.state for s in stages_of(config, store)}["maps"] == "done"
+    assert {s.name: s.state for s in stages_of(read_campaign(store))}["maps"] == "done"
     store.set_result("maps", 1)
-    assert {s.name: s.state for s in stages_of(config, store)}["maps"] == "to do"
+    assert {s.name: s.state for s in stages_of(read_campaign(store))}["maps"] == "to do"

@@ -18,8 +18,8 @@ from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.weights import WeightsError, load_network, save_weights
+from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, read_config
-from ds_orchestrator.campaign.folder import config_of
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 from ds_orchestrator.store.store import Store, StoreError
@@ -156,8 +156,8 @@ def _read_store(path: Path) -> object:
     """As `ds campaign status`, `ds maps` and `ds report` read it."""
     store = Store(path)
     try:
-        config = config_of(store)
-        return stages_of(config, store), maps_of(store)
+        data = read_campaign(store)
+        return stages_of(data), maps_of(data)
     finally:
         store.close()
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.folder import locked, open_store, prepare_folder, store_of
 from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
@@ -22,7 +23,7 @@ from ds_sim.software_versions import versions
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignOutcome:
-    """What a campaign ended with.
+    """Outcome of a campaign.
 
     Attributes:
         folder: campaign folder.
@@ -88,16 +89,18 @@ def run_campaign(
         _record_provenance(store, config, folder)
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
-        if not is_driven(config, store):
+        data: CampaignData | None = read_campaign(store)
+        if data is not None and not is_driven(data):
+            data = None  # outdated once something is driven
             in_error = _drive(config, folder, store, listener or SilentListener(), attach=attach)
         # The caller's configuration names them, not the folder's.
-        report = write_all(folder, store, again=False, say=say, trusted=config.simulators)
+        report = write_all(folder, store, data=data, again=False, say=say, trusted=config.simulators)
         return CampaignOutcome(
             folder=folder,
             report=report,
             executions=store.count_executions(),
             executions_in_error=in_error,
-            correlations=read_correlations(folder),
+            correlations=read_correlations(folder, config) if config.twin else [],
         )
 
 
@@ -141,7 +144,7 @@ def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
 
 
 def _record_provenance(store: Store, config: CampaignConfig, folder: Path) -> None:
-    """Note versions and digests; a campaign does not go on with another network or another car."""
+    """Record versions and digests; a campaign does not continue with another network or another car."""
     from ds_driver.networks.network_driver import driver_sha256
     from ds_sim.registry import make_simulator
 
@@ -157,12 +160,14 @@ def _record_provenance(store: Store, config: CampaignConfig, folder: Path) -> No
         if "@" in name:
             key, content = f"car {name}", str(make_simulator(name).spec.extra.get("car", ""))
             if known.get(key, content) != content:
-                raise ConfigError(f"{name}: the file has changed since the campaign began: restore it or begin anew")
+                raise ConfigError(
+                    f"{name}: the file has changed since the campaign began: restore it, or choose another --out"
+                )
             store.note(key, content)
 
 
 def _drive(config: CampaignConfig, folder: Path, store: Store, listener: Listener, *, attach: bool) -> int:
-    """Drive what is not driven yet; the number of executions that ended in an error for good."""
+    """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
     from ds_orchestrator.graph.process_specs import namespaces_of
     from ds_orchestrator.graph.session import running_graph, running_workers
 

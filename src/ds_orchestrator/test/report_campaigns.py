@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 from ds_orchestrator.evaluation.correlation import Correlation, evaluate
-from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.report.html_report import write_report
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road, generate
@@ -43,7 +46,7 @@ def make_execution(test: Test, simulator: str, offset: float) -> Execution:
         outcome=Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED,
         message="", fitness=2.0 - worst, max_lateral_position=worst, steps=steps - 1,
         simulated_seconds=(steps - 1) / 20, trajectory_sha256=trajectory_sha256(trajectory), trajectory=trajectory,
-        steering=rng.normal(0.0, 0.05, steps - 1),
+        steering=rng.normal(0.0, 0.05, steps - 1), bag=f"bags/{test.test_id}-on-{label_of(simulator)}",
     )  # fmt: skip
 
 
@@ -72,6 +75,12 @@ def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int) -> Sto
     return store
 
 
-def results(store: Store, config: CampaignConfig) -> tuple[dict[str, FeatureMap], list[Correlation]]:
-    maps = build_maps(config.siblings, config.twin, store.tests(), store.executions())
+def results(data: CampaignData) -> tuple[dict[MapId, FeatureMap], list[Correlation]]:
+    config, maps = data.config, maps_of(data)
     return maps, evaluate(maps, config.siblings, config.twin) if config.twin else []
+
+
+def report_of(folder: Path, store: Store) -> Path:
+    """Write the report of a store, without intervals."""
+    data = read_campaign(store)
+    return write_report(folder, data, *results(data), trusted=data.config.simulators)

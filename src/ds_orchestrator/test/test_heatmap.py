@@ -19,16 +19,16 @@ from ds_orchestrator.maps.heatmap import (
     colour_of,
     draw_map,
     ink_on,
-    title_of,
     write_maps,
 )
+from ds_orchestrator.maps.map_id import MapId, map_ids
 
 BOUNDS = Bounds(turns=(2, 4), curvature=(15, 17))
 
 
-def make_map(name: str, cells: dict[tuple[int, int], tuple[float, float]]) -> FeatureMap:
+def make_map(map_id: MapId, cells: dict[tuple[int, int], tuple[float, float]]) -> FeatureMap:
     return FeatureMap(
-        name=name,
+        id=map_id,
         cells={
             cell: MapCell(tests=2, failures=None, probability=probability, quality_loss=quality)
             for cell, (probability, quality) in cells.items()
@@ -62,47 +62,47 @@ def test_numbers_stand_out_from_their_cell(value: float) -> None:
 
 
 def test_a_cell_stands_where_its_features_say_and_an_empty_one_is_not_zero() -> None:
-    picture = draw_map(make_map("merged", {(2, 15): (1.0, 0.0)}), "probability", bounds=BOUNDS)
+    picture = draw_map(make_map(MapId.merged(), {(2, 15): (1.0, 0.0)}), "probability", bounds=BOUNDS)
     red = pixels_of(picture, COLOURS[2])
     grey = pixels_of(picture, EMPTY)
     assert len(red) > 500 and len(grey) > 8 * 500
     # Fewest turns: the left column. Smallest curvature: the lowest row. The colour bar is further right.
     in_grid = red[red[:, 1] < grey[:, 1].mean()]
     assert in_grid[:, 1].max() < np.percentile(grey[:, 1], 50) and in_grid[:, 0].min() > np.percentile(grey[:, 0], 50)
-    zero = draw_map(make_map("merged", {(2, 15): (0.0, 0.0)}), "probability", bounds=BOUNDS)
+    zero = draw_map(make_map(MapId.merged(), {(2, 15): (0.0, 0.0)}), "probability", bounds=BOUNDS)
     assert len(pixels_of(zero, COLOURS[0])) > 500
     assert len(pixels_of(zero, EMPTY)) == len(grey)
 
 
 def test_each_value_is_drawn_and_numbers_are_written() -> None:
-    both = make_map("union_a", {(3, 16): (0.0, 1.0)})
+    both = make_map(MapId.union("a"), {(3, 16): (0.0, 1.0)})
     probability = draw_map(both, "probability", bounds=BOUNDS)
     quality = draw_map(both, "quality_loss", bounds=BOUNDS)
     assert len(pixels_of(probability, COLOURS[0])) > 500 and len(pixels_of(quality, COLOURS[2])) > 500
-    near = draw_map(make_map("union_a", {(3, 16): (0.004, 0.0)}), "probability", bounds=BOUNDS)
-    many = FeatureMap(name="union_a", cells={(3, 16): MapCell(tests=7, failures=0, probability=0.0, quality_loss=0.0)})
+    near = draw_map(make_map(MapId.union("a"), {(3, 16): (0.004, 0.0)}), "probability", bounds=BOUNDS)
+    seven = MapCell(tests=7, failures=0, probability=0.0, quality_loss=0.0)
+    many = FeatureMap(id=MapId.union("a"), cells={(3, 16): seven})
     assert near.shape == probability.shape
     assert not np.array_equal(draw_map(many, "probability", bounds=BOUNDS), probability)
 
 
 def test_bounds_hold_every_map_and_make_pictures_of_one_size() -> None:
-    maps = [make_map("merged", {(2, 17): (0, 0)}), make_map("twin_t", {(4, 15): (0, 0)}), make_map("union_a", {})]
+    maps = [
+        make_map(MapId.merged(), {(2, 17): (0, 0)}),
+        make_map(MapId.twin("t"), {(4, 15): (0, 0)}),
+        make_map(MapId.union("a"), {}),
+    ]
     assert bounds_of(maps) == BOUNDS
     assert list(BOUNDS.columns) == [2, 3, 4] and list(BOUNDS.rows) == [17, 16, 15]
     assert len({draw_map(m, "probability", bounds=BOUNDS).shape for m in maps}) == 1
-    empty = draw_map(make_map("merged", {}), "quality_loss", bounds=bounds_of([make_map("merged", {})]))
+    empty = draw_map(make_map(MapId.merged(), {}), "quality_loss", bounds=bounds_of([make_map(MapId.merged(), {})]))
     assert len(pixels_of(empty, EMPTY)) > 500
 
 
-def test_titles_say_what_a_map_is() -> None:
-    assert title_of("migration_bullet_to_softbody") == "Migration: bullet to softbody"
-    assert title_of("union_bullet") == "All tests on bullet"
-    assert title_of("merged") == "Siblings merged"
-
-
 def test_write_maps_writes_every_map_and_the_overview_with_equal_bytes(tmp_path: Path) -> None:
-    names = ["search_a", "search_my:Sim", "migration_a_to_my:Sim", "union_a", "union_my:Sim", "merged", "twin_t"]
-    maps = {name: make_map(name, {(3, 10 + k): (k / 7, 1 - k / 7)}) for k, name in enumerate(names)}
+    ids = map_ids(["a", "my:Sim"], "t")
+    names = [map_id.name for map_id in ids]
+    maps = {map_id: make_map(map_id, {(3, 10 + k): (k / 9, 1 - k / 9)}) for k, map_id in enumerate(ids)}
     for folder in ("one", "two"):
         write_maps(maps, tmp_path / folder)
     written = {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()}
@@ -116,5 +116,5 @@ def test_write_maps_writes_every_map_and_the_overview_with_equal_bytes(tmp_path:
     # Two unions, the merge and the twin in two rows.
     assert overview.shape[0] == 2 * single.shape[0] and overview.shape[1] >= 4 * single.shape[1] - 100
     bounds = bounds_of(maps.values())
-    drawn = cv2.cvtColor(draw_map(maps["merged"], "quality_loss", bounds=bounds), cv2.COLOR_RGB2BGR)
+    drawn = cv2.cvtColor(draw_map(maps[MapId.merged()], "quality_loss", bounds=bounds), cv2.COLOR_RGB2BGR)
     np.testing.assert_array_equal(single, drawn)

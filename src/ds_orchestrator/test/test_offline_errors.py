@@ -12,16 +12,15 @@ from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 from ds_driver.data.dataset import write_drive
 from ds_driver.networks.architectures import make_network
 from ds_driver.networks.weights import save_weights
-from ds_orchestrator.evaluation.offline_errors import (
-    ErrorsError,
-    check_robustness,
+from ds_orchestrator.evaluation.open_loop import ErrorsError, architecture_of, predict
+from ds_orchestrator.evaluation.paper_tables import error_tables
+from ds_orchestrator.evaluation.steering_error_stats import (
+    check_error_robustness,
     cohens_d,
     compare_errors,
     densities,
     shares,
 )
-from ds_orchestrator.evaluation.offline_predictions import architecture_of, predict
-from ds_orchestrator.evaluation.paper_tables import error_tables
 from ds_sim.camera.jpeg import encode
 
 RNG = np.random.default_rng(4)
@@ -71,14 +70,14 @@ def test_effect_and_power_are_the_textbooks() -> None:
         return float(nct.sf(limit, freedom, shift) + nct.cdf(-limit, freedom, shift))
 
     assert row.power == pytest.approx(power(900, 900), abs=1e-6)
-    (true,) = [v for v in check_robustness({"a": ONE}, TWIN) if "power" in v.what and v.name == "a"]
+    (true,) = [v for v in check_error_robustness({"a": ONE}, TWIN) if "power" in v.what and v.name == "a"]
     assert true.power == pytest.approx(power(400, 500), abs=1e-6)
     # Sample size by the normal approximation: 2 ((z_0.975 + z_0.8) / d)^2.
     assert row.enough == pytest.approx(2 * ((norm.ppf(0.975) + norm.ppf(0.8)) / effect) ** 2, rel=0.02)
 
 
 def test_other_ways_use_the_errors_themselves() -> None:
-    (raw,) = [v for v in check_robustness({"a": ONE}, TWIN) if "no bins" in v.what and v.name == "a"]
+    (raw,) = [v for v in check_error_robustness({"a": ONE}, TWIN) if "no bins" in v.what and v.name == "a"]
     assert raw.distance == pytest.approx(wasserstein_distance(ONE, TWIN)) and raw.p is not None
 
 
@@ -129,10 +128,10 @@ def test_predictions_over_a_data_set_of_ours(tmp_path: Path) -> None:
         str(tmp_path / "biased.safetensors"),
         lambda done, total, line: told.append(f"{done}/{total}"),
     )
-    assert found["bullet"].errors == pytest.approx([0.75, 0.25, 0.5], abs=1e-3)
-    assert found["donkey"].labels == pytest.approx([1.0, 0.9]) and told == ["5/5"]
+    assert found["bullet"].absolute_errors == pytest.approx([0.75, 0.25, 0.5], abs=1e-3)
+    assert found["donkey"].recorded == pytest.approx([1.0, 0.9]) and told == ["5/5"]
     few = predict(tmp_path / "data", str(tmp_path / "biased.safetensors"), lambda *_: None, images=2)
-    assert few["bullet"].labels == pytest.approx([0.5, 0.75])
+    assert few["bullet"].recorded == pytest.approx([0.5, 0.75])
     with pytest.raises(ErrorsError, match="name a network"):
         predict(tmp_path / "data", "autopilot", lambda *_: None)
 
@@ -146,7 +145,7 @@ def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None
 
 def test_the_table_stands_beside_the_papers() -> None:
     groups = {"bullet": ONE, "softbody": OTHER}
-    rows, others = compare_errors(groups, TWIN), check_robustness(groups, TWIN)
+    rows, others = compare_errors(groups, TWIN), check_error_robustness(groups, TWIN)
     errors = {**groups, "donkey": TWIN}
     main, _, bins = error_tables(rows, others, errors, ["bullet", "softbody"], "donkey", ("dave2", "sim"))
     by_name = {c.name: k for k, c in enumerate(main.columns)}

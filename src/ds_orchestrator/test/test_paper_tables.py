@@ -19,6 +19,7 @@ from ds_orchestrator.evaluation.paper_tables import (
 )
 from ds_orchestrator.evaluation.robustness_checks import RobustnessCheck
 from ds_orchestrator.evaluation.table import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
+from ds_orchestrator.maps.map_id import MapId
 
 TABLE = Table(
     name="t",
@@ -88,16 +89,16 @@ def test_files(tmp_path: Path) -> None:
     assert [p.name for p in paths] == ["t.csv", "t.tex"] and all(p.read_text() for p in paths)
 
 
-def found(name: str, value: str, r: float | None) -> Correlation:
+def found(map_id: MapId, value: str, r: float | None) -> Correlation:
     return Correlation(
-        name=name, value=value, cells=9, r=r, p=None if r is None else 0.01, reason="" if r is not None else "why",
+        map=map_id, value=value, cells=9, r=r, p=None if r is None else 0.01, reason="" if r is not None else "why",
         r_interval=None if r is None else (r - 0.1, r + 0.1), auc=0.5, auc_interval=(0.2, 0.8), baseline=0.25,
     )  # fmt: skip
 
 
 def test_the_papers_rows_stand_beside_ours() -> None:
-    names = ["union_softbody", "union_bullet", "merged"]
-    rows = [found(n, v, None if n == "merged" else 0.4) for v in ("probability", "quality_loss") for n in names]
+    ids = [MapId.union("softbody"), MapId.union("bullet"), MapId.merged()]
+    rows = [found(i, v, None if i == MapId.merged() else 0.4) for v in ("probability", "quality_loss") for i in ids]
     rq2, rq3 = correlation_tables(rows, ["softbody", "bullet"], "donkey", ("epoch", "real"))
     at = {c.name: k for k, c in enumerate(rq2.columns)}
     assert [row[0] for row in rq2.rows] == ["DS1", "DS2", "DSS"]
@@ -107,18 +108,22 @@ def test_the_papers_rows_stand_beside_ours() -> None:
     ours, _ = correlation_tables(rows, ["softbody", "bullet"], "donkey", None)
     assert len(ours.columns) == len(rq2.columns) - 3
     # A third sibling has no counterpart in the paper.
-    assert role_of("union_x", ["a", "b", "x"]) == "DS3" and role_of("merged", ["a"]) == "DSS"
+    assert role_of("x", ["a", "b", "x"]) == "DS3" and role_of("", ["a"]) == "DSS"
 
 
 def test_what_merging_adds_names_the_sibling() -> None:
-    gain = PairedDifference(over="union_y", value="quality_loss", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17)
+    gain = PairedDifference(
+        over=MapId.union("y"), value="quality_loss", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17
+    )
     assert paired_difference_table([gain], ["x", "y"]).texts() == [
         ["RQ3", "DS2 y", "9", "-0.100", "[-0.300, 0.100]", "0.000", ""]
     ]
 
 
-def test_variants_are_one_row_each() -> None:
+def test_robustness_checks_are_one_row_each() -> None:
     table = robustness_table(
-        [RobustnessCheck(what="w", name="merged", against="twin_d", value="quality_loss", cells=4, r=0.5)]
+        [RobustnessCheck(what="w", map=MapId.merged(), against=MapId.twin("d"), value="quality_loss", cells=4, r=0.5)],
+        ["too few cells fail"],
     )
-    assert table.rows == [["w", "merged", "twin_d", "quality_loss", 4, 0.5, None, None]]
+    assert table.rows == [["w", "merged", "twin_d", "quality loss", 4, 0.5, None, None]]
+    assert "No conclusion: too few cells fail" in table.notes[0]

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_sim.camera.png import png
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.fit import Fit
 from ds_twin_donkey.logs import CHANNELS
@@ -52,10 +53,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
     head = np.full((36, 2 * _WIDTH, 3), 255, np.uint8)
     text = f"Dots measured, lines fitted: {len(chosen)} of {fit.windows} windows"
     cv2.putText(head, text, (_LEFT, 25), _FONT, 0.6, _INK, 1, cv2.LINE_AA)
-    done, data = cv2.imencode(".png", cv2.cvtColor(np.vstack((head, *rows)), cv2.COLOR_RGB2BGR))
-    if not done:
-        raise OSError(f"{path}: the picture could not be encoded")
-    path.write_bytes(data.tobytes())
+    path.write_bytes(png(np.vstack((head, *rows))))
 
 
 def _histogram(fit: Fit) -> _Panel:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.folder import STAGES
-from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
-from ds_orchestrator.store.store import Execution, Store
+from ds_orchestrator.maps.campaign_maps import elites_of
+from ds_orchestrator.store.store import Execution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +35,9 @@ class Stage:
         return "begun" if self.done else "to do"
 
 
-def stages_of(config: CampaignConfig, store: Store) -> list[Stage]:
-    """Every stage in the order in which they run."""
-    tests, executions = store.tests(), [e for e in store.executions() if e.outcome.is_verdict]
+def stages_of(data: CampaignData) -> list[Stage]:
+    """List every stage in the order in which they run."""
+    config, tests, executions = data.config, data.tests, data.verdicts
     of_test = {test.test_id: test for test in tests}
     budget = config.settings.budget
     groups: dict[tuple[str, int, str], list[Execution]] = {}
@@ -52,9 +52,7 @@ def stages_of(config: CampaignConfig, store: Store) -> list[Stage]:
     searched = len(tests) == budget * config.search.runs * len(config.siblings)
     migrated = {test.test_id for test in tests}
     if config.elites_only:
-        plan = config.map_plan()
-        cells = cells_of(tests, executions, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible)
-        migrated = elites_of(tests, executions, cells, ignored=store.given_up())
+        migrated = elites_of(tests, executions, data.cells, ignored=data.given_up)
         searched = searched and all(stage.state == "done" for stage in stages)
     for target in config.simulators:
         for origin in config.siblings:
@@ -64,13 +62,13 @@ def stages_of(config: CampaignConfig, store: Store) -> list[Stage]:
                 role = "twin" if target == config.twin else "migration"
                 expected = sum(of_test[test_id].sibling == origin for test_id in migrated) if searched else None
                 stages.append(_stage(f"{role}: {origin} to {target}", mine, expected))
-    made, count = store.results(), store.count_executions()
-    return [*stages, *(Stage(name=name, done=int(made.get(name) == count), expected=1) for name in STAGES)]
+    count = len(data.executions)
+    return [*stages, *(Stage(name=name, done=int(data.results.get(name) == count), expected=1) for name in STAGES)]
 
 
-def is_driven(config: CampaignConfig, store: Store) -> bool:
+def is_driven(data: CampaignData) -> bool:
     """Whether every test of a campaign has its outcome everywhere, so that no graph is needed to go on with it."""
-    return all(stage.state == "done" for stage in stages_of(config, store) if stage.failures is not None)
+    return all(stage.state == "done" for stage in stages_of(data) if stage.failures is not None)
 
 
 def _stage(name: str, executions: Iterable[Execution], expected: int | None) -> Stage:

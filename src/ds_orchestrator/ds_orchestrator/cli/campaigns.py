@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, read_config
 from ds_orchestrator.campaign.folder import config_of, open_store
 from ds_orchestrator.campaign.runner import Stopped
@@ -58,7 +59,7 @@ def campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Resu
         "report": str(outcome.report),
         "executions": outcome.executions,
         "executions_in_error": outcome.executions_in_error,
-        "correlations": [asdict(c) for c in outcome.correlations],
+        "correlations": [c.document() for c in outcome.correlations],
     }
     tables = (
         correlation_tables(outcome.correlations, config.siblings, config.twin, network_of(config))
@@ -94,14 +95,14 @@ def _status(folder: Path, store: Store) -> Result:
     from ds_orchestrator.campaign.bag_groups import missing_bags, missing_line
     from ds_orchestrator.campaign.status import stages_of
 
-    config = config_of(store)
-    executions = store.executions()
+    data = read_campaign(store)
+    config, executions = data.config, data.executions
     counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
     for execution in executions:
         counts[execution.simulator][execution.outcome.name] = (
             counts[execution.simulator].get(execution.outcome.name, 0) + 1
         )
-    stages = stages_of(config, store)
+    stages = stages_of(data)
     missing = missing_bags(folder, executions)
     driving = [stage.expected for stage in stages if stage.failures is not None]
     known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
@@ -109,12 +110,12 @@ def _status(folder: Path, store: Store) -> Result:
         "executions": len(executions),
         "executions_in_all": known,
         "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
-        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in store.searches()],
+        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in data.searches],
         "outcomes": counts,
         "missing_bags": missing,
         "errors": [
             dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
-            for row in store.errors()
+            for row in data.errors
         ],
     }
 
@@ -139,7 +140,7 @@ def maps(folder: Path) -> Result:
     from ds_orchestrator.maps.feature_map import to_json
 
     with closing(open_store(folder)) as store:
-        document: dict[str, Any] = to_json(maps_of(store))
+        document: dict[str, Any] = to_json(maps_of(read_campaign(store)))
 
     def show() -> None:
         for name, content in document.items():

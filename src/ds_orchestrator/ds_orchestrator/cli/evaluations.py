@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from ds_orchestrator.campaign.folder import config_of, open_store
+from ds_orchestrator.campaign.campaign_data import read_campaign
+from ds_orchestrator.campaign.folder import open_store
 from ds_orchestrator.cli.options import Folder, JsonFlag, Trust
 from ds_orchestrator.cli.output import Result, answer, countdown
 from ds_orchestrator.evaluation.campaign_evaluation import (
@@ -20,9 +21,9 @@ from ds_orchestrator.evaluation.campaign_evaluation import (
     paired_differences_of,
     tables_of,
 )
-from ds_orchestrator.evaluation.offline_errors import ErrorsError, check_robustness, compare_errors
-from ds_orchestrator.evaluation.offline_predictions import architecture_of, predict
+from ds_orchestrator.evaluation.open_loop import ErrorsError, architecture_of, predict
 from ds_orchestrator.evaluation.paper_tables import NETWORKS, Network, error_tables
+from ds_orchestrator.evaluation.steering_error_stats import check_error_robustness, compare_errors
 from ds_orchestrator.evaluation.table import Table, document_of, keep_tables, write_tables
 from ds_orchestrator.report.build import RQ1
 
@@ -34,8 +35,8 @@ def evaluation(
 ) -> Result:
     """The tables of a campaign: RQ2 and RQ3, and RQ1 if there is a data set."""
     with closing(open_store(folder)) as store:
-        config = config_of(store)
-        maps = maps_of(store)
+        campaign = read_campaign(store)
+    config, maps = campaign.config, maps_of(campaign)
     if config.twin is None:
         raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []
@@ -81,9 +82,9 @@ def _offline_tables(
     missing = [name for name in (*names, twin) if name not in found]
     if missing:
         raise ErrorsError(f"{data} has no images of {', '.join(missing)}: it has those of {', '.join(found)}")
-    errors = {name: found[name].errors for name in (*names, twin)}
+    errors = {name: found[name].absolute_errors for name in (*names, twin)}
     of_siblings = {name: errors[name] for name in names}
-    compared, other_ways = compare_errors(of_siblings, errors[twin]), check_robustness(of_siblings, errors[twin])
+    compared, other_ways = compare_errors(of_siblings, errors[twin]), check_error_robustness(of_siblings, errors[twin])
     return error_tables(compared, other_ways, errors, names, twin, network)
 
 

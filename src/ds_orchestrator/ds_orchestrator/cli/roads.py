@@ -14,7 +14,7 @@ from rich.table import Table
 import ds_road
 from ds_orchestrator.cli.options import JsonFlag, MaxAngle, Seed
 from ds_orchestrator.cli.output import Result, answer
-from ds_orchestrator.maps.heatmap import png
+from ds_sim.camera.png import png
 
 app = typer.Typer()
 road_app = typer.Typer(help="Roads: generate, check, show.", no_args_is_help=True)

@@ -25,8 +25,8 @@ from ds_orchestrator.cli.options import (
     simulators_of,
 )
 from ds_orchestrator.cli.output import Interrupted, Result, countdown, end, number
-from ds_orchestrator.maps.heatmap import png
 from ds_road import write_roads
+from ds_sim.camera.png import png
 from ds_sim.session import RunRecord
 
 PICTURED = 6

@@ -1,3 +1,4 @@
+from .campaign_evaluation import maps_of
 from .correlation import Correlation, PairedDifference, correlate, evaluate, paired_differences
 from .robustness_checks import RobustnessCheck, check_robustness
 from .simulator_agreement import PairComparison
@@ -13,5 +14,6 @@ __all__ = [
     "evaluate",
     "paired_differences",
     "check_robustness",
+    "maps_of",
     "write_tables",
 ]

@@ -1,20 +1,21 @@
-"""Evaluates a campaign: its maps, their comparison with the twin, and the tables of both."""
+"""Evaluates a campaign: its maps, their comparison with the twin, and the tables of the comparison."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.folder import config_of
 from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference, evaluate, paired_differences
-from ds_orchestrator.evaluation.offline_predictions import architecture_of
+from ds_orchestrator.evaluation.open_loop import architecture_of
 from ds_orchestrator.evaluation.paper_tables import (
     NETWORKS,
     Network,
+    cautions,
     correlation_tables,
     paired_difference_table,
     robustness_table,
@@ -24,55 +25,69 @@ from ds_orchestrator.evaluation.statistics import RESAMPLES
 from ds_orchestrator.evaluation.table import Table
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.store.store import Store
+from ds_orchestrator.maps.map_id import MapId, map_ids
+
+CORRELATIONS = Path("maps/correlations.json")
+"""The comparison with the twin, relative to the campaign folder."""
+_RENAMED_VALUES = {"quality": "quality_loss"}
+"""Values of earlier versions' files, and their present names."""
 
 
-def maps_of(store: Store, *, features: Sequence[str] | None = None) -> dict[str, FeatureMap]:
-    """Every map of a campaign, finished or not; over other features than its own if wanted."""
-    config = config_of(store)
-    plan = config.map_plan(frozenset(store.given_up()))
+def maps_of(data: CampaignData, *, features: Sequence[str] | None = None) -> dict[MapId, FeatureMap]:
+    """Build every map of a campaign, finished or not; over other features than its own if wanted."""
+    config = data.config
+    plan = config.map_plan(data.given_up)
     if features is not None:
         plan = replace(plan, features=tuple(features))
-    return build_maps(config.siblings, config.twin, store.tests(), store.executions(), plan)
+    return build_maps(config.siblings, config.twin, data.tests, data.executions, plan)
 
 
-def correlations_of(config: CampaignConfig, maps: dict[str, FeatureMap]) -> list[Correlation]:
-    """The comparison with the twin, empty without one."""
+def correlations_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> list[Correlation]:
+    """Compare the siblings' maps with the twin's; empty without a twin."""
     return evaluate(maps, config.siblings, config.twin, resamples=RESAMPLES) if config.twin else []
 
 
-def paired_differences_of(config: CampaignConfig, maps: dict[str, FeatureMap]) -> list[PairedDifference]:
-    """What merging adds to each sibling, empty without a twin."""
+def paired_differences_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> list[PairedDifference]:
+    """Compute what merging adds to each sibling; empty without a twin."""
     return paired_differences(maps, config.siblings, config.twin) if config.twin else []
 
 
-def read_correlations(folder: Path) -> list[Correlation]:
-    """What `write_all` wrote of the comparison with the twin."""
-    rows: list[dict[str, Any]] = json.loads((folder / "maps" / "correlations.json").read_text())
+def write_correlations(folder: Path, correlations: Sequence[Correlation]) -> None:
+    """Write `maps/correlations.json` of a campaign folder."""
+    rows = [correlation.document() for correlation in correlations]
+    (folder / CORRELATIONS).write_text(json.dumps(rows, indent=1, allow_nan=False) + "\n")
+
+
+def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]:
+    """Read what `write_correlations` of this version or an earlier one wrote."""
+    by_name = {map_id.name: map_id for map_id in map_ids(config.siblings, config.twin)}
+    known = {field.name for field in fields(Correlation)}
+    rows: list[dict[str, Any]] = json.loads((folder / CORRELATIONS).read_text())
     found = []
     for row in rows:
-        intervals = {key: tuple(row[key]) if row[key] else None for key in ("r_interval", "auc_interval")}
-        found.append(Correlation(**{**row, **intervals}))
+        values = {key: tuple(value) if isinstance(value, list) else value for key, value in row.items() if key in known}
+        value = _RENAMED_VALUES.get(row["value"], row["value"])
+        found.append(Correlation(**{**values, "map": by_name[row["name"]], "value": value}))
     return found
 
 
 def network_of(config: CampaignConfig) -> Network | None:
-    """Under which heading the paper has this network, or None if it does not test it."""
+    """Find under which heading the paper has this network, or None if it does not test it."""
     architecture = architecture_of(config.driver)
     return (architecture, "real" if config.sim2real else "sim") if architecture in NETWORKS else None
 
 
 def tables_of(
     config: CampaignConfig,
-    maps: dict[str, FeatureMap],
+    maps: Mapping[MapId, FeatureMap],
     correlations: Sequence[Correlation],
     added: Sequence[PairedDifference],
 ) -> list[Table]:
-    """RQ2, RQ3, what merging adds if there is something to merge, and robustness_checks; empty without a twin."""
+    """Tabulate RQ2, RQ3, paired differences if siblings are merged, and robustness checks; empty without a twin."""
     if config.twin is None:
         return []
     return [
         *correlation_tables(correlations, config.siblings, config.twin, network_of(config)),
         *([paired_difference_table(added, config.siblings)] if added else []),
-        robustness_table(check_robustness(maps, config.siblings, config.twin)),
+        robustness_table(check_robustness(maps, config.siblings, config.twin), cautions(correlations)),
     ]

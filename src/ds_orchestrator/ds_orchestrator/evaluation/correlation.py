@@ -1,17 +1,15 @@
-"""How well a map of the siblings foretells the twin's failures (paper 3.6, 4.3.2: RQ2 and RQ3).
+"""Comparison of the siblings' maps with the twin's failures (paper 3.6, 4.3.2: RQ2 and RQ3).
 
 The main numbers are the paper's: Pearson's r and AUC-PRC over the cells that both maps fill. Where the authors' package
-computes something else, or where what it computes can be questioned, `robustness_checks` has both.
+computes something else, or where its computation can be questioned, `robustness_checks` has both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Literal
-
-import numpy as np
 
 from ds_orchestrator.evaluation.statistics import (
     RESAMPLES,
@@ -24,11 +22,13 @@ from ds_orchestrator.evaluation.statistics import (
     _pearson,
     _resampled_auc,
     _resampled_r,
+    caution_of,
 )
 from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
 
 QUESTIONS: tuple[Literal["probability", "quality_loss"], ...] = ("probability", "quality_loss")
-"""RQ2 compares failure probabilities, RQ3 lack of driving quality with them."""
+"""RQ2 compares failure probabilities, RQ3 quality losses with them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,20 +36,22 @@ class Correlation:
     """One map against the twin's failures, over the cells that both fill.
 
     Attributes:
-        name: of the map.
-        value: which value of the map: `probability` (RQ2) or `quality_loss` (RQ3).
+        map: the siblings' map.
+        value: value of that map: `probability` (RQ2) or `quality_loss` (RQ3).
         cells: number of cells compared.
         r: Pearson correlation with the twin's failure probability, or None where it is not defined.
         p: its two-sided p-value, or None.
         reason: why there is no r.
-        r_interval: 95 % bootstrap interval of r over cells; resamples in which r is not defined are left out.
-        auc: AUC-PRC as average precision, of the map's value as a prediction that the twin fails in a cell at all.
-        auc_interval: 95 % bootstrap interval of the AUC-PRC over cells.
+        r_interval: 95 % bootstrap interval of r over cells; resamples in which r is not defined are left out. None
+            where the cells cannot carry one.
+        auc: AUC-PRC as average precision of the map's value as a prediction that the twin fails in a cell at all.
+        auc_interval: 95 % bootstrap interval of the AUC-PRC over cells, or None as for r.
         auc_reason: why there is no AUC-PRC.
-        baseline: share of cells in which the twin fails: what a map that knows nothing has as AUC-PRC.
+        baseline: share of cells in which the twin fails: the AUC-PRC of a map without information.
+        failing: number of the compared cells in which the twin fails, or None in results of earlier versions.
     """
 
-    name: str
+    map: MapId
     value: str
     cells: int
     r: float | None
@@ -60,11 +62,23 @@ class Correlation:
     auc_interval: tuple[float, float] | None = None
     auc_reason: str = ""
     baseline: float | None = None
+    failing: int | None = None
+
+    @property
+    def caution(self) -> str:
+        """Why the numbers cannot carry a conclusion, or ""; see `ds_orchestrator.evaluation.statistics.caution_of`."""
+        return "" if self.failing is None else caution_of(self.cells, self.failing)
+
+    def document(self) -> dict[str, Any]:
+        """Convert to plain JSON values."""
+        values = asdict(self)
+        del values["map"]
+        return {"name": self.map.name, **values, "conclusive": not self.caution, "caution": self.caution}
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairedDifference:
-    """How much better the merged map foretells the twin's failures than one sibling's, over the cells of all three.
+    """How much better the merged map predicts the twin's failures than one sibling's, over the cells of all three.
 
     Both maps see the same cells in every resample, so an interval here is narrower than two intervals side by side.
 
@@ -72,79 +86,87 @@ class PairedDifference:
         over: the sibling's union map.
         value: of both maps.
         cells: number of cells compared.
-        r: Pearson correlation of the merged map less that of the sibling's, or None where one is not defined.
-        r_interval: its 95 % bootstrap interval over cells.
-        auc: AUC-PRC of the merged map less that of the sibling's, or None.
-        auc_interval: its 95 % bootstrap interval over cells.
+        r: Pearson correlation of the merged map minus that of the sibling's, or None where one is not defined.
+        r_interval: its 95 % bootstrap interval over cells, or None where the cells cannot carry one.
+        auc: AUC-PRC of the merged map minus that of the sibling's, or None.
+        auc_interval: its 95 % bootstrap interval over cells, or None as for r.
+        failing: number of the compared cells in which the twin fails, or None if not known.
     """
 
-    over: str
+    over: MapId
     value: str
     cells: int
     r: float | None = None
     r_interval: tuple[float, float] | None = None
     auc: float | None = None
     auc_interval: tuple[float, float] | None = None
+    failing: int | None = None
 
 
 def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resamples: int = 0) -> Correlation:
     """Compare one map with the twin's; see `Correlation`.
 
     Args:
-        feature_map: of the siblings.
-        twin: its map.
+        feature_map: map of the siblings.
+        twin: map of the twin.
         value: `probability` or `quality_loss`.
         resamples: of the bootstrap; 0 leaves the intervals out.
     """
-    ours, truth = _paired(feature_map, twin, value)
-    r, p, reason = _pearson(ours, truth, value)
-    auc, auc_reason = _average_precision(ours, truth)
+    predicted, truth = _paired(feature_map, twin, value)
+    failing = int((truth > 0).sum())
+    r, p, reason = _pearson(predicted, truth, value)
+    auc, auc_reason = _average_precision(predicted, truth)
+    if caution_of(len(truth), failing):
+        resamples = 0
     return Correlation(
-        name=feature_map.name,
+        map=feature_map.id,
         value=value,
-        cells=len(ours),
+        cells=len(truth),
         r=r,
         p=p,
         reason=reason,
-        r_interval=None if r is None or not resamples else _interval((ours, truth), _resampled_r, resamples),
+        r_interval=None if r is None else _interval((predicted, truth), _resampled_r, resamples),
         auc=auc,
-        auc_interval=None if auc is None or not resamples else _interval((ours, truth), _resampled_auc, resamples),
+        auc_interval=None if auc is None else _interval((predicted, truth), _resampled_auc, resamples),
         auc_reason=auc_reason,
-        baseline=float(np.mean(truth > 0)) if len(truth) else None,
+        baseline=failing / len(truth) if len(truth) else None,
+        failing=failing,
     )
 
 
 def evaluate(
-    maps: Mapping[str, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = 0
+    maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = 0
 ) -> list[Correlation]:
-    """Each sibling's union map and the merged map against the twin, by failure probability and by quality.
+    """Compare each sibling's union map and the merged map with the twin, by failure probability and by quality loss.
 
     `resamples` is for the bootstrap intervals, which take most of the time: `RESAMPLES` is enough, 0 leaves them out.
     """
-    names = [*(f"union_{sibling}" for sibling in siblings), "merged"]
-    truth = maps[f"twin_{twin}"]
-    return [correlate(maps[name], truth, value, resamples=resamples) for value in QUESTIONS for name in names]
+    compared = [maps[map_id] for map_id in (*map(MapId.union, siblings), MapId.merged())]
+    truth = maps[MapId.twin(twin)]
+    return [correlate(one, truth, value, resamples=resamples) for value in QUESTIONS for one in compared]
 
 
 def paired_differences(
-    maps: Mapping[str, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = RESAMPLES
+    maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = RESAMPLES
 ) -> list[PairedDifference]:
-    """The merged map against each sibling's, by failure probability and by quality; none with a single sibling."""
-    merged, truth = maps["merged"], maps[f"twin_{twin}"]
+    """Compare the merged map with each sibling's, by both values; empty with a single sibling."""
+    merged, truth = maps[MapId.merged()], maps[MapId.twin(twin)]
     more_r, more_auc = _more(_resampled_r), _more(_resampled_auc)
     found = []
     for value, sibling in product(QUESTIONS, siblings if len(siblings) > 1 else ()):
-        union = maps[f"union_{sibling}"]
-        samples = ours, theirs, against = _over_shared_cells([merged, union], truth, value)
+        union = maps[MapId.union(sibling)]
+        samples = merged_values, values, against = _over_shared_cells([merged, union], truth, value)
+        failing = int((against > 0).sum())
+        drawn = 0 if caution_of(len(against), failing) else resamples
         known: dict[str, Any] = {}
-        if all(_pearson(one, against, value)[0] is not None for one in (ours, theirs)):
-            known |= {"r": more_r(*samples), "r_interval": _interval(samples, more_r, resamples)}
+        if all(_pearson(one, against, value)[0] is not None for one in (merged_values, values)):
+            known |= {"r": more_r(*samples), "r_interval": _interval(samples, more_r, drawn)}
         if _decided(against):
-            known |= {"auc": more_auc(*samples), "auc_interval": _interval(samples, more_auc, resamples)}
-        found.append(PairedDifference(over=union.name, value=value, cells=len(against), **known))
+            known |= {"auc": more_auc(*samples), "auc_interval": _interval(samples, more_auc, drawn)}
+        found.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **known))
     return found
 
 
 def _more(statistic: Callable[[Array, Array], float]) -> Callable[[Array, Array, Array], float]:
-    """How much higher a statistic is for the first map than for the second."""
-    return lambda ours, theirs, truth: statistic(ours, truth) - statistic(theirs, truth)
+    """Make the difference of a statistic between the first map and the second."""
+    return lambda first, second, truth: statistic(first, truth) - statistic(second, truth)

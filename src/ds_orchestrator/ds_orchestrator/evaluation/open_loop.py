@@ -1,10 +1,10 @@
-"""A driver answers recorded images one after the other, without losing one (paper 4.3.1, RQ1, on anybody's data)."""
+"""Open-loop evaluation: a driver answers recorded images one by one, without driving (paper 4.3.1, RQ1)."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +18,23 @@ Answer = Callable[[RecordedFrame, Crop], float | None]
 """From a frame with an image to a steering from -1 full left to +1 full right; None if no answer came."""
 WORST = 6
 """Images with the largest errors that are kept for a picture; chosen: as many as fit beside each other."""
+REPORT_EVERY = 500
+"""Images between two lines of progress; chosen: some seconds."""
 APART = 10
 """Images between two of these at least; chosen: half a second, so that they show different places."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answers:
-    """What a driver said to one recording.
+    """A driver's steering on one recording, or on one simulator's images of a data set.
 
     Attributes:
-        name: of the recording.
+        name: of the recording or simulator.
         group: that it is pooled with.
-        index: (n,) of the images, those that cannot be read left out.
-        seconds: (n,) since the first image.
+        index: (n,) of the images; unreadable ones are left out.
+        seconds: (n,) since the first image; NaN in a data set.
         recorded: (n,) steering to compare with; NaN where there is none.
-        answered: (n,) the driver's steering; NaN where no answer came.
+        answered: (n,) the driver's steering, not clipped, as in the authors' package; NaN where no answer came.
         images: number of images in the recording.
         trouble: a line for each image that cannot be read.
         worst: frames with the largest errors, the largest first, with the driver's steering.
@@ -45,14 +47,23 @@ class Answers:
     recorded: Array
     answered: Array
     images: int
-    trouble: list[str]
-    worst: list[tuple[RecordedFrame, float]]
+    trouble: list[str] = field(default_factory=list)
+    worst: list[tuple[RecordedFrame, float]] = field(default_factory=list)
 
     @property
     def errors(self) -> Array:
-        """(m,) answered less recorded steering where there are both: positive is too far to the right."""
+        """(m,) answered minus recorded steering where there are both: positive is too far to the right."""
         both = self.answered - self.recorded
         return both[np.isfinite(both)]
+
+    @property
+    def absolute_errors(self) -> Array:
+        """(m,) sizes of the errors."""
+        return np.abs(self.errors)
+
+
+class ErrorsError(ValueError):
+    """Steering errors that cannot be computed or compared."""
 
 
 def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> Answers:
@@ -126,3 +137,81 @@ def write_answers(path: Path, answers: Iterable[Answers]) -> None:
                 values = [seconds, recorded, answered, answered - recorded]
                 cells = ["" if np.isnan(value) else repr(float(value)) for value in values]
                 writer.writerow((one.group, one.name, int(index), *cells))
+
+
+def predict(
+    data: Path,
+    network: str,
+    progress: Callable[[int, int, str], None],
+    *,
+    images: int | None = None,
+    trusted: Collection[str] = (),
+) -> dict[str, Answers]:
+    """Run a network over a data set, one image at a time as when it drives.
+
+    Args:
+        data: folder of the data set; see `ds_driver.data.dataset`.
+        network: any name that `ds_driver.networks.network_driver.NetworkDriver` takes.
+        progress: called with the images done, their total, and the simulator.
+        images: most images of each simulator, evenly spread over its drives; all if None.
+        trusted: simulators of the user's own that the data set may name.
+
+    Returns:
+        Simulator -> the answers to its images, in the order of the data set; `recorded` is the autopilot's steering.
+
+    Raises:
+        ErrorsError: the autopilot is not a network.
+        ds_driver.data.dataset.DatasetError: the data set cannot be used.
+        ValueError: the network cannot be used.
+    """
+    from ds_driver.closed_loop.simulation import AUTOPILOT
+    from ds_driver.data.crops import crops_of
+    from ds_driver.data.dataset import Sample, decode, read_samples
+    from ds_driver.networks.network_driver import load_pilot
+    from ds_driver.networks.pilot import Frame
+
+    if network == AUTOPILOT:
+        raise ErrorsError("the autopilot made the labels: name a network, such as dave2")
+    pilot = load_pilot(network)
+    groups: dict[str, list[Sample]] = {}
+    for sample in read_samples(data):
+        groups.setdefault(sample.simulator, []).append(sample)
+    if images is not None:
+        groups = {name: _spread(group, images) for name, group in groups.items()}
+    total, done = sum(map(len, groups.values())), 0
+    found, crops = {}, crops_of(data, groups, trusted=trusted)
+    for name, group in groups.items():
+        steering = np.empty(len(group))
+        for index, sample in enumerate(group):
+            if index == 0 or sample.road_id != group[index - 1].road_id:
+                pilot.start()
+            steering[index] = pilot.predict(Frame(image=decode(sample.jpeg), speed=0.0, crop=crops[name])).steering
+            done += 1
+            if done % REPORT_EVERY == 0 or done == total:
+                progress(done, total, f"images, {name}")
+        found[name] = Answers(
+            name=name,
+            group=name,
+            index=np.arange(len(group)),
+            seconds=np.full(len(group), np.nan),
+            recorded=np.array([s.steering for s in group], np.float64),
+            answered=steering,
+            images=len(group),
+        )
+    return found
+
+
+def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
+    """Choose so many of a list, evenly spread."""
+    if len(group) <= images:
+        return group
+    return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]
+
+
+def architecture_of(network: str) -> str:
+    """Read the architecture of a shipped network or a weights file, "" if it has none."""
+    from ds_driver.networks.backends import split_backend
+    from ds_driver.networks.weights import architecture_in, shipped_networks
+
+    network = split_backend(network)[0]
+    return architecture_in(shipped_networks().get(network, Path(network)))

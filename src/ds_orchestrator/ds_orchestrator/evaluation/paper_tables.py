@@ -1,4 +1,4 @@
-"""The tables of the paper's evaluation (4.4) from our numbers, with the paper's beside them."""
+"""Tables of the paper's evaluation (4.4) with a campaign's numbers, the paper's beside them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from ds_orchestrator.evaluation import paper_results as paper_numbers
 from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference
-from ds_orchestrator.evaluation.offline_errors import (
+from ds_orchestrator.evaluation.paper_results import Kind
+from ds_orchestrator.evaluation.robustness_checks import RobustnessCheck
+from ds_orchestrator.evaluation.statistics import caution_of
+from ds_orchestrator.evaluation.steering_error_stats import (
     BINS,
     MERGED,
     RANGE,
@@ -15,54 +18,61 @@ from ds_orchestrator.evaluation.offline_errors import (
     ErrorRobustnessCheck,
     densities,
 )
-from ds_orchestrator.evaluation.paper_results import Kind
-from ds_orchestrator.evaluation.robustness_checks import RobustnessCheck
 from ds_orchestrator.evaluation.table import Column, Table, Value
 
 Network = tuple[str, Kind]
 """Architecture and kind of images, as the paper's tables are divided."""
 _TITLES = {
     "probability": ("rq2", "RQ2: failure probability against the twin's"),
-    "quality_loss": ("rq3", "RQ3: lack of driving quality against the twin's failure probability"),
+    "quality_loss": ("rq3", "RQ3: quality loss against the twin's failure probability"),
 }
 _BOOTSTRAP = "Intervals: 95 %, bootstrap over cells. AUC-PRC is the average precision."
 NETWORKS = ("dave2", "chauffeur", "epoch")
 """Architectures that the paper tests."""
 
 
-def role_of(name: str, siblings: Sequence[str]) -> str:
-    """`DS1`, `DS2`, ... for a sibling or its union map, `DSS` for the merge."""
-    plain = name.removeprefix("union_")
-    return f"DS{siblings.index(plain) + 1}" if plain in siblings else "DSS"
+def role_of(simulator: str, siblings: Sequence[str]) -> str:
+    """Name the role of a simulator in the paper's tables: `DS1`, `DS2`, ... for siblings, `DSS` for their merge."""
+    return f"DS{siblings.index(simulator) + 1}" if simulator in siblings else "DSS"
+
+
+def cautions(correlations: Sequence[Correlation]) -> list[str]:
+    """Collect why the numbers cannot carry a conclusion, each reason once; empty if they can."""
+    return list(dict.fromkeys(c.caution for c in correlations if c.caution))
+
+
+def _caution_notes(reasons: Sequence[str]) -> list[str]:
+    return [f"No conclusion: {reason} (Peduzzi et al. 1996). Intervals are left out." for reason in reasons]
 
 
 def correlation_tables(
     correlations: Sequence[Correlation], siblings: Sequence[str], twin: str, network: Network | None
 ) -> list[Table]:
-    """RQ2 and RQ3 (paper 4.4.2, 4.4.3).
+    """Tabulate RQ2 and RQ3 (paper 4.4.2, 4.4.3).
 
     Args:
-        correlations: as `ds_orchestrator.evaluation.correlation.evaluate` gives them.
+        correlations: as `ds_orchestrator.evaluation.correlation.evaluate` returns them.
         siblings: names, in order.
         twin: its name.
-        network: whose numbers of the paper stand beside ours, or None.
+        network: whose numbers in the paper are shown beside the campaign's, or None.
     """
     tables = []
     for value, (name, title) in _TITLES.items():
         of_paper = (paper_numbers.RQ2 if value == "probability" else paper_numbers.RQ3).get(network or ("", "sim"), {})
         rows: list[list[Value]] = []
-        notes = [_BOOTSTRAP]
-        for c in (c for c in correlations if c.value == value):
-            role = role_of(c.name, siblings)
+        compared = [c for c in correlations if c.value == value]
+        notes = [*_caution_notes(cautions(compared)), _BOOTSTRAP]
+        for c in compared:
+            role, named = role_of(c.map.simulator, siblings), c.map.simulator or "merged"
             paper = of_paper.get(role)
-            named = "merged" if role == "DSS" else c.name.removeprefix("union_")
             rows.append([role, named, c.cells, c.r, c.r_interval, c.p, c.auc, c.auc_interval])
             rows[-1] += [paper.r, paper.p, paper.auc] if paper else [None] * 3
             notes += [f"{role}: no r, {c.reason}."] * bool(c.reason)
             notes += [f"{role}: no AUC-PRC, {c.auc_reason}."] * bool(c.auc_reason)
-        shares = {c.baseline for c in correlations if c.value == value and c.baseline is not None}
+        shares = {c.baseline for c in compared if c.baseline is not None}
         notes += [
-            f"DT is {twin}, which fails in {share:.0%} of the cells: AUC-PRC of chance." for share in sorted(shares)
+            f"DT is {twin}, which fails in {share:.0%} of the cells: the AUC-PRC of a map without information."
+            for share in sorted(shares)
         ]
         columns = [
             Column("vs DT"),
@@ -82,10 +92,10 @@ def correlation_tables(
 
 
 def paired_difference_table(paired_differences: Sequence[PairedDifference], siblings: Sequence[str]) -> Table:
-    """What merging adds to each sibling alone: the paper's claim, with an interval."""
+    """Tabulate what merging adds to each sibling alone: the paper's claim, with an interval."""
     columns = [
         Column("question"),
-        Column("DSS less"),
+        Column("DSS minus"),
         Column("cells", "count"),
         Column("r", "number"),
         Column("r, 95 %", "number"),
@@ -94,16 +104,25 @@ def paired_difference_table(paired_differences: Sequence[PairedDifference], sibl
     ]
     rows: list[list[Value]] = []
     for g in paired_differences:
-        less = f"{role_of(g.over, siblings)} {g.over.removeprefix('union_')}"
-        rows.append([_TITLES[g.value][0].upper(), less, g.cells, g.r, g.r_interval, g.auc, g.auc_interval])
-    notes = ["Above 0: the merged map foretells the twin better. Both maps see the same cells in every resample."]
+        sibling = f"{role_of(g.over.simulator, siblings)} {g.over.simulator}"
+        rows.append([_TITLES[g.value][0].upper(), sibling, g.cells, g.r, g.r_interval, g.auc, g.auc_interval])
+    reasons = dict.fromkeys(caution_of(g.cells, g.failing) for g in paired_differences if g.failing is not None)
+    notes = [
+        *_caution_notes([reason for reason in reasons if reason]),
+        "Above 0: the merged map predicts the twin better. Both maps see the same cells in every resample.",
+    ]
     return Table(
         name="paired_differences", title="RQ2 and RQ3: what merging adds", columns=columns, rows=rows, notes=notes
     )
 
 
-def robustness_table(robustness_checks: Sequence[RobustnessCheck]) -> Table:
-    """The questions of RQ2 and RQ3 asked in other ways."""
+def robustness_table(robustness_checks: Sequence[RobustnessCheck], reasons: Sequence[str] = ()) -> Table:
+    """Tabulate RQ2 and RQ3 computed in other ways.
+
+    Args:
+        robustness_checks: as `ds_orchestrator.evaluation.robustness_checks.check_robustness` returns them.
+        reasons: why the numbers cannot carry a conclusion.
+    """
     columns = [
         Column("how"),
         Column("map"),
@@ -115,9 +134,16 @@ def robustness_table(robustness_checks: Sequence[RobustnessCheck]) -> Table:
         Column("AUC", "number"),
     ]
     rows: list[list[Value]] = [
-        [v.what, v.name, v.against, v.value, v.cells, v.r, v.p, v.auc] for v in robustness_checks
+        [v.what, v.map.name, v.against.name, v.value.replace("_", " "), v.cells, v.r, v.p, v.auc]
+        for v in robustness_checks
     ]
-    return Table(name="robustness_checks", title="RQ2 and RQ3 in other ways", columns=columns, rows=rows)
+    return Table(
+        name="robustness_checks",
+        title="RQ2 and RQ3 in other ways",
+        columns=columns,
+        rows=rows,
+        notes=_caution_notes(reasons),
+    )
 
 
 def error_tables(
@@ -128,15 +154,15 @@ def error_tables(
     twin: str,
     network: Network | None,
 ) -> list[Table]:
-    """RQ1 (paper 4.4.1): the comparison, its robustness_checks, and the densities.
+    """Tabulate RQ1 (paper 4.4.1): the comparison, its robustness checks, and the densities.
 
     Args:
-        comparisons: as `ds_orchestrator.evaluation.offline_errors.compare_errors` gives them.
-        robustness_checks: as `ds_orchestrator.evaluation.offline_errors.robustness_checks` gives them.
+        comparisons: as `ds_orchestrator.evaluation.steering_error_stats.compare_errors` returns them.
+        robustness_checks: as `ds_orchestrator.evaluation.steering_error_stats.check_error_robustness` returns them.
         errors: simulator -> absolute steering errors, the twin's too.
         siblings: names, in order.
         twin: its name.
-        network: whose numbers of the paper stand beside ours, or None.
+        network: whose numbers in the paper are shown beside the campaign's, or None.
     """
     of_paper = paper_numbers.RQ1.get(network or ("", "sim"), {})
     rows: list[list[Value]] = []
@@ -165,7 +191,7 @@ def error_tables(
     notes = [
         f"DT is {twin}: {len(own)} images, mean squared error {own.mean():.3f}"
         + (f" (paper: {paper_numbers.MEAN_SQUARED[network]:.2f})." if network in paper_numbers.MEAN_SQUARED else "."),
-        "Alike, as the paper would have it: p above 0.05 and a power of 0.8 or more.",
+        "Alike, by the paper's rule: p above 0.05 and a power of 0.8 or more.",
     ]
     main = Table(name="rq1", title="RQ1: steering errors against the twin's", columns=columns, rows=rows, notes=notes)
     others: list[list[Value]] = [
@@ -181,7 +207,7 @@ def error_tables(
     edges = [Column("error from", "number"), Column("to", "number")]
     return [
         _without_paper(main, 2),
-        Table(name="rq1_variants", title="RQ1 in other ways", columns=heads, rows=others),
+        Table(name="rq1_robustness_checks", title="RQ1 in other ways", columns=heads, rows=others),
         Table(
             name="rq1_densities",
             title="RQ1: densities of the steering errors",

@@ -1,4 +1,4 @@
-"""The questions of RQ2 and RQ3 asked in other ways: those of the authors' package and other reasonable ones."""
+"""RQ2 and RQ3 computed in other ways: those of the authors' package and other reasonable ones."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ from ds_orchestrator.evaluation.statistics import (
 )
 from ds_orchestrator.maps.algebra import merge
 from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.maps.merge_operators import OPERATORS
 
 EMPTY = -2.0
-"""What maxitwo puts into empty cells before it correlates over all of them."""
+"""Filler that maxitwo puts into empty cells before it correlates over all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobustnessCheck:
-    """The same question asked in another way.
+    """The same comparison computed in another way.
 
     Attributes:
         what: how it differs from the main number.
-        name: of the map.
-        against: of the map that it is compared with.
+        map: the first map.
+        against: the map that it is compared with.
         value: of the first map.
         cells: number of cells compared.
         r: Pearson correlation, or None.
@@ -42,8 +43,8 @@ class RobustnessCheck:
     """
 
     what: str
-    name: str
-    against: str
+    map: MapId
+    against: MapId
     value: str
     cells: int
     r: float | None = None
@@ -51,10 +52,10 @@ class RobustnessCheck:
     auc: float | None = None
 
 
-def check_robustness(maps: Mapping[str, FeatureMap], siblings: Sequence[str], twin: str) -> list[RobustnessCheck]:
-    """The same questions in other ways, those of the authors' package first (its compute_mapelites_correlation)."""
-    unions = [maps[f"union_{sibling}"] for sibling in siblings]
-    compared, truth = [*unions, maps["merged"]], maps[f"twin_{twin}"]
+def check_robustness(maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str) -> list[RobustnessCheck]:
+    """Compute RQ2 and RQ3 in other ways, those of the authors' package first (its compute_mapelites_correlation)."""
+    unions = [maps[MapId.union(sibling)] for sibling in siblings]
+    compared, truth = [*unions, maps[MapId.merged()]], maps[MapId.twin(twin)]
     found = []
     for value, m in product(QUESTIONS, compared):
         found.append(_check("all cells of the bounds, empty ones as -2 (maxitwo)", *_filled(m, truth, value)))
@@ -72,12 +73,12 @@ def check_robustness(maps: Mapping[str, FeatureMap], siblings: Sequence[str], tw
         what = "quality as mean over a union's tests (maxitwo)"
         found.append(_check(what, m, truth, "quality_loss", ours, against, curve=_ap))
     for value, sibling in product(QUESTIONS, siblings):
-        m, against_own = maps[f"search_{sibling}"], maps[f"migration_{sibling}_to_{twin}"]
+        m, against_own = maps[MapId.search(sibling)], maps[MapId.migration(sibling, twin)]
         what = "a sibling's own search, without migration (maxitwo)"
         found.append(_check(what, m, against_own, value, *_paired(m, against_own, value), curve=_ap))
     if len(unions) > 1:
         for value, operator in product(QUESTIONS, OPERATORS):
-            m = merge("merged", unions, probability=operator, quality_loss=operator)
+            m = merge(MapId.merged(), unions, probability=operator, quality_loss=operator)
             what = f"merged by {operator.replace('_', ' ')}"
             found.append(_check(what, m, truth, value, *_paired(m, truth, value), curve=_ap))
     for one, other in combinations(unions, 2):
@@ -86,7 +87,7 @@ def check_robustness(maps: Mapping[str, FeatureMap], siblings: Sequence[str], tw
 
 
 def _filled(m: FeatureMap, truth: FeatureMap, value: str) -> tuple[FeatureMap, FeatureMap, str, Array, Array]:
-    """Both maps over their common bounds, with a number that means nothing where nothing is known."""
+    """Fill both maps over their common bounds, with `EMPTY` where nothing is known."""
     filled = set(m.cells) | set(truth.cells)
     axes = [range(min(axis), max(axis) + 1) for axis in zip(*filled, strict=True)]
     cells = list(product(*axes)) if filled else []
@@ -108,4 +109,4 @@ def _check(
     r, p, _ = _pearson(ours, truth, value)
     auc = curve(ours, truth) if curve is not None and _decided(truth) else None
     found = {"cells": len(ours), "r": r, "p": p, "auc": auc}
-    return RobustnessCheck(what=what, name=m.name, against=against.name, value=value, **found)  # type: ignore[arg-type]
+    return RobustnessCheck(what=what, map=m.id, against=against.id, value=value, **found)  # type: ignore[arg-type]

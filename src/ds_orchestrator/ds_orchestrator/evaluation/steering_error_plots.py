@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.open_loop import Answers
-from ds_orchestrator.evaluation.steering_error_stats import BINS, density, pooled_errors
+from ds_orchestrator.evaluation.steering_error_stats import EDGES, density, pooled_errors
+from ds_sim.camera.png import png
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -42,10 +43,7 @@ def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
     parts += [_over_time(one) for one in answers[:SHOWN] if len(one.index) > 1]
     worst = [_worst(one) for one in answers[:SHOWN] if one.worst]
     picture = np.vstack([*parts, *worst])
-    done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-    if not done:
-        raise OSError(f"{path}: the picture could not be encoded")
-    path.write_bytes(data.tobytes())
+    path.write_bytes(png(picture))
 
 
 def _heading(title: str) -> Picture:
@@ -62,7 +60,7 @@ def _densities(errors: dict[str, Array]) -> Picture:
     highest = max(float(curve.max()) for curve in curves.values())
     chart = _Chart(
         "Density of the steering errors",
-        "answered less recorded: left < 0 < right",
+        "answered minus recorded: left < 0 < right",
         (-reach, reach),
         (0.0, 1.1 * highest),
         330,
@@ -70,7 +68,7 @@ def _densities(errors: dict[str, Array]) -> Picture:
     chart.line(np.array([0.0, 0.0]), np.array([0.0, 1.1 * highest]), (150, 150, 150), 1)
     for number, (group, curve) in enumerate(curves.items()):
         colour = COLOURS[number % len(COLOURS)]
-        chart.line(np.repeat(BINS, 2)[1:-1], np.repeat(curve, 2), colour, 2)
+        chart.line(np.repeat(EDGES, 2)[1:-1], np.repeat(curve, 2), colour, 2)
         text = f"{group}: mean size {np.abs(errors[group]).mean():.3f}, {errors[group].size} images"
         chart.note(text, number, colour)
     return chart.image

@@ -1,20 +1,34 @@
-"""Steering errors of a driver on recorded images: their size, their density, and how far apart two groups' are."""
+"""Statistics of steering errors without driving: sizes and densities, and how alike two groups are (paper 4.3.1, RQ1).
+
+`summarise`, `density` and `distances` describe any recordings. `compare_errors` is the paper's RQ1 with the numbers of
+the authors' package (its compute_offline_metrics); `check_error_robustness` varies the choices that are open to
+question: errors above 0.6 are dropped, the Wilcoxon test compares 15 pairs of densities whatever the number of images,
+and the power analysis counts every image twice.
+"""
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import wasserstein_distance
+from scipy.stats import ks_2samp, wasserstein_distance, wilcoxon
 
-from ds_orchestrator.evaluation.open_loop import Answers
+from ds_orchestrator.evaluation.open_loop import Answers, ErrorsError
 
 Array = NDArray[np.float64]
-BINS = np.linspace(-2.0, 2.0, 201)
-"""Edges of the density's bins: every possible error, in steps of 0.02; chosen: a hundredth of the range of steering."""
+MERGED = "merged"
+"""The siblings' errors one after the other (paper 4.3.1: their combination)."""
+RANGE, BINS = 0.6, 15
+"""Errors up to 0.6 in bins of 0.04 (maxitwo)."""
+ALPHA, POWER = 0.05, 0.8
+"""Threshold of significance, and the power that is enough (paper 4.3.1)."""
+EDGES = np.linspace(-2.0, 2.0, 201)
+"""Edges of the bins of `density`: every possible error in steps of 0.02; chosen: a hundredth of the steering range."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +61,7 @@ class ErrorSummary:
 
 
 def pooled_errors(answers: Sequence[Answers]) -> dict[str, Array]:
-    """Group -> the errors of its recordings one after the other; groups without errors are left out."""
+    """Concatenate the errors of each group's recordings; groups without errors are left out."""
     groups: dict[str, list[Array]] = {}
     for one in answers:
         groups.setdefault(one.group, []).append(one.errors)
@@ -56,7 +70,7 @@ def pooled_errors(answers: Sequence[Answers]) -> dict[str, Array]:
 
 
 def summarise(answers: Sequence[Answers]) -> list[ErrorSummary]:
-    """Each group in the order of its first recording."""
+    """Summarise each group, in the order of their first recordings."""
     return [
         _summary(group, [a for a in answers if a.group == group]) for group in dict.fromkeys(a.group for a in answers)
     ]
@@ -84,10 +98,192 @@ def _summary(group: str, answers: Sequence[Answers]) -> ErrorSummary:
 
 
 def density(errors: Array) -> Array:
-    """(200,) share of the errors in each of `BINS` over the bin's width, so that the area is 1 (paper 4.3.1)."""
-    return np.asarray(np.histogram(errors, BINS, density=True)[0], np.float64)
+    """Compute the (200,) density of the errors between `EDGES`, of area 1 (paper 4.3.1)."""
+    return np.asarray(np.histogram(errors, EDGES, density=True)[0], np.float64)
 
 
 def distances(errors: Mapping[str, Array]) -> list[tuple[str, str, float]]:
-    """Wasserstein distance between the errors themselves, without bins, of every two groups; in units of steering."""
+    """Compute the Wasserstein distance between the errors of every two groups, without bins, in units of steering."""
     return [(one, two, float(wasserstein_distance(errors[one], errors[two]))) for one, two in combinations(errors, 2)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorComparison:
+    """Errors on one sibling, or on all of them, against those on the twin.
+
+    Attributes:
+        name: of the sibling, or `MERGED`.
+        images: number of its errors.
+        mean_squared: mean of its squared errors.
+        beyond: share of its errors above `RANGE`, which the densities do not show.
+        distance: Wasserstein distance of the densities, each at its bin's right end (maxitwo).
+        p: of Wilcoxon's signed-rank test on the pairs of densities, two-sided; None where they are all equal.
+        effect: Cohen's d of the errors, pooled; None where no error differs from another.
+        power: of a two-sample t test on the errors, with the authors' number of them: both sets' for each; None where
+            there is no effect.
+        enough: errors in each set for a power of 0.8, or None where there is no effect.
+    """
+
+    name: str
+    images: int
+    mean_squared: float
+    beyond: float
+    distance: float
+    p: float | None
+    effect: float | None
+    power: float | None
+    enough: float | None
+
+    @property
+    def alike(self) -> bool | None:
+        """Whether the paper would call the two indistinguishable: p above 0.05, and a power that is enough."""
+        if self.p is None or self.power is None:
+            return None
+        return self.p > ALPHA and self.power >= POWER
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorRobustnessCheck:
+    """The same comparison computed in another way.
+
+    Attributes:
+        what: how it differs.
+        name: of the sibling, or `MERGED`.
+        distance: Wasserstein distance, or None.
+        p: of the test that `what` names, or None.
+        power: or None.
+    """
+
+    what: str
+    name: str
+    distance: float | None = None
+    p: float | None = None
+    power: float | None = None
+
+
+def densities(errors: Array) -> Array:
+    """Compute the density of the errors in 15 bins from 0 to 0.6, of area 1 over the errors in that range (maxitwo)."""
+    counts = np.histogram(errors, BINS, (0.0, RANGE))[0]
+    return counts / max(counts.sum(), 1) / (RANGE / BINS)
+
+
+def shares(errors: Array) -> Array:
+    """Compute the share of all errors in each bin (paper 4.3.1)."""
+    return np.histogram(errors, BINS, (0.0, RANGE))[0] / len(errors)
+
+
+def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComparison]:
+    """Compare each sibling's errors, and those of all siblings together, with the twin's.
+
+    Args:
+        siblings: name -> (n,) absolute steering errors.
+        twin: (m,) the same.
+
+    Raises:
+        ErrorsError: no errors, or not finite ones from 0 on.
+    """
+    return [_compare(name, errors, _checked("the twin", twin)) for name, errors in _with_merged(siblings).items()]
+
+
+def check_error_robustness(siblings: Mapping[str, Array], twin: Array) -> list[ErrorRobustnessCheck]:
+    """Compare errors in other ways; see `compare_errors`."""
+    twin = _checked("the twin", twin)
+    groups = _with_merged(siblings)
+    found = []
+    for name, errors in groups.items():
+        ours, theirs = shares(errors), shares(twin)
+        distance = _binned_distance(ours, theirs)
+        what = "share of all errors per bin (paper 4.3.1)"
+        found.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=_wilcoxon(ours, theirs)))
+    for name, errors in groups.items():
+        distance = float(wasserstein_distance(errors, twin))
+        p = float(ks_2samp(errors, twin).pvalue)
+        what = "errors themselves, no bins; Kolmogorov-Smirnov test"
+        found.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=p))
+    for name, errors in groups.items():
+        power = _power(cohens_d(errors, twin), len(errors), len(twin) / len(errors))
+        found.append(ErrorRobustnessCheck(what="power with the true numbers of errors", name=name, power=power))
+    return found
+
+
+def cohens_d(one: Array, other: Array) -> float | None:
+    """Divide the difference of the means by the pooled standard deviation (Cohen 1988); None where no value varies."""
+    n, m = len(one), len(other)
+    if n + m < 3:
+        return None
+    pooled = math.sqrt(((n - 1) * _variance(one) + (m - 1) * _variance(other)) / (n + m - 2))
+    return float(np.mean(one) - np.mean(other)) / pooled if pooled > 0 else None
+
+
+def _variance(values: Array) -> float:
+    return float(np.var(values, ddof=1)) if len(values) > 1 else 0.0
+
+
+def _with_merged(siblings: Mapping[str, Array]) -> dict[str, Array]:
+    if not siblings:
+        raise ErrorsError("no sibling's errors to compare: expected at least one sibling")
+    checked = {name: _checked(name, errors) for name, errors in siblings.items()}
+    return {**checked, MERGED: np.concatenate(list(checked.values()))}
+
+
+def _checked(name: str, errors: Sequence[float] | Array) -> Array:
+    values = np.asarray(errors, np.float64)
+    if values.ndim != 1 or not len(values) or not np.isfinite(values).all() or (values < 0).any():
+        raise ErrorsError(f"errors of {name}: expected one or more finite numbers from 0 on")
+    return values
+
+
+def _compare(name: str, errors: Array, twin: Array) -> ErrorComparison:
+    ours, theirs = densities(errors), densities(twin)
+    effect = cohens_d(errors, twin)
+    return ErrorComparison(
+        name=name,
+        images=len(errors),
+        mean_squared=float(np.mean(errors**2)),
+        beyond=float(np.mean(errors > RANGE)),
+        distance=_binned_distance(ours, theirs),
+        p=_wilcoxon(ours, theirs),
+        effect=effect,
+        power=_power(effect, len(errors) + len(twin), 1.0),
+        enough=_enough(effect),
+    )
+
+
+def _binned_distance(ours: Array, theirs: Array) -> float:
+    """Wasserstein distance of weights at the right ends of the bins."""
+    if not ours.sum() or not theirs.sum():
+        raise ErrorsError(f"no error up to {RANGE} on one of the simulators: the network does not steer at all")
+    ends = np.linspace(0.0, RANGE, BINS + 1)[1:]
+    return float(wasserstein_distance(ends, ends, ours, theirs))
+
+
+def _wilcoxon(ours: Array, theirs: Array) -> float | None:
+    if np.array_equal(ours, theirs):
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # SciPy warns where most pairs are equal; p is right nevertheless
+        return float(wilcoxon(ours, theirs).pvalue)
+
+
+# statsmodels is imported where it is used: it takes a second, and most verbs do not need it.
+def _power(effect: float | None, count: int, ratio: float) -> float | None:
+    from statsmodels.stats.power import TTestIndPower
+
+    if not effect or count < 2:
+        return None
+    power = float(TTestIndPower().power(effect, count, ALPHA, ratio=ratio))
+    return power if math.isfinite(power) else None
+
+
+def _enough(effect: float | None) -> float | None:
+    from statsmodels.stats.power import tt_ind_solve_power
+
+    if not effect:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # statsmodels warns where it does not converge; that is None here
+        try:
+            count = float(np.squeeze(tt_ind_solve_power(effect_size=abs(effect), alpha=ALPHA, power=POWER, ratio=1.0)))
+        except (ValueError, RuntimeError):
+            return None
+    return count if math.isfinite(count) and count > 0 else None

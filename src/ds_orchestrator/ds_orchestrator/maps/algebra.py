@@ -6,19 +6,20 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
+from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.maps.merge_operators import apply, jeffreys_interval, merged_interval
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
 from ds_orchestrator.store.store import Execution
 
 
 def pool(
-    name: str,
+    map_id: MapId,
     runs: Iterable[tuple[Cell, Execution]],
     normalise: Normalise,
     *,
     features: tuple[str, ...] = DEFAULT_FEATURES,
 ) -> FeatureMap:
-    """Place every executed test in its cell; of several runs of a search this is their combined map (paper 3.3)."""
+    """Pool executed tests by cell; over several runs of a search this is their combined map (paper 3.3)."""
     groups: dict[Cell, list[Execution]] = {}
     for cell, execution in runs:
         groups.setdefault(cell, []).append(execution)
@@ -35,18 +36,18 @@ def pool(
             pooled_quality_loss=quality_loss,
             interval=jeffreys_interval(failures, len(group)),
         )
-    return FeatureMap(name=name, cells=cells, features=features)
+    return FeatureMap(id=map_id, cells=cells, features=features)
 
 
-def union(name: str, maps: Sequence[FeatureMap], *, pooled_quality_loss: bool = False) -> FeatureMap:
+def union(map_id: MapId, maps: Sequence[FeatureMap], *, pooled_quality_loss: bool = False) -> FeatureMap:
     """Unite maps of different tests on the same simulator (paper 3.4).
 
-    Failures and tests are summed over the maps. Quality is the mean of the maps' values, so that a map of one test
-    counts like one of ten; a map that leaves the cell empty says nothing and does not count as 0.
+    Failures and tests are summed over the maps. Quality loss is the mean of the maps' values, so that a map of one test
+    weighs as much as one of ten; a map that leaves the cell empty does not count as 0.
 
     Args:
-        name: of the union.
-        maps: whose cells hold counted tests, at least one.
+        map_id: identity of the union.
+        maps: at least one, whose cells have counts of failures.
         pooled_quality_loss: take the mean over all tests instead, as maxitwo does.
 
     Raises:
@@ -57,7 +58,7 @@ def union(name: str, maps: Sequence[FeatureMap], *, pooled_quality_loss: bool = 
     for cell in sorted(set().union(*(m.cells for m in maps))):
         parts = [m.cells[cell] for m in maps if cell in m.cells]
         if any(p.failures is None for p in parts):
-            raise ValueError(f"a map of {name} has no counts: expected maps of tests, not merged ones")
+            raise ValueError(f"a map of {map_id.name} has no counts: expected maps of tests, not merged ones")
         tests, failures = sum(p.tests for p in parts), sum(p.failures or 0 for p in parts)
         pooled = math.fsum(
             p.tests * (p.quality_loss if p.pooled_quality_loss is None else p.pooled_quality_loss) for p in parts
@@ -71,29 +72,29 @@ def union(name: str, maps: Sequence[FeatureMap], *, pooled_quality_loss: bool = 
             pooled_quality_loss=pooled / tests,
             interval=jeffreys_interval(failures, tests),
         )
-    return FeatureMap(name=name, cells=cells, features=maps[0].features)
+    return FeatureMap(id=map_id, cells=cells, features=maps[0].features)
 
 
 def merge(
-    name: str, maps: Sequence[FeatureMap], *, probability: str = "product", quality_loss: str = "minimum"
+    map_id: MapId, maps: Sequence[FeatureMap], *, probability: str = "product", quality_loss: str = "minimum"
 ) -> FeatureMap:
     """Merge the union maps of all siblings: only agreement counts (paper 3.5).
 
-    A cell that one of the maps leaves empty is empty: nobody knows whether that sibling agrees. One sibling gives its
-    own map back.
+    A cell that one of the maps leaves empty stays empty, since that sibling may not agree. The merge of one map is that
+    map.
 
     Args:
-        name: of the merged map.
+        map_id: identity of the merged map.
         maps: one per sibling, in any order.
         probability: operator of the failure probabilities; see `ds_orchestrator.maps.merge_operators`.
-        quality_loss: operator of the lack of quality.
+        quality_loss: operator of the quality losses.
 
     Raises:
         ValueError: no maps.
     """
     _check_axes(maps, "merge")
     if len(maps) == 1:
-        return FeatureMap(name=name, cells=dict(maps[0].cells), features=maps[0].features)
+        return FeatureMap(id=map_id, cells=dict(maps[0].cells), features=maps[0].features)
     cells = {}
     for cell in sorted(set(maps[0].cells).intersection(*(m.cells for m in maps[1:]))):
         parts = [m.cells[cell] for m in maps]
@@ -108,7 +109,7 @@ def merge(
             pooled_quality_loss=apply(quality_loss, pooled, tests) if len(pooled) == len(parts) else None,
             interval=merged_interval(probability, counts) if len(counts) == len(parts) else None,
         )
-    return FeatureMap(name=name, cells=cells, features=maps[0].features)
+    return FeatureMap(id=map_id, cells=cells, features=maps[0].features)
 
 
 def _check_axes(maps: Sequence[FeatureMap], what: str) -> None:
@@ -120,4 +121,4 @@ def _check_axes(maps: Sequence[FeatureMap], what: str) -> None:
 
 
 Normalise = Callable[[float], float]
-"""From a maximum lateral position in m to [0, 1] over the campaign."""
+"""Scales a maximum lateral position, m, to [0, 1] over the campaign."""

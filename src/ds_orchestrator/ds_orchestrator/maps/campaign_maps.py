@@ -1,4 +1,4 @@
-"""Every map of a campaign, made of its tests and executions (paper 3.3 to 3.5)."""
+"""Builds every map of a campaign from its tests and executions (paper 3.3 to 3.5)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ds_orchestrator.maps.algebra import Normalise, merge, pool, union
 from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId, map_ids
 from ds_orchestrator.search.archive import Archive
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
 from ds_orchestrator.store.store import Execution, Test
@@ -14,18 +15,17 @@ from ds_orchestrator.store.store import Execution, Test
 
 @dataclass(frozen=True, kw_only=True)
 class MapPlan:
-    """How a campaign's maps are made.
+    """Parameters of a campaign's maps.
 
     Attributes:
         features: names of the axes.
-        elites_only: migrate, unite and compare the elites of each run alone, not every test.
+        elites_only: migrate, unite and compare only the elites of each run, not every test.
         maxitwo_compatible: as in maxitwo: a search's map holds only its elites, turns are counted with its constants,
-            and the
-            quality of a union is the mean over the pooled tests.
+            and the quality loss of a union is the mean over the pooled tests.
         probability: operator that merges failure probabilities.
-        quality_loss: operator that merges lack of quality.
-        others: further operators, each of which makes a map of its own, of both values.
-        ignored: tests without whose outcome their search went on, even if they have one by now.
+        quality_loss: operator that merges quality losses.
+        others: further operators, each of which makes a further merged map, of both values.
+        ignored: tests whose search continued without their outcome, even if they have one now.
     """
 
     features: tuple[str, ...] = DEFAULT_FEATURES
@@ -53,7 +53,7 @@ def cells_of(
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
 ) -> dict[str, Cell]:
-    """Cell by test, of every test that has one; see `ds_orchestrator.search.features`."""
+    """Map every test that has a cell to it; see `ds_orchestrator.search.features`."""
     at_home = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     cells = {}
     for test in tests:
@@ -75,7 +75,7 @@ def elites_of(
     *,
     ignored: Collection[str] = (),
 ) -> set[str]:
-    """The tests that each run of a search ends with: the elite of each of its cells."""
+    """Find the elite of every cell of every run of a search: the tests that the run ends with."""
     at_home = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     archives: dict[tuple[str, int], Archive] = {}
     elites: dict[tuple[str, int], dict[Cell, str]] = {}
@@ -96,12 +96,10 @@ def build_maps(
     tests: Sequence[Test],
     executions: Sequence[Execution],
     plan: MapPlan = MapPlan(),  # noqa: B008 (immutable)
-) -> dict[str, FeatureMap]:
-    """Every map of a campaign by name.
+) -> dict[MapId, FeatureMap]:
+    """Build every map of a campaign; see `MapId` for the kinds.
 
-    `search_<i>` holds the tests of sibling i on itself, `migration_<i>_to_<j>` those of i on j (another sibling, or the
-    twin), `union_<i>` all tests on i, `merged` their merge, `merged_<operator>` the same with another operator, and
-    `twin_<name>` all tests on the twin. Executions without a verdict enter no map, nor do tests without a cell.
+    Executions without a verdict enter no map, nor do tests without a cell.
     """
     verdicts = [e for e in executions if e.outcome.is_verdict]
     cells = cells_of(tests, verdicts, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible)
@@ -112,29 +110,25 @@ def build_maps(
     normalise = normaliser(used)
     done = {(e.test_id, e.simulator): e for e in used}
 
-    def on(name: str, simulator: str, origin: str, chosen: set[str]) -> FeatureMap:
-        mine = (t.test_id for t in tests if t.sibling == origin and t.test_id in chosen)
-        pairs = [(cells[i], done[i, simulator]) for i in mine if (i, simulator) in done]
-        return pool(name, pairs, normalise, features=plan.features)
+    def on(map_id: MapId, chosen: set[str]) -> FeatureMap:
+        tests_of_origin = (t.test_id for t in tests if t.sibling == map_id.origin and t.test_id in chosen)
+        pairs = [(cells[i], done[i, map_id.simulator]) for i in tests_of_origin if (i, map_id.simulator) in done]
+        return pool(map_id, pairs, normalise, features=plan.features)
 
-    maps = {}
-    for sibling in siblings:
-        maps[f"search_{sibling}"] = on(f"search_{sibling}", sibling, sibling, searched)
-    for origin in siblings:
-        for target in [*siblings, *([twin] if twin else [])]:
-            if target != origin:
-                name = f"migration_{origin}_to_{target}"
-                maps[name] = on(name, target, origin, migrated)
-    for sibling in siblings:
-        own = on(f"search_{sibling}", sibling, sibling, migrated)
-        parts = [own, *(maps[f"migration_{other}_to_{sibling}"] for other in siblings if other != sibling)]
-        maps[f"union_{sibling}"] = union(f"union_{sibling}", parts, pooled_quality_loss=plan.maxitwo_compatible)
-    unions = [maps[f"union_{sibling}"] for sibling in siblings]
-    maps["merged"] = merge("merged", unions, probability=plan.probability, quality_loss=plan.quality_loss)
-    for operator in plan.others:
-        name = f"merged_{operator}"
-        maps[name] = merge(name, unions, probability=operator, quality_loss=operator)
-    if twin:
-        parts = [maps[f"migration_{origin}_to_{twin}"] for origin in siblings]
-        maps[f"twin_{twin}"] = union(f"twin_{twin}", parts, pooled_quality_loss=plan.maxitwo_compatible)
+    pooled = plan.maxitwo_compatible
+    maps: dict[MapId, FeatureMap] = {}
+    for map_id in map_ids(siblings, twin, plan.others):
+        if map_id.kind in ("search", "migration"):
+            maps[map_id] = on(map_id, searched if map_id.kind == "search" else migrated)
+        elif map_id.kind == "union":
+            own = on(MapId.search(map_id.simulator), migrated)
+            others = [maps[MapId.migration(o, map_id.simulator)] for o in siblings if o != map_id.simulator]
+            maps[map_id] = union(map_id, [own, *others], pooled_quality_loss=pooled)
+        elif map_id.kind == "merged":
+            probability, quality_loss = (map_id.operator or o for o in (plan.probability, plan.quality_loss))
+            unions = [maps[MapId.union(sibling)] for sibling in siblings]
+            maps[map_id] = merge(map_id, unions, probability=probability, quality_loss=quality_loss)
+        else:
+            parts = [maps[MapId.migration(origin, map_id.simulator)] for origin in siblings]
+            maps[map_id] = union(map_id, parts, pooled_quality_loss=pooled)
     return maps

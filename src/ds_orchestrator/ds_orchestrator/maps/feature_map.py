@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, feature_of
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapCell:
-    """One filled cell of a feature map; a cell without tests is not there at all, which is not the same as 0.
+    """One filled cell of a feature map; a cell without tests is absent, which is not the same as 0.
 
     Attributes:
         tests: tests pooled in it; in a merged map, those of the sibling with the fewest.
-        failures: how many of them failed; None in a merged map, whose probability is made of the siblings'.
+        failures: how many of them failed; None in a merged map, whose probability is computed from the siblings'.
         probability: of failure, in [0, 1].
         quality_loss: lack of driving quality, in [0, 1]: mean of the tests' maximum lateral positions, normalised over
             the campaign (paper 4.2.5); in a union the mean of its maps' values (paper 3.4); the higher the worse.
@@ -35,39 +36,47 @@ class FeatureMap:
     """Cells by one bin per feature.
 
     Attributes:
-        name: tells what it is a map of.
+        id: which tests it holds, on which simulator.
         cells: filled cells.
         features: names of the axes; see `ds_orchestrator.search.features`.
+        detail: which slice of a map of three features it is, such as `direction coverage, % 10`; "" for a whole map.
     """
 
-    name: str
+    id: MapId
     cells: Mapping[Cell, MapCell]
     features: tuple[str, ...] = DEFAULT_FEATURES
+    detail: str = ""
+
+    @property
+    def title(self) -> str:
+        """Heading of its picture."""
+        return ", ".join(filter(None, (self.id.title, self.detail)))
 
 
 def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
-    """A map of three features as maps of its first two, one per value of the third; any other map as it is."""
+    """Slice a map of three features into maps of its first two, one per bin of the third; any other map stays whole."""
     if len(feature_map.features) < 3:
         return [feature_map]
     first, second, third = feature_map.features
     of_third = feature_of(third)
     values = sorted({cell[2] for cell in feature_map.cells})
     if not values:
-        return [FeatureMap(name=feature_map.name, cells={}, features=(first, second))]
+        return [replace(feature_map, features=(first, second))]
     return [
         FeatureMap(
-            name=f"{feature_map.name}, {of_third.title} {of_third.label(value)}",
+            id=feature_map.id,
             cells={cell[:2]: content for cell, content in feature_map.cells.items() if cell[2] == value},
             features=(first, second),
+            detail=f"{of_third.title} {of_third.label(value)}",
         )
         for value in values
     ]
 
 
-def to_json(maps: Mapping[str, FeatureMap]) -> dict[str, object]:
-    """Maps as plain JSON values; the same maps give the same text."""
+def to_json(maps: Mapping[MapId, FeatureMap]) -> dict[str, object]:
+    """Convert maps to plain JSON values by their names; the same maps give the same text."""
     return {
-        name: {
+        map_id.name: {
             "features": list(feature_map.features),
             "cells": [
                 {
@@ -82,5 +91,5 @@ def to_json(maps: Mapping[str, FeatureMap]) -> dict[str, object]:
                 for cell, value in sorted(feature_map.cells.items())
             ],
         }
-        for name, feature_map in maps.items()
+        for map_id, feature_map in maps.items()
     }

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, slices_of
+from ds_orchestrator.maps.map_id import MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
+from ds_sim.camera.png import png
 from ds_sim.registry import label_of
 
 Value = Literal["probability", "quality_loss"]
@@ -67,15 +69,6 @@ def bounds_of(maps: Iterable[FeatureMap]) -> Bounds:
     return Bounds(turns=(min(turns), max(turns)), curvature=(min(curvature), max(curvature)))
 
 
-def title_of(name: str) -> str:
-    """The name of a campaign's map in words; see `ds_orchestrator.maps.campaign_maps.build_maps`."""
-    kind, _, rest = name.partition("_")
-    if kind == "migration":
-        return "Migration: " + " to ".join(rest.split("_to_"))
-    words = {"search": "Search on", "union": "All tests on", "merged": "Siblings merged", "twin": "Twin"}
-    return f"{words.get(kind, kind)} {rest}".strip()
-
-
 def colour_of(value: float) -> Rgb:
     """RGB of a value in [0, 1], linear between `COLOURS`; values outside take the end's colour."""
     mixed = [np.interp(value, (0.0, 0.5, 1.0), [colour[k] for colour in COLOURS]) for k in range(3)]
@@ -104,7 +97,7 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    titles = (title_of(feature_map.name), VALUE_TITLES[value])
+    titles = (feature_map.title, VALUE_TITLES[value])
     grid_width = _CELL_WIDTH * len(bounds.columns)
     grid_height = _CELL_HEIGHT * len(bounds.rows)
     title_width = max(_text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
@@ -130,37 +123,29 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
     return image
 
 
-def write_maps(maps: Mapping[str, FeatureMap], folder: Path) -> None:
+def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
     """Write every map of a campaign as `<name>_probability.png` and `<name>_quality.png`, and `overview.png`.
 
     The overview shows the siblings' unions, their merge and the twin side by side: failure probability above, lack of
     quality below. All pictures share their bounds.
 
     Args:
-        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` makes and names them.
-        folder: is made if needed; pictures that are there are replaced.
+        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
+        folder: of the pictures, created if missing; existing ones are replaced.
     """
     folder.mkdir(parents=True, exist_ok=True)
     bounds = bounds_of(maps.values())
     values: tuple[Value, ...] = ("probability", "quality_loss")
-    for name, feature_map in maps.items():
+    for map_id, feature_map in maps.items():
         for value in values:
             parts = [draw_map(part, value, bounds=bounds) for part in slices_of(feature_map)]
-            _save(folder / f"{label_of(name)}_{_FILE_ENDINGS[value]}.png", np.hstack(parts))
-    compared = [m for name, m in maps.items() if name == "merged" or name.startswith(("union_", "twin_"))]
+            _save(folder / f"{label_of(map_id.name)}_{_FILE_ENDINGS[value]}.png", np.hstack(parts))
+    compared = [maps[map_id] for map_id in compared_ids(maps)]
     if compared and len(compared[0].features) == 2:
         rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in values]
         width = max(row.shape[1] for row in rows)
         rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
         _save(folder / "overview.png", np.vstack(rows))
-
-
-def png(image: NDArray[np.uint8]) -> bytes:
-    """An RGB picture as a PNG file; the same pixels give the same bytes."""
-    done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    if not done:
-        raise ValueError(f"a picture of shape {image.shape} cannot be encoded: expected (rows, columns, 3) uint8")
-    return data.tobytes()
 
 
 def _save(path: Path, image: NDArray[np.uint8]) -> None:

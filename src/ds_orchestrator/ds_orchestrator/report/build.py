@@ -1,34 +1,39 @@
-"""A campaign's results on disk: maps as JSON and pictures, the comparison with the twin as tables, and the report."""
+"""Writes a campaign's results: maps as JSON and pictures, the comparison with the twin as tables, and the report."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Collection
-from dataclasses import asdict
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from ds_orchestrator.campaign.folder import STAGES, config_of, refuse_foreign_files
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.folder import STAGES, refuse_foreign_files
 from ds_orchestrator.evaluation.campaign_evaluation import (
     correlations_of,
     maps_of,
     network_of,
     paired_differences_of,
     tables_of,
+    write_correlations,
 )
 from ds_orchestrator.evaluation.table import read_tables, write_tables
 from ds_orchestrator.maps.feature_map import FeatureMap, to_json
+from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
 
 RQ1 = Path("evaluation/rq1.json")
-"""Where `ds evaluate --data` leaves the tables of RQ1 for the report, relative to the campaign's folder."""
+"""Where `ds evaluate --data` leaves the tables of RQ1 for the report, relative to the campaign folder."""
+_RENAMED_TABLES = {"rq1_variants": "rq1_robustness_checks"}
+"""Names that earlier versions gave the tables of RQ1, and their present ones."""
 NOT_MADE = -1
-"""Executions of which a result was made that is not there or not whole."""
+"""Recorded as the number of executions of a result that is missing or incomplete."""
 
 
-def write_json(folder: Path, maps: dict[str, FeatureMap]) -> None:
-    """Write `maps/<name>.json` and `maps/maps.json`."""
+def write_json(folder: Path, maps: Mapping[MapId, FeatureMap]) -> None:
+    """Write `maps/<name>.json` and `maps/maps.json` of a campaign folder."""
     out = folder / "maps"
     out.mkdir(exist_ok=True)
     document = to_json(maps)
@@ -41,39 +46,41 @@ def write_all(
     folder: Path,
     store: Store,
     *,
+    data: CampaignData | None = None,
     again: bool = True,
     say: Callable[[str], None] = lambda line: None,
     trusted: Collection[str] = (),
 ) -> Path:
-    """Make maps, evaluation and report of what the store holds.
+    """Write maps, evaluation and report from a campaign's store.
 
     Args:
-        folder: of the campaign.
-        store: what was done, finished or not.
-        again: also what was made already of as many executions; otherwise only what is missing.
-        say: told the stage that begins.
-        trusted: simulators of the user's own whose code may run; of others no camera picture is made.
+        folder: campaign folder.
+        store: its store, of a campaign that is finished or not.
+        data: contents of the store if they were read already.
+        again: write all results; otherwise only if one is missing or was made from fewer executions.
+        say: called with one line for each stage.
+        trusted: simulators of the user's own whose code may run; the report has no camera pictures of others.
 
     Returns:
-        The path of the report.
+        Path of the report.
     """
     from ds_orchestrator.maps.heatmap import write_maps
     from ds_orchestrator.report.html_report import write_report
 
-    config, count = config_of(store), store.count_executions()
     report = folder / "report.html"
-    made = {stage for stage, executions in store.results().items() if executions == count}
-    if not again and made >= set(STAGES) and report.exists():
+    count, made = store.count_executions(), store.results()
+    if not again and all(made.get(stage) == count for stage in STAGES) and report.exists():
         return report
     refuse_foreign_files(folder)
-    for name in config.simulators:
+    data = data or read_campaign(store)
+    for name in data.config.simulators:
         try:
             received_simulator(name, confirmed=trusted, option="--trust")
         except UntrustedSimulatorError as error:
             say(f"report without its pictures: {error}")
     began = time.monotonic()
-    maps = maps_of(store)
-    # Half written is not made; a process that ends amid this leaves it to be made again.
+    maps = maps_of(data)
+    # A process that ends half-way leaves this mark, so that the results are written again.
     for stage in STAGES:
         store.set_result(stage, NOT_MADE)
     say("stage: maps")
@@ -82,27 +89,27 @@ def write_all(
     store.set_result("maps", count)
     mapped = time.monotonic()
     say("stage: evaluation")
-    correlations = correlations_of(config, maps)
-    added = paired_differences_of(config, maps)
-    tables = tables_of(config, maps, correlations, added)
-    (folder / "maps" / "correlations.json").write_text(_text([asdict(c) for c in correlations]))
+    correlations = correlations_of(data.config, maps)
+    differences = paired_differences_of(data.config, maps)
+    tables = tables_of(data.config, maps, correlations, differences)
+    write_correlations(folder, correlations)
     write_tables(tables, folder / "evaluation")
     store.set_result("evaluation", count)
-    # What was noted first stays, so that the report is the same when it is written again.
+    # The first times stay, so that the report is the same when it is written again.
     store.note("seconds maps", f"{mapped - began:.1f}")
     store.note("seconds evaluation", f"{time.monotonic() - mapped:.1f}")
+    data = replace(data, notes=store.notes())
     say("stage: report")
     # RQ1 needs a data set: it is there if `ds evaluate --data` was given one.
-    tables = [*read_tables(folder / RQ1), *tables]
+    of_rq1 = [replace(table, name=_RENAMED_TABLES.get(table.name, table.name)) for table in read_tables(folder / RQ1)]
     write_report(
         folder,
-        store,
-        config,
+        data,
         maps,
         correlations,
-        paired_differences=added,
-        tables=tables,
-        network=network_of(config),
+        paired_differences=differences,
+        tables=[*of_rq1, *tables],
+        network=network_of(data.config),
         trusted=trusted,
     )
     store.set_result("report", count)

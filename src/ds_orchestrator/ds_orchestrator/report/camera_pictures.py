@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.control.autopilot import Autopilot
-from ds_orchestrator.maps.heatmap import png
 from ds_orchestrator.report.page_data import in_words
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.store import Execution, Test
 from ds_sim.camera.ground import Ground, paint_ground
+from ds_sim.camera.png import png
 from ds_sim.camera.renderer import Camera, Sensor
 from ds_sim.registry import make_simulator, received_simulator, spec_of
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, SimulatorSpec, VehicleState

@@ -1,18 +1,26 @@
-"""What a campaign found, in plain sentences made of its numbers."""
+"""A campaign's findings in plain sentences, derived from its numbers by fixed rules."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference
+from ds_orchestrator.evaluation.paper_tables import cautions
 from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.heatmap import VALUE_TITLES, Value
-from ds_orchestrator.store.store import Execution
+from ds_orchestrator.maps.heatmap import Value
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.report.failure_region import RoadOutcomes, Share, Split, best_split, road_outcomes
 
 _CHANCE = 0.05
 """p-value from which a correlation is called compatible with chance (paper 4.3.1)."""
+_WORDS = {"probability": "failure probability", "quality_loss": "quality loss"}
+NOT_TESTED = (
+    "Only the shape of the road varied between tests. Weather, light, traffic, junctions, slopes, road surface, "
+    "markings and lane width were not tested"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,52 +28,112 @@ class Findings:
     """A campaign in words.
 
     Attributes:
-        headline: the most important thing, one sentence or two.
+        headline: where the driver fails and how sure that is.
+        limits: what was tested and what was not; "" if nothing was driven.
         details: further sentences.
     """
 
     headline: str
-    details: list[str]
+    limits: str = ""
+    details: Sequence[str] = ()
 
 
 def summarise(
-    config: CampaignConfig,
-    maps: Mapping[str, FeatureMap],
+    data: CampaignData,
+    maps: Mapping[MapId, FeatureMap],
     correlations: Sequence[Correlation],
-    executions: Sequence[Execution],
     *,
-    tests: int,
     paired_differences: Sequence[PairedDifference] = (),
 ) -> Findings:
     """Say what a campaign found, finished or not.
 
     Args:
-        config: as run.
-        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` names them.
+        data: the campaign.
+        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
         correlations: with the twin, empty without one.
-        executions: every one that is known.
-        tests: how many tests there are.
-        paired_differences: of merging, over each sibling; without them the merged map is not held against the siblings.
+        paired_differences: of merging, over each sibling; without them the merged map is compared with no sibling.
     """
-    if not executions:
-        return Findings(headline="Nothing was driven yet, so there is nothing to report.", details=[])
-    verdicts = [e for e in executions if e.outcome.is_verdict]
-    details = [_coverage(config, len(verdicts), tests), _failures(config, verdicts)]
-    if config.twin and maps["merged"].cells:
-        details.append(_foretold(config, maps))
+    config = data.config
+    if not data.executions:
+        return Findings(headline="Nothing was driven yet, so there is nothing to report.")
+    outcomes = road_outcomes(data)
+    details = [_coverage(data), _failures(data), _agreement(config, maps)]
+    if config.twin and maps[MapId.merged()].cells:
+        details.append(_predicted(config, maps))
     values: tuple[Value, ...] = ("probability", "quality_loss")
+    reasons = cautions(correlations)
+    if len(reasons) == 1 and all(c.caution for c in correlations):
+        details.append(f"No conclusion about how well the siblings predict the twin: {reasons[0]}.")
+        values = ()
     for value in values:
         compared = [c for c in correlations if c.value == value]
         if compared:
-            details.append(_comparison(config, compared, [g for g in paired_differences if g.value == value], value))
+            details.append(_comparison(config, compared, [d for d in paired_differences if d.value == value], value))
     if not config.twin:
-        details.append("No twin took part in this campaign, so the maps are compared with nothing.")
-    return Findings(headline=f"{_agreement(config, maps)} {_key_number(config, correlations)}".strip(), details=details)
+        details.append("This campaign has no twin, so there is nothing to compare the maps with.")
+    return Findings(headline=where_it_fails(config.driver, outcomes), limits=_limits(outcomes), details=details)
+
+
+def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
+    """Say where the driver fails and how sure that is; see `ds_orchestrator.report.failure_region` for the rule."""
+    if not outcomes.tests:
+        return f"No road has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
+    total, roads = outcomes.share, count(len(outcomes.tests), "road")
+    if not total.failures:
+        none = "did not fail on the only road" if total.roads == 1 else f"failed on none of {roads}"
+        return f"{driver} {none} on {outcomes.where} ({_percent(total)})."
+    if total.failures == total.roads:
+        every = "the only road" if total.roads == 1 else f"all {roads}"
+        return f"{driver} failed on {every} on {outcomes.where} ({_percent(total)}); no gentler road was tested."
+    split = best_split(outcomes)
+    if split is None or not split.is_clear:
+        return (
+            f"{driver} failed on {total.failures} of {roads} on {outcomes.where} ({_percent(total)}). Neither the "
+            "tightest bend nor the number of turns separates these roads clearly from the others."
+        )
+    harder, gentler = split.harder, split.gentler
+    others = f"{gentler.failures or 'none'} of the {gentler.roads} others"
+    return (
+        f"On {outcomes.where}, {driver} fails on roads with {_harder_than(split)}: {harder.failures} of {harder.roads} "
+        f"such roads failed ({_percent(harder)}), and {others} ({_percent(gentler)})."
+    )
+
+
+def radius(curvature: float) -> str:
+    """Write the radius of a curvature in 1/m: `5.6 m`, or `straight`."""
+    return f"{1.0 / curvature:.1f} m" if curvature > 0 else "straight"
 
 
 def count(number: int, thing: str, plural: str = "") -> str:
-    """`1 cell`, `2 cells`."""
+    """Count in words: `1 cell`, `2 cells`."""
     return f"{number} {thing if number == 1 else plural or thing + 's'}"
+
+
+def _harder_than(split: Split) -> str:
+    if split.axis == "turns":
+        return f"{split.threshold:.0f} turns or more"
+    return f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
+
+
+def _percent(share: Share) -> str:
+    """Write a share with its interval: `75 %, 95 % interval 28 to 97 %`."""
+    low, high = (100 * end for end in share.interval)
+    return f"{100 * share.failures / share.roads:.0f} %, 95 % interval {low:.0f} to {high:.0f} %"
+
+
+def _limits(outcomes: RoadOutcomes) -> str:
+    """Say which roads were tested, and what was not."""
+    if not outcomes.tests:
+        return f"{NOT_TESTED}."
+    curvatures = [test.road.curvature for test in outcomes.tests]
+    turns = [test.road.turns_count for test in outcomes.tests]
+    low, high = min(curvatures), max(curvatures)
+    tightest = f"of {radius(high)} radius" if low == high else f"from {radius(low)} down to {radius(high)} radius"
+    number = count(min(turns), "turn") if min(turns) == max(turns) else f"{min(turns)} to {max(turns)} turns"
+    return (
+        f"Tested: {count(len(turns), 'road')} with {number}, the tightest bend of each {tightest} ({low:.3f} to "
+        f"{high:.3f} 1/m). {NOT_TESTED}. Intervals take the roads as independent, which mutants of one road are not."
+    )
 
 
 def _listed(parts: Sequence[str]) -> str:
@@ -73,73 +141,54 @@ def _listed(parts: Sequence[str]) -> str:
     return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
-def _agreement(config: CampaignConfig, maps: Mapping[str, FeatureMap]) -> str:
-    shared = maps["merged"].cells
-    unions = [maps[f"union_{name}"].cells for name in config.siblings]
+def _agreement(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
+    shared = maps[MapId.merged()].cells
+    unions = [maps[MapId.union(name)].cells for name in config.siblings]
     failing = sum(all(union[cell].probability > 0 for union in unions) for cell in shared)
     passing = sum(all(union[cell].probability == 0 for union in unions) for cell in shared)
     if not shared:
         return "The siblings have no cell of the feature map in common yet, so the merged map is empty."
     cells = count(len(shared), "cell")
     if len(unions) == 1:
-        return f"{config.siblings[0]}, the only sibling, sees failures in {failing} of {cells}."
+        return f"{config.siblings[0]}, the only sibling, has failures in {failing} of {cells}."
     return (
         f"Of {cells} that all siblings fill, they agree on failure in {failing}, agree on no failure in {passing} and "
         f"disagree in {len(shared) - failing - passing}."
     )
 
 
-def _key_number(config: CampaignConfig, correlations: Sequence[Correlation]) -> str:
-    found = {c.name: c for c in correlations if c.value == "probability"}
-    merged = found.get("merged")
-    if merged is None:
-        return ""
-    if merged.r is None:
-        return f"How well their merged map foretells the twin cannot be said: {merged.reason}."
-    siblings = [f"{name} {_r(found[f'union_{name}'])}" for name in config.siblings]
-    return (
-        f"Their merged map correlates with the failures of the twin {config.twin} with r = {merged.r:.2f} "
-        f"({_listed(siblings)})."
-    )
-
-
-def _r(correlation: Correlation) -> str:
-    return "undefined" if correlation.r is None else f"{correlation.r:.2f}"
-
-
-def _coverage(config: CampaignConfig, verdicts: int, tests: int) -> str:
-    expected = tests * len(config.simulators)
+def _coverage(data: CampaignData) -> str:
+    config, verdicts = data.config, len(data.verdicts)
+    expected = len(data.tests) * len(config.simulators)
     roles = _listed([*config.siblings, *([f"the twin {config.twin}"] if config.twin else [])])
-    text = f"The driver {config.driver} was given {count(tests, 'road')} to drive on {roles}"
+    text = f"The driver {config.driver} was given {count(len(data.tests), 'road')} to drive on {roles}"
     if verdicts == expected:
         return f"{text}: {count(verdicts, 'run')}, each with a verdict."
     return (
-        f"{text}; {verdicts} of {count(expected, 'run')} have a verdict. What is missing was not driven yet or ended "
-        "in an error, and enters no map."
+        f"{text}; {verdicts} of {count(expected, 'run')} have a verdict. The others were not driven yet or ended in an "
+        "error, and enter no map."
     )
 
 
-def _failures(config: CampaignConfig, verdicts: Sequence[Execution]) -> str:
+def _failures(data: CampaignData) -> str:
     parts = []
-    for name in config.simulators:
-        mine = [e for e in verdicts if e.simulator == name]
-        failed = sum(e.outcome.is_failure for e in mine)
-        share = f" ({100 * failed / len(mine):.0f} %)" if mine else ""
-        parts.append(f"{failed} of {len(mine)}{share} on {name}")
+    for name in data.config.simulators:
+        outcomes = [e.outcome.is_failure for e in data.verdicts if e.simulator == name]
+        share = f" ({100 * sum(outcomes) / len(outcomes):.0f} %)" if outcomes else ""
+        parts.append(f"{sum(outcomes)} of {len(outcomes)}{share} on {name}")
     return f"It failed {_listed(parts)}."
 
 
-def _foretold(config: CampaignConfig, maps: Mapping[str, FeatureMap]) -> str:
-    """How the merged map's failing cells look on the twin."""
-    twin = maps[f"twin_{config.twin}"].cells
-    merged = maps["merged"].cells
+def _predicted(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
+    """Say how the merged map's failing cells look on the twin."""
+    twin, merged = maps[MapId.twin(config.twin or "")].cells, maps[MapId.merged()].cells
     both = [cell for cell in merged if cell in twin]
     alarms = [cell for cell in both if merged[cell].probability > 0]
     right = sum(twin[cell].probability > 0 for cell in alarms)
     missed = sum(twin[cell].probability > 0 for cell in both) - right
     return (
-        f"Of {count(len(alarms), 'cell')} in which the merged map expects failures, the twin fails in {right}; of "
-        f"{count(len(both) - len(alarms), 'cell')} in which it expects none, the twin fails in {missed}."
+        f"Of {count(len(alarms), 'cell')} in which the merged map predicts failures, the twin fails in {right}; of "
+        f"{count(len(both) - len(alarms), 'cell')} in which it predicts none, the twin fails in {missed}."
     )
 
 
@@ -149,33 +198,43 @@ def _comparison(
     paired_differences: Sequence[PairedDifference],
     value: Value,
 ) -> str:
-    """The correlations of one value in words, and whether merging helped."""
-    found = {c.name: c for c in correlations}
-    merged = found["merged"]
-    subject = f"By {VALUE_TITLES[value]}"
+    """Say how the maps of one value correlate with the twin's failures, and whether merging helped."""
+    found = {c.map: c for c in correlations}
+    merged, unions = found[MapId.merged()], [found[MapId.union(name)] for name in config.siblings]
+    subject = f"By {_WORDS[value]}"
     if merged.r is None:
         return f"{subject}, the merged map cannot be compared with the twin: {merged.reason}."
+    if merged.caution:
+        return f"{subject}, no conclusion about how well the siblings predict the twin: {merged.caution}."
+    siblings = _listed([f"{c.map.simulator} {_r(c)}" for c in unions])
+    numbers = (
+        f"{subject}, the merged map correlates with the failures of the twin {config.twin} with r = {merged.r:.2f}"
+    )
     chance = (
         f" With p = {merged.p:.2f} over {count(merged.cells, 'cell')}, this may be chance."
         if merged.p is not None and merged.p >= _CHANCE
         else ""
     )
-    if any(found[f"union_{name}"].r is None for name in config.siblings):
-        return f"{subject}, the merged map has r = {merged.r:.2f}; not every sibling can be compared.{chance}"
-    if len(config.siblings) == 1:
-        return f"{subject}, the only sibling's map has r = {merged.r:.2f}, and the merged map is the same.{chance}"
+    if any(c.r is None for c in unions):
+        return f"{numbers}; not every sibling can be compared.{chance}"
+    if len(unions) == 1:
+        return f"{numbers}; with a single sibling, its map and the merged map are the same.{chance}"
     if merged.r <= 0:
-        verdict = ": no positive correlation, so it does not foretell the twin's failures"
+        verdict = ": no positive correlation, so it does not predict the twin's failures"
     else:
         verdict = f": {_against_siblings(paired_differences)}" if paired_differences else ""
-    return f"{subject}, the merged map has r = {merged.r:.2f}{verdict}.{chance}"
+    return f"{numbers} ({siblings}){verdict}.{chance}"
+
+
+def _r(correlation: Correlation) -> str:
+    return "undefined" if correlation.r is None else f"{correlation.r:.2f}"
 
 
 def _against_siblings(paired_differences: Sequence[PairedDifference]) -> str:
-    """Better, worse, or neither: only a difference whose 95 % interval leaves 0 out is called one."""
-    groups: dict[str, list[str]] = {"better than": [], "worse than": [], "not to be told apart from": []}
+    """Call the merged map better or worse than a sibling only if the 95 % interval of the difference excludes 0."""
+    groups: dict[str, list[str]] = {"better than": [], "worse than": [], "not distinguishable from": []}
     better, worse, open_ = groups.values()
-    for gain in paired_differences:
-        low, high = gain.r_interval or (0.0, 0.0)
-        (better if low > 0 else worse if high < 0 else open_).append(gain.over.removeprefix("union_"))
+    for difference in paired_differences:
+        low, high = difference.r_interval or (0.0, 0.0)
+        (better if low > 0 else worse if high < 0 else open_).append(difference.over.simulator)
     return _listed([f"{how} {_listed(names)} alone" for how, names in groups.items() if names])

@@ -1,4 +1,4 @@
-"""The report of a campaign: one HTML file that opens offline and shows what was found, and how."""
+"""Report of a campaign: one HTML file that opens offline and shows what was found, and how."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.stage_timer import seconds_of
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference
-from ds_orchestrator.evaluation.paper_tables import Network
+from ds_orchestrator.evaluation.paper_tables import Network, cautions
 from ds_orchestrator.evaluation.table import Table
 from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.maps.merge_operators import jeffreys_interval
 from ds_orchestrator.report.camera_pictures import (
     CAMERA_PLACE,
     camera_pictures,
@@ -28,21 +31,20 @@ from ds_orchestrator.report.camera_pictures import (
     telling_tests,
 )
 from ds_orchestrator.report.findings import count, summarise
-from ds_orchestrator.report.page_data import cells_by_test, in_words, page_data
+from ds_orchestrator.report.page_data import in_words, page_data
 from ds_orchestrator.report.plotly_figures import correlation_chart, density_chart, layouts
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.store import Execution
 from ds_sim.simulator import Outcome
 
 _VERDICTS = [outcome for outcome in Outcome if outcome.is_verdict]
 _SHOWN_ERRORS = 200
-"""Rows of a list of what went wrong; chosen: nobody reads more, and the store has them all."""
+"""Rows of a list of errors; chosen: nobody reads more, and the store has them all."""
 
 
 def write_report(
     folder: Path,
-    store: Store,
-    config: CampaignConfig,
-    maps: Mapping[str, FeatureMap],
+    data: CampaignData,
+    maps: Mapping[MapId, FeatureMap],
     correlations: Sequence[Correlation],
     *,
     paired_differences: Sequence[PairedDifference] = (),
@@ -50,63 +52,59 @@ def write_report(
     network: Network | None = None,
     trusted: Collection[str] = (),
 ) -> Path:
-    """Write `report.html`; the same store gives the same bytes.
+    """Write `report.html`; the same campaign gives the same bytes.
 
     Args:
-        folder: of the campaign.
-        store: what was done, finished or not.
-        config: as run.
-        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` makes and names them.
+        folder: campaign folder.
+        data: the campaign, finished or not.
+        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
         correlations: with the twin, empty without one.
         paired_differences: what merging adds to each sibling.
         tables: of the evaluation.
-        network: whose numbers of the paper stand beside ours, or None.
+        network: whose numbers in the paper are shown beside the campaign's, or None.
         trusted: simulators of the user's own whose code may run; the others have no pictures.
 
     Returns:
-        The path of the report.
+        Path of the report.
     """
-    tests, executions, notes = store.tests(), store.executions(), store.notes()
+    config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
     place = common_test(tests, executions)
-    data = page_data(config, maps, tests, executions)
-    cells = cells_by_test(config, tests, executions)
-    shown = telling_tests(tests, executions, cells)
+    on_page = page_data(data, maps)
+    shown = telling_tests(tests, executions, data.cells)
     pictures = drive_pictures(config.simulators, shown, executions, trusted)
-    data["pictures"] = {
+    on_page["pictures"] = {
         test_id: [drive and {"frames": drive.frames, "note": drive.note} for drive in drives]
         for test_id, drives in pictures.items()
     }
-    data["layouts"] = layouts(rows=len(data["axes"][1]["begins"]) - 1)
-    data["figures"] = _figures(config, correlations, tables, network)
-    leftover = _leftover(config, store, tests, executions)
+    on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
+    on_page["figures"] = _figures(config, correlations, tables, network)
     page = _environment().get_template("report.html.j2")
     text = page.render(
         config=config,
         config_yaml=yaml.safe_dump(config.model_dump(), sort_keys=False, allow_unicode=True),
-        findings=summarise(
-            config, maps, correlations, executions, tests=len(tests), paired_differences=paired_differences
-        ),
-        tiles=_tiles(config, correlations, tests, executions),
+        findings=summarise(data, maps, correlations, paired_differences=paired_differences),
+        tiles=_tiles(data, correlations),
         cameras=camera_pictures(config.simulators, place, trusted) if place else [],
         camera_test=place,
-        camera_cell=cells.get(place.test_id, ()) if place else (),
+        camera_cell=data.cells.get(place.test_id, ()) if place else (),
         camera_place=CAMERA_PLACE,
-        data=data,
+        data=on_page,
         plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
         pictured=len(shown),
         tables=[table for table in tables if table.rows],
+        cautions=cautions(correlations),
         of_paper=network is not None,
         outcomes=_outcome_table(config, executions),
         verdicts=_VERDICTS,
-        stages=stages_of(config, store),
+        stages=stages_of(data),
         seconds=seconds_of(notes),
-        searches=store.searches(),
+        searches=data.searches,
         versions={k.removeprefix("version "): v for k, v in notes.items() if k.startswith("version ")},
         notes={k: v for k, v in notes.items() if k != "config" and not k.startswith(("version ", "seconds "))},
         tests=len(tests),
         simulated_seconds=sum(e.simulated_seconds for e in executions),
-        errors=store.errors(),
-        leftover=leftover,
+        errors=data.errors,
+        leftover=_leftover(data),
         shown_errors=_SHOWN_ERRORS,
     )
     path = folder / "report.html"
@@ -142,7 +140,7 @@ def duration(seconds: float) -> str:
 def _figures(
     config: CampaignConfig, correlations: Sequence[Correlation], tables: Sequence[Table], network: Network | None
 ) -> dict[str, Any]:
-    """Charts by name; those that have nothing to show are left out."""
+    """Draw charts by name; those that have nothing to show are left out."""
     found = {"correlations": correlation_chart(correlations, config.siblings, network)}
     for table in tables:
         if table.name == "rq1_densities" and table.rows:
@@ -150,25 +148,37 @@ def _figures(
     return {name: chart for name, chart in found.items() if chart is not None}
 
 
-def _tiles(
-    config: CampaignConfig, correlations: Sequence[Correlation], tests: Sequence[Test], executions: Sequence[Execution]
-) -> list[tuple[str, str]]:
-    """The numbers to take home: value, and what it is."""
-    tiles = [(f"{len(tests):,}", "tests, each a road"), (f"{len(executions):,}", "drives with a verdict")]
+def _tiles(data: CampaignData, correlations: Sequence[Correlation]) -> list[tuple[str, str]]:
+    """Collect the numbers of the first screen: value, and what it is."""
+    config = data.config
+    tiles = [
+        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each a road"),
+        (f"{len(data.verdicts):,}", f"drive{'' if len(data.verdicts) == 1 else 's'} with a verdict"),
+    ]
     for name in config.simulators:
-        mine = [e for e in executions if e.simulator == name]
-        failed = sum(e.outcome.is_failure for e in mine)
-        share = f"{100 * failed / len(mine):.0f} %" if mine else "–"
-        tiles.append((share, f"of the drives fail on {name}" + (" (twin)" if name == config.twin else "")))
-    merged = next((c for c in correlations if c.name == "merged" and c.value == "probability"), None)
+        failed = [e.outcome.is_failure for e in data.verdicts if e.simulator == name]
+        where = name + (" (twin)" if name == config.twin else "")
+        if not failed:
+            tiles.append(("–", f"no drive on {where}"))
+            continue
+        low, high = jeffreys_interval(sum(failed), len(failed))
+        ends = f"95 %: {100 * low:.0f} to {100 * high:.0f} %"
+        tiles.append(
+            (f"{100 * sum(failed) / len(failed):.0f} %", f"{sum(failed)} of {len(failed)} fail on {where}, {ends}")
+        )
+    merged = next((c for c in correlations if c.map == MapId.merged() and c.value == "probability"), None)
     if merged is not None and merged.r is not None:
-        ends = f", 95 %: {merged.r_interval[0]:.2f} to {merged.r_interval[1]:.2f}" if merged.r_interval else ""
-        tiles.append((f"r = {merged.r:.2f}", f"merged map against the twin{ends}"))
+        if merged.caution:
+            few = f"it fails in {merged.failing} of {merged.cells} cells"
+            tiles.append(("no conclusion", f"on how well the siblings predict the twin: {few}"))
+        else:
+            ends = f", 95 %: {merged.r_interval[0]:.2f} to {merged.r_interval[1]:.2f}" if merged.r_interval else ""
+            tiles.append((f"r = {merged.r:.2f}", f"merged map against the twin{ends}, over {merged.cells} cells"))
     return tiles
 
 
 def _outcome_table(config: CampaignConfig, executions: Sequence[Execution]) -> list[dict[str, Any]]:
-    """One row per simulator."""
+    """Count outcomes, one row per simulator."""
     rows = []
     for name in config.simulators:
         mine = [e for e in executions if e.simulator == name and e.outcome.is_verdict]
@@ -186,15 +196,13 @@ def _outcome_table(config: CampaignConfig, executions: Sequence[Execution]) -> l
     return rows
 
 
-def _leftover(
-    config: CampaignConfig, store: Store, tests: Sequence[Test], executions: Sequence[Execution]
-) -> list[tuple[str, str, str]]:
-    """Tests without an outcome somewhere: test, the simulators that lack one, and why."""
-    done = {(e.test_id, e.simulator) for e in executions}
-    tried = {(test_id, simulator) for test_id, simulator, *_ in store.errors()}
-    given_up = store.given_up()
+def _leftover(data: CampaignData) -> list[tuple[str, str, str]]:
+    """List tests without an outcome somewhere: test, the simulators that lack one, and why."""
+    config = data.config
+    done = {(e.test_id, e.simulator) for e in data.executions}
+    tried = {(test_id, simulator) for test_id, simulator, *_ in data.errors}
     rows = []
-    for test in tests:
+    for test in data.tests:
         missing = [name for name in config.simulators if (test.test_id, name) not in done]
         # Where only elites are migrated, a test that stays at home lacks nothing.
         if config.elites_only:
@@ -202,7 +210,7 @@ def _leftover(
         if missing:
             failed = [name for name in missing if (test.test_id, name) in tried]
             reason = f"every attempt ended in an error on {', '.join(failed)}" if failed else "not driven yet"
-            if test.test_id in given_up:
+            if test.test_id in data.given_up:
                 reason += "; the search went on without it"
             rows.append((test.test_id, ", ".join(missing), reason))
     return rows

@@ -1,20 +1,21 @@
-"""What a report's page draws by itself, as JSON values: maps, tests, and the lines of both packed cell by cell."""
+"""Data that a report's page draws by itself, as JSON values: maps, tests, and their lines packed cell by cell."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.maps.campaign_maps import cells_of
 from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.heatmap import title_of
+from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.report.findings import radius
 from ds_orchestrator.report.plotly_figures import DASHES, colour_of_simulator
 from ds_orchestrator.report.polyline_codec import EVERY, UNITS, kept, pack
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.search.features import FEET, Cell, Feature, feature_of
 from ds_orchestrator.store.store import Execution, Test
 from ds_sim.simulator import FRAME_RATE, Outcome
 
@@ -24,26 +25,16 @@ def in_words(outcome: Outcome) -> str:
     return outcome.name.lower().replace("_", " ")
 
 
-def cells_by_test(config: CampaignConfig, tests: Sequence[Test], executions: Sequence[Execution]) -> dict[str, Cell]:
-    """Cell by test over all features of the campaign."""
-    return cells_of(tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible)
-
-
-def page_data(
-    config: CampaignConfig,
-    maps: Mapping[str, FeatureMap],
-    tests: Sequence[Test],
-    executions: Sequence[Execution],
-) -> dict[str, Any]:
-    """Everything that the page draws by itself, without pictures and layouts.
+def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str, Any]:
+    """Collect everything that the page draws by itself, without pictures and layouts.
 
     `tests` holds one list per test: name, sibling, run, number, seed, road, its length (m), curvature (1/m) and turns,
     number of its points, and one list per simulator, or None: outcome, whether it failed, fitness (m), largest lateral
-    position (m), simulated seconds, number of its points, whether its steering is known, message. `lines` holds one
-    packed text per entry of `places`; see `_lines`.
+    position (m), simulated seconds, number of its points, whether its steering is known, message, bag. `lines` holds
+    one packed text per entry of `places`; see `_lines`.
     """
-    done = {(e.test_id, e.simulator): e for e in executions}
-    cells = cells_by_test(config, tests, executions)
+    config, tests, cells = data.config, data.tests, data.cells
+    done = {(e.test_id, e.simulator): e for e in data.executions}
     groups: dict[Cell, list[int]] = {}
     for index, test in enumerate(tests):
         if test.test_id in cells:
@@ -60,8 +51,9 @@ def page_data(
             for index, name in enumerate(config.simulators)
         ],
         "axes": _axes(config, maps, places),
-        "groups": _groups(config, maps),
-        "maps": {name: _map(config, feature_map) for name, feature_map in maps.items()},
+        "groups": _groups(maps),
+        "driver": config.driver,
+        "maps": {map_id.name: _map(config, feature_map) for map_id, feature_map in maps.items()},
         "tests": [
             [
                 test.test_id, config.siblings.index(test.sibling), test.run, test.number, test.seed, test.road.road_id,
@@ -79,10 +71,11 @@ def page_data(
     }  # fmt: skip
 
 
-def _axes(config: CampaignConfig, maps: Mapping[str, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:
-    """Title of every feature, the bins from the smallest to the largest one that is filled, and where each begins.
+def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:
+    """Describe every feature: its title, the bins from the smallest to the largest filled one, and where each begins.
 
-    `begins` has one more entry than there are bins: where the last one ends. `whole`: a bin is one whole number.
+    `begins` and `radii` have one more entry than there are bins: where the last one ends. `radii`: the same places as
+    radius of a bend, or None. `whole`: a bin is one whole number.
     """
     filled = {cell for feature_map in maps.values() for cell in feature_map.cells} | set(places)
     axes = []
@@ -95,28 +88,36 @@ def _axes(config: CampaignConfig, maps: Mapping[str, FeatureMap], places: Sequen
                 "title": feature.title,
                 "low": low,
                 "begins": [feature.label(bin_) for bin_ in range(low, high + 2)],
+                "radii": _radii(feature, range(low, high + 2)),
                 "whole": feature.title.endswith("count") and feature.width == 1,
             }
         )
     return axes
 
 
-def _groups(config: CampaignConfig, maps: Mapping[str, FeatureMap]) -> dict[str, list[str]]:
-    """Maps that stand side by side."""
-    compared = [name for name in maps if name == "merged" or name.startswith(("union_", "twin_"))]
-    merges = [name for name in maps if name.startswith("merged_")]
-    return {
-        "compared": compared,
-        "merges": merges,
-        "origins": [name for name in maps if name not in compared and name not in merges],
-    }
+def _radii(feature: Feature, bins: Sequence[int]) -> list[str] | None:
+    """Write the radius where each bin begins, in m, for features of a bend; None for other features."""
+    if feature.name.partition(":")[0] == "curvature":
+        return [radius(bin_ * feature.width * feature.unit) for bin_ in bins]
+    if feature.name.partition(":")[0] == "minimum_radius":
+        return [f"{bin_ * feature.width / FEET:.1f} m" for bin_ in bins]
+    return None
+
+
+def _groups(maps: Iterable[MapId]) -> dict[str, list[str]]:
+    """Group maps that stand side by side."""
+    compared = compared_ids(maps)
+    merges = [map_id for map_id in maps if map_id.kind == "merged" and map_id not in compared]
+    origins = [map_id for map_id in maps if map_id.kind in ("search", "migration")]
+    groups = {"compared": compared, "merges": merges, "origins": origins}
+    return {group: [map_id.name for map_id in ids] for group, ids in groups.items()}
 
 
 def _map(config: CampaignConfig, feature_map: FeatureMap) -> dict[str, Any]:
-    """One map; of a cell: bins, tests, failures or None, probability, its interval or None, lack of quality."""
+    """Describe one map; of a cell: bins, tests, failures or None, probability, its interval or None, quality loss."""
     return {
-        "title": title_of(feature_map.name),
-        "about": about(config, feature_map.name),
+        "title": feature_map.title,
+        "about": about(config, feature_map.id),
         "cells": [
             [
                 *cell, value.tests, value.failures, round(value.probability, 4),
@@ -128,24 +129,23 @@ def _map(config: CampaignConfig, feature_map: FeatureMap) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def about(config: CampaignConfig, name: str) -> str:
-    """What a map of the campaign shows, one line for someone who sees it for the first time."""
-    kind, _, rest = name.partition("_")
-    if kind == "union":
-        return f"Every test, whichever sibling's search found it, driven on {rest}."
-    if kind == "twin":
-        return f"The same tests on {rest}, which stands for the real car: what the siblings should foretell."
-    if name == "merged":
-        return (
-            f"The siblings merged ({config.operators.probability} of their failure probabilities, "
-            f"{config.operators.quality_loss} of their lack of quality): high only where they agree."
-        )
-    if kind == "merged":
-        return f"The same, merged by {rest.replace('_', ' ')} instead."
-    if kind == "search":
-        return f"The tests that the search on {rest} made, driven on {rest} itself."
-    origin, _, target = rest.partition("_to_")
-    return f"The tests that the search on {origin} made, driven on {target}."
+def about(config: CampaignConfig, map_id: MapId) -> str:
+    """Say in one line what a map of the campaign shows, for someone who sees it for the first time."""
+    simulator, origin = map_id.simulator, map_id.origin
+    if map_id.kind == "union":
+        return f"Every test, whichever sibling's search found it, driven on {simulator}."
+    if map_id.kind == "twin":
+        return f"The same tests on {simulator}, which stands for the real car: what the siblings should predict."
+    if map_id.kind == "search":
+        return f"The tests that the search on {simulator} generated, driven on {simulator} itself."
+    if map_id.kind == "migration":
+        return f"The tests that the search on {origin} generated, driven on {simulator}."
+    if map_id.operator:
+        return f"The same, merged by {map_id.operator.replace('_', ' ')} instead."
+    return (
+        f"The siblings merged ({config.operators.probability} of their failure probabilities, "
+        f"{config.operators.quality_loss} of their quality losses): high only where they agree."
+    )
 
 
 def _run(execution: Execution | None) -> list[Any] | None:
@@ -155,12 +155,12 @@ def _run(execution: Execution | None) -> list[Any] | None:
     return [
         in_words(execution.outcome), int(execution.outcome.is_failure), round(execution.fitness, 3),
         round(execution.max_lateral_position, 3), round(execution.simulated_seconds, 2), points,
-        int(points > 0 and len(execution.steering) > 0), execution.message,
+        int(points > 0 and len(execution.steering) > 0), execution.message, execution.bag,
     ]  # fmt: skip
 
 
 def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, str], Execution]) -> str:
-    """The lines of all tests of a cell, one test after the other.
+    """Pack the lines of all tests of a cell, one test after the other.
 
     Of each: x and y of the road's centre line and of its right edge (m), then of every drive x, y, lateral position
     (m), and steering where it is known.
@@ -179,9 +179,9 @@ def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[st
     return pack(columns)
 
 
-def _telling_cell(maps: Mapping[str, FeatureMap]) -> list[int] | None:
-    """The cell to begin with: where failure is most probable by the merged map, or else by any map."""
-    for candidates in ([maps["merged"]], list(maps.values())):
+def _telling_cell(maps: Mapping[MapId, FeatureMap]) -> list[int] | None:
+    """Choose the cell to begin with: where failure is most probable by the merged map, or else by any map."""
+    for candidates in ([maps[MapId.merged()]], list(maps.values())):
         cells = [(value.probability, value.quality_loss, cell) for m in candidates for cell, value in m.cells.items()]
         if cells:
             return list(max(cells)[2])

@@ -1,4 +1,4 @@
-"""How the report's charts look: Plotly layouts that the page fills with lines, and charts of the comparison."""
+"""Plotly layouts that the report's page fills with lines, and charts of the comparison with the twin."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _plain(layout: go.Layout) -> dict[str, Any]:
 
 
 def _layout(**more: Any) -> go.Layout:
-    """What all charts share: nothing moves under a finger or a mouse wheel, so that the page can be scrolled."""
+    """Build what all charts share: nothing moves under a finger or a mouse wheel, so that the page can be scrolled."""
     common: dict[str, Any] = {
         "template": None,
         "font": _FONT,
@@ -80,7 +80,7 @@ def _axis(title: str = "", **more: Any) -> dict[str, Any]:
 
 def _map_layout(rows: int) -> go.Layout:
     return _layout(
-        margin={"l": 46, "r": 6, "t": 6, "b": 40},
+        margin={"l": 46, "r": 6, "t": 6, "b": 44},
         height=min(max(_ROW * rows, _LEAST), _MOST) + 46,
         xaxis=_axis(ticks="", side="bottom"),
         yaxis=_axis(ticks=""),
@@ -114,23 +114,26 @@ def _line_layout(title: str, **more: Any) -> go.Layout:
 def correlation_chart(
     correlations: Sequence[Correlation], siblings: Sequence[str], network: Network | None
 ) -> dict[str, Any] | None:
-    """Ours with intervals, and the paper's, against the twin: r on the left, AUC-PRC on the right; None without any.
+    """Chart the campaign's correlations with intervals, and the paper's: r left, AUC-PRC right; None without any.
 
     Upper rows are RQ2, lower ones RQ3.
     """
     if not any(c.r is not None or c.auc is not None for c in correlations):
         return None
     labels = [_label(c, siblings) for c in correlations]
+    tentative = any(c.caution for c in correlations)
     figure = go.Figure(layout=_correlation_layout(labels, correlations))
     for axis, value, ends in (("x", "r", "r_interval"), ("x2", "auc", "auc_interval")):
         known = [(label, c) for label, c in zip(labels, correlations, strict=True) if getattr(c, value) is not None]
         middles = [getattr(c, value) for _, c in known]
         intervals = [getattr(c, ends) or (m, m) for (_, c), m in zip(known, middles, strict=True)]
+        some = any(getattr(c, ends) for _, c in known)
         figure.add_scatter(
             x=middles,
             y=[label for label, _ in known],
             xaxis=axis,
             error_x={
+                "visible": some,
                 "type": "data",
                 "array": [high - m for (_, high), m in zip(intervals, middles, strict=True)],
                 "arrayminus": [m - low for (low, _), m in zip(intervals, middles, strict=True)],
@@ -139,8 +142,8 @@ def correlation_chart(
                 "width": 5,
             },
             mode="markers",
-            marker={"color": OURS, "size": 10},
-            name="this campaign, with 95 % interval",
+            marker={"color": OURS, "size": 10, **({"symbol": "circle-open"} if tentative else {})},
+            name="this campaign, too few cells for a conclusion" if tentative else "this campaign, with 95 % interval",
             showlegend=axis == "x",
             hovertemplate="%{y}: %{x:.3f}<extra>this campaign</extra>",
         )
@@ -162,14 +165,14 @@ def correlation_chart(
 
 
 def _label(correlation: Correlation, siblings: Sequence[str]) -> str:
-    role = role_of(correlation.name, siblings)
-    named = "merged" if role == "DSS" else correlation.name.removeprefix("union_")
-    return f"{'RQ2' if correlation.value == 'probability' else 'RQ3'} {role} {named}"
+    simulator = correlation.map.simulator
+    question = "RQ2" if correlation.value == "probability" else "RQ3"
+    return f"{question} {role_of(simulator, siblings)} {simulator or 'merged'}"
 
 
 def _of_paper(correlation: Correlation, siblings: Sequence[str], network: Network | None) -> Any:
     table = paper_numbers.RQ2 if correlation.value == "probability" else paper_numbers.RQ3
-    return table.get(network or ("", "sim"), {}).get(role_of(correlation.name, siblings))
+    return table.get(network or ("", "sim"), {}).get(role_of(correlation.map.simulator, siblings))
 
 
 def _correlation_layout(labels: Sequence[str], correlations: Sequence[Correlation]) -> go.Layout:
@@ -187,7 +190,7 @@ def _correlation_layout(labels: Sequence[str], correlations: Sequence[Correlatio
         showlegend=True,
         legend={"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
         hovermode="closest",
-        xaxis=_axis("Pearson's r", domain=[0, 0.48], range=[min(0.0, *lows) - 0.05, 1.05], **grid),
+        xaxis=_axis("Pearson's r", domain=[0, 0.48], range=[min([0.0, *lows]) - 0.05, 1.05], **grid),
         xaxis2=_axis("AUC-PRC (dotted: chance)", domain=[0.52, 1], range=[-0.02, 1.05], anchor="y", **grid),
         yaxis=_axis(categoryorder="array", categoryarray=list(labels)[::-1], showgrid=True, gridcolor="#f0f2f4"),
         shapes=chance,
@@ -195,7 +198,7 @@ def _correlation_layout(labels: Sequence[str], correlations: Sequence[Correlatio
 
 
 def density_chart(table: Table) -> dict[str, Any]:
-    """RQ1's densities of steering errors as lines; the table is `rq1_densities`."""
+    """Chart RQ1's densities of steering errors as lines; the table is `rq1_densities`."""
     figure = go.Figure(
         layout=_layout(
             margin={"l": 54, "r": 12, "t": 36, "b": 40},

@@ -49,10 +49,14 @@ async function start() {
   numbers.addEventListener("toggle", () => numbersTable(numbers.querySelector(".scroll")), { once: true });
   document.getElementById("maps").addEventListener("keydown", onKey);
   window.addEventListener("resize", later(drawAll, 200));
+  narrow.addEventListener("change", drawAll);
   window.addEventListener("hashchange", openFromAddress);
   for (const place of document.querySelectorAll("[data-figure]")) {
     const figure = data.figures[place.dataset.figure];
-    Plotly.newPlot(place, figure.data, figure.layout, CONFIG);
+    const layout = { ...figure.layout };
+    // Two titles side by side have no room on a phone.
+    if (narrow.matches && layout.xaxis2) layout.xaxis2 = { ...layout.xaxis2, title: { ...layout.xaxis2.title, text: "AUC-PRC" } };
+    newPlot(place, figure.data, layout);
   }
   await showValue("probability");
   if (!openFromAddress() && data.selected) await choose(data.selected.join("-"), { remember: false });

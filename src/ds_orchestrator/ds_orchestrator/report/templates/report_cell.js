@@ -47,7 +47,7 @@ function showTests(list, detail, tests, from, to) {
 
 function cellTable(key) {
   const names = [...data.groups.compared, ...data.groups.merges];
-  const head = ["map", "failed", "failure probability", "95 % interval", "lack of quality"];
+  const head = ["map", "failed", "failure probability", "95 % interval", "quality loss"];
   const rows = names.map((name) => {
     const cell = cells[name][key];
     const failed = !cell ? "no test" : cell.failures === null ? "–" : `${cell.failures} of ${cell.tests}`;
@@ -70,7 +70,7 @@ function testButton(test, detail, list) {
   const line = (x, y) => x.map((v, i) => `${(v - x0).toFixed(1)},${(size - (y[i] - y0)).toFixed(1)}`).join(" ");
   const stamp = svg("svg", { viewBox: `0 0 ${size} ${size}`, "aria-hidden": "true" },
     svg("polyline", { points: line(cx, cy), fill: "none", stroke: "#8b929b", "stroke-width": 2 * data.lane, "stroke-linejoin": "round" }),
-    svg("circle", { cx: cx[0] - x0, cy: size - (cy[0] - y0), r: size / 22, fill: "#1e2329" }));
+    svg("circle", { cx: cx[0] - x0, cy: size - (cy[0] - y0), r: size / 22, style: "fill: var(--ink)" }));
   const outcomes = test.runs.map((run, index) => {
     const chip = html("span", { class: run && run.failed ? "chip bad" : "chip" }, `${run ? (run.failed ? "✗" : "✓") : "–"} ${data.simulators[index].name}`);
     chip.title = `${data.simulators[index].name}: ${run ? run.outcome : "no outcome"}`;
@@ -84,9 +84,11 @@ function testButton(test, detail, list) {
   return button;
 }
 
+const radiusWords = (curvature) => (curvature > 0 ? `${(1 / curvature).toFixed(1)} m in radius` : "none, straight");
+
 // ---- one test -----------------------------------------------------------------------------------------------------
 function showTest(test, detail) {
-  const origin = `Road ${test.road.id}: ${test.road.length} m, ${plural(test.road.turns, "turn")}, largest curvature ${test.road.curvature} 1/m. Found by the search on ${test.sibling}, run ${test.run}, test ${test.number}; seed ${test.seed}.`;
+  const origin = `Road ${test.road.id}: ${test.road.length} m, ${plural(test.road.turns, "turn")}, tightest bend ${radiusWords(test.road.curvature)} (curvature ${test.road.curvature} 1/m). Found by the search on ${test.sibling}, run ${test.run}, test ${test.number}; seed ${test.seed}.`;
   const [road, lateral, steering] = ["road", "lateral", "steering"].map((kind) => html("div", { class: "plot", "data-chart": kind }));
   const chart = (title, plot) => html("figure", {}, html("figcaption", {}, title), plot);
   detail.replaceChildren(
@@ -94,7 +96,7 @@ function showTest(test, detail) {
     html("div", { class: "charts" },
       chart("The road from above, and every simulator's drive", road),
       html("div", {}, chart("Place in the lane, seen in driving direction: left is up", lateral), chart("Steering: left is up", steering))),
-    html("div", { class: "scroll" }, outcomeTable(test)), drivePictures(test));
+    html("div", { class: "scroll" }, outcomeTable(test)), commandsOf(test), drivePictures(test));
   drawRoad(road, test);
   drawLines(lateral, test, "lateral", road);
   drawLines(steering, test, "steering", road);
@@ -145,7 +147,7 @@ function drawRoad(plot, test) {
   });
   // Moved by the charts beside, to show where on the road a distance is.
   traces.push({ ...still, mode: "markers", x: [], y: [], marker: { size: 12, color: "rgba(0,0,0,0)", line: { color: "#1e2329", width: 2.5 } } });
-  return Plotly.newPlot(plot, traces, data.layouts.road, CONFIG);
+  return newPlot(plot, traces, data.layouts.road);
 }
 
 /** A value over the distance driven; the lane is grey behind the lateral position. */
@@ -173,7 +175,7 @@ async function drawLines(plot, test, value, road) {
     const reach = Math.max(1.15 * half, ...runs.flatMap((run) => run.lateral.map((v) => 1.08 * Math.abs(v))));
     layout.yaxis = { ...layout.yaxis, autorange: false, range: [reach, -reach] };
   }
-  await Plotly.newPlot(plot, traces, layout, CONFIG);
+  await newPlot(plot, traces, layout);
   const marker = road.data ? road.data.length - 1 : -1;
   const mark = (at) => road.data && Plotly.restyle(road, { x: [at.map((p) => p[0])], y: [at.map((p) => p[1])] }, [marker < 0 ? road.data.length - 1 : marker]);
   plot.on("plotly_hover", ({ points }) => mark(points.map((p) => [runs[p.curveNumber].x[p.pointNumber], runs[p.curveNumber].y[p.pointNumber]])));
@@ -184,14 +186,45 @@ function outcomeTable(test) {
   const head = ["simulator", "outcome", "fitness, m", "largest lateral position, m", "simulated time, s"];
   const rows = data.simulators.map((simulator, index) => {
     const run = test.runs[index];
-    const name = html("td", {}, simulator.name);
+    const name = html("td", { "data-label": head[0] }, simulator.name);
     if (!run) return html("tr", {}, name, html("td", { colspan: "4" }, "no outcome: not driven, or every attempt ended in an error"));
-    const outcome = html("td", run.failed ? { class: "failed" } : {}, verdict(run) + (run.message ? ` (${run.message})` : ""));
+    const outcome = html("td", { "data-label": head[1], ...(run.failed ? { class: "failed" } : {}) }, verdict(run) + (run.message ? ` (${run.message})` : ""));
     const numbers = [run.fitness.toFixed(3), run.maxLateral.toFixed(3), run.seconds.toFixed(1)];
-    return html("tr", {}, name, outcome, ...numbers.map((text) => html("td", { class: "number" }, text)));
+    return html("tr", {}, name, outcome, ...numbers.map((text, k) => html("td", { class: "number", "data-label": head[k + 2] }, text)));
   });
   const heads = head.map((text, index) => html("th", index > 1 ? { class: "number" } : {}, text));
-  return html("table", { class: "outcomes" }, html("thead", {}, html("tr", {}, ...heads)), html("tbody", {}, ...rows));
+  return html("table", { class: "outcomes stack" }, html("thead", {}, html("tr", {}, ...heads)), html("tbody", {}, ...rows));
+}
+
+/** A word as a shell takes it. */
+const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`);
+
+/** The commands that drive a test again: each recorded run from its bag, and its road on any simulator. */
+function commandsOf(test) {
+  const box = html("div", { class: "commands" }, html("h4", {}, "Drive it again"),
+    html("p", { class: "hint" }, "In the campaign folder, the one that holds this file. A run from its bag repeats every command; the same road on another simulator or with another driver begins with its road file."));
+  test.runs.forEach((run, index) => {
+    if (run && run.bag) box.append(command(`ds bag redrive ${quoted(run.bag)} --video ${quoted(`${run.bag.split("/").at(-1)}.mp4`)}`, `again on ${data.simulators[index].name}, as recorded`));
+  });
+  box.append(command(`ds campaign roads . --test ${quoted(test.id)} > road.json`, "the road as a file"));
+  for (const { name } of data.simulators) box.append(command(`ds drive --sim ${quoted(name)} --driver ${quoted(data.driver)} --road road.json --seed ${test.seed}`, `the road on ${name}`));
+  return box;
+}
+
+function command(text, what) {
+  const copy = html("button", { type: "button", "aria-label": `Copy the command: ${what}`, title: what }, "Copy");
+  const line = html("pre", { tabindex: "0" }, text);
+  copy.addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(text);
+    } catch { // not allowed for this file: the old way
+      getSelection().selectAllChildren(line);
+      document.execCommand("copy");
+    }
+    copy.textContent = "Copied";
+    setTimeout(() => { copy.textContent = "Copy"; }, 1500);
+  });
+  return html("div", { class: "command" }, line, copy);
 }
 
 function drivePictures(test) {

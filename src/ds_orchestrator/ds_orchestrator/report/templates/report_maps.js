@@ -1,8 +1,10 @@
 // ---- the feature maps ---------------------------------------------------------------------------------------------
 const CONFIG = { displayModeBar: false, responsive: true };
+/** On a phone a label would lie over the cell under the finger: its words stand below the map instead. */
+const narrow = matchMedia("(max-width: 640px), (hover: none)");
 const VALUES = {
   probability: { title: "failure probability", top: () => 1, of: (cell) => cell.probability, text: (cell) => cell.probability.toFixed(2) },
-  quality_loss: { title: "lack of driving quality", top: () => 1, of: (cell) => cell.quality_loss, text: (cell) => cell.quality_loss.toFixed(2) },
+  quality_loss: { title: "quality loss", top: () => 1, of: (cell) => cell.quality_loss, text: (cell) => cell.quality_loss.toFixed(2) },
   tests: {
     title: "tests", top: () => mostTests, of: (cell) => cell.tests,
     text: (cell) => (cell.failures === null ? String(cell.tests) : `${cell.failures}/${cell.tests}`),
@@ -26,12 +28,17 @@ const state = { value: "probability", slice: null, chosen: null };
 const drawn = []; // {plot, name} of every map on the page
 
 const keyAt = (row, column) => [across[column], upwards[row], ...(dimensions > 2 ? [state.slice] : [])].join("-");
-/** `curvature, 1/m: 0.17 to 0.18`, or `turns count: 3` where a bin is one whole number. */
+/** `curvature 0.17 to 0.18 1/m (radius 5.9 m to 5.6 m)`, or `turns count 3` where a bin is one whole number. */
 function binWords(axis, bin) {
-  const [from, to] = [axis.begins[bin - axis.low], axis.begins[bin - axis.low + 1]];
+  const at = bin - axis.low;
+  const [from, to] = [axis.begins[at], axis.begins[at + 1]];
   const [title, unit] = axis.title.split(", ");
-  return `${title} ${axis.whole ? from : `${from} to ${to}`}${unit ? ` ${unit}` : ""}`;
+  const radius = axis.radii ? ` (radius ${axis.radii[at]} to ${axis.radii[at + 1]})` : "";
+  return `${title} ${axis.whole ? from : `${from} to ${to}`}${unit ? ` ${unit}` : ""}${radius}`;
 }
+/** `0.17 (5.9 m)`: where a bin begins, with the radius of such a bend. */
+const beginWords = (axis, bin) => axis.begins[bin - axis.low] + (axis.radii ? ` (${axis.radii[bin - axis.low]})` : "");
+const axisTitle = (axis) => axis.title + (axis.radii ? " (bend radius)" : "");
 const placeWords = (key) => key.split("-").map((bin, i) => binWords(data.axes[i], Number(bin))).join(", ");
 /** `0.13 to 0.69`; a short interval beside 0 has a digit more. */
 function range(interval) {
@@ -45,7 +52,7 @@ function hoverText(name, key) {
   const where = key.split("-").map((bin, i) => binWords(data.axes[i], Number(bin))).join("<br>");
   if (!cell) return `${where}<br><i>no test: nothing is known</i>`;
   const failed = cell.failures === null ? `${plural(cell.tests, "test")} on each sibling` : `${cell.failures} of ${plural(cell.tests, "test")} failed`;
-  return `${where}<br><b>${failed}</b><br>failure probability ${cell.probability.toFixed(2)}<br>95 %: ${range(cell.interval)}<br>lack of quality ${cell.quality_loss.toFixed(2)}`;
+  return `${where}<br><b>${failed}</b><br>failure probability ${cell.probability.toFixed(2)}<br>95 %: ${range(cell.interval)}<br>quality loss ${cell.quality_loss.toFixed(2)}`;
 }
 
 function trace(name, width) {
@@ -53,10 +60,10 @@ function trace(name, width) {
   const rows = upwards.map((_, row) => across.map((__, column) => keyAt(row, column)));
   const each = (make) => rows.map((row) => row.map(make));
   // Numbers stand in the cells only where they can be read.
-  const [wide, high] = [(width - 58) / across.length, (data.layouts.map.height - 52) / upwards.length];
+  const [wide, high] = [(width - (data.axes[1].radii ? 92 : 58)) / across.length, (data.layouts.map.height - 52) / upwards.length];
   const size = Math.min(13, Math.floor(wide / 2.6), Math.floor(high / 1.25));
   return {
-    type: "heatmap", x: across, y: upwards, xgap: 1, ygap: 1, showscale: false, hoverongaps: true, hoverinfo: "text",
+    type: "heatmap", x: across, y: upwards, xgap: 1, ygap: 1, showscale: false, hoverongaps: true, hoverinfo: narrow.matches ? "none" : "text",
     z: each((key) => (cells[name][key] ? value.of(cells[name][key]) : null)),
     text: each((key) => (cells[name][key] ? value.text(cells[name][key]) : "")),
     hovertext: each((key) => hoverText(name, key)),
@@ -69,7 +76,7 @@ function trace(name, width) {
 function ticks(k, most) {
   const step = Math.ceil(bins[k].length / most);
   const shown = bins[k].filter((_, i) => i % step === 0);
-  return { tickmode: "array", tickvals: shown, ticktext: shown.map((bin) => data.axes[k].begins[bin - data.axes[k].low]) };
+  return { tickmode: "array", tickvals: shown, ticktext: shown.map((bin) => beginWords(data.axes[k], bin)) };
 }
 
 /** The outline of the chosen cell: dark on pale, to be seen on every colour. */
@@ -85,9 +92,9 @@ function layout(width) {
   const base = data.layouts.map;
   const axis = (k, layoutAxis, most) => ({
     ...layoutAxis, ...ticks(k, most), range: [bins[k][0] - 0.5, bins[k].at(-1) + 0.5],
-    title: { ...layoutAxis.title, text: data.axes[k].title },
+    title: { ...layoutAxis.title, text: axisTitle(data.axes[k]) },
   });
-  return { ...base, shapes: outline(), xaxis: axis(0, base.xaxis, Math.max(4, width / 34)), yaxis: axis(1, base.yaxis, base.height / 16) };
+  return { ...base, shapes: outline(), xaxis: axis(0, base.xaxis, Math.max(4, width / (data.axes[0].radii ? 90 : 34))), yaxis: axis(1, base.yaxis, base.height / 16) };
 }
 
 function mapFigure(name) {
@@ -95,9 +102,20 @@ function mapFigure(name) {
     class: "plot", tabindex: "0", role: "group", "data-map": name,
     "aria-label": `Map ${data.maps[name].title}. Arrow keys choose a cell; below is what it holds.`,
   });
-  drawn.push({ plot, name });
+  const readout = html("p", { class: "readout" });
+  drawn.push({ plot, name, readout });
   return html("figure", { class: "map" },
-    html("figcaption", {}, html("b", {}, data.maps[name].title), html("span", {}, data.maps[name].about)), plot);
+    html("figcaption", {}, html("b", {}, data.maps[name].title), html("span", {}, data.maps[name].about)), plot, readout);
+}
+
+/** Lets a chart shrink with a printed page: its drawing knows its own size. */
+function scalable(plot) {
+  for (const part of plot.querySelectorAll(".main-svg")) part.setAttribute("viewBox", `0 0 ${part.getAttribute("width")} ${part.getAttribute("height")}`);
+}
+async function newPlot(plot, traces, layout) {
+  await Plotly.newPlot(plot, traces, layout, CONFIG);
+  scalable(plot);
+  plot.on("plotly_afterplot", () => scalable(plot));
 }
 
 /** Draw or update a map; the same call does both. */
@@ -106,6 +124,7 @@ async function draw({ plot, name }) {
   if (!width) return; // inside something that is closed
   const first = !plot.data;
   await Plotly.react(plot, [trace(name, width)], layout(width), CONFIG);
+  scalable(plot);
   if (first) link(plot);
 }
 const drawAll = () => Promise.all(drawn.map(draw));
@@ -114,16 +133,30 @@ const drawAll = () => Promise.all(drawn.map(draw));
 function link(plot) {
   const others = () => drawn.filter((other) => other.plot !== plot && other.plot.data && other.plot.clientWidth);
   plot.on("plotly_hover", ({ points: [point] }) => {
+    if (narrow.matches) return;
     for (const other of others()) Plotly.Fx.hover(other.plot, [{ curveNumber: 0, xval: point.x, yval: point.y }]);
   });
   plot.on("plotly_unhover", () => {
     for (const other of others()) Plotly.Fx.unhover(other.plot);
   });
+  plot.on("plotly_afterplot", () => scalable(plot));
   plot.on("plotly_click", async ({ points: [point] }) => {
-    await choose(keyAt(...point.pointIndex));
+    const key = keyAt(...point.pointIndex);
+    if (narrow.matches) readOut(key);
+    await choose(key);
     // Where the tests would open out of sight, go there; else the maps stay where the mouse is.
-    if (panel.getBoundingClientRect().top > 0.75 * innerHeight) panel.scrollIntoView();
+    if (!narrow.matches && panel.getBoundingClientRect().top > 0.75 * innerHeight) panel.scrollIntoView();
   });
+}
+
+/** Below every map, what it holds in a cell. */
+function readOut(key) {
+  for (const { name, readout } of drawn) {
+    const cell = cells[name][key];
+    const failed = !cell ? "no test: nothing is known"
+      : `failure probability ${cell.probability.toFixed(2)}, 95 %: ${range(cell.interval)}${cell.failures === null ? "" : `; ${cell.failures} of ${plural(cell.tests, "test")} failed`}`;
+    readout.replaceChildren(`${placeWords(key)}: ${failed}. `, html("a", { href: "#cell" }, "Its tests"));
+  }
 }
 
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -190,14 +223,14 @@ function numbersTable(box) {
   const keys = [...new Set(names.flatMap((name) => Object.keys(cells[name])))];
   const order = (key) => key.split("-").map((bin) => bin.padStart(9, "0")).join();
   keys.sort((a, b) => (order(a) < order(b) ? -1 : 1));
-  const head = html("tr", {}, ...data.axes.map((axis) => html("th", {}, axis.title)), ...names.map((name) => html("th", { class: "number" }, data.maps[name].title)));
+  const head = html("tr", {}, ...data.axes.map((axis) => html("th", {}, axisTitle(axis))), ...names.map((name) => html("th", { class: "number" }, data.maps[name].title)));
   const rows = keys.map((key) => {
     const numbers = names.map((name) => {
       const cell = cells[name][key];
       const failed = cell && cell.failures !== null ? `, ${cell.failures} of ${cell.tests}` : "";
       return html("td", { class: "number" }, cell ? `${cell.probability.toFixed(2)} [${range(cell.interval)}]${failed}` : "no test");
     });
-    const places = key.split("-").map((bin, i) => html("td", {}, data.axes[i].begins[Number(bin) - data.axes[i].low]));
+    const places = key.split("-").map((bin, i) => html("td", {}, beginWords(data.axes[i], Number(bin))));
     return html("tr", {}, ...places, ...numbers);
   });
   box.append(html("table", {}, html("thead", {}, head), html("tbody", {}, ...rows)));

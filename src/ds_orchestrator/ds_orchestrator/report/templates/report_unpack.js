@@ -1,5 +1,5 @@
 // ---- lines of tests, unpacked when a cell is opened ---------------------------------------------------------------
-// What `ds_orchestrator.report_packing.pack` made: deflate over the bytes of uint32 numbers, lowest bytes first, which
+// What `ds_orchestrator.report.polyline_codec.pack` writes: deflate over the bytes of uint32 numbers, lowest bytes first, which
 // stand for the second differences of one column after the other: 0, -1, 1, -2, 2 as 0, 1, 2, 3, 4.
 
 async function unpack(text) {
@@ -49,12 +49,12 @@ async function testsOf(placeIndex) {
     road.ly = cy.map((y, i) => 2 * y - ry[i]);
     const drives = runs.map((facts) => {
       if (!facts) return null;
-      const [outcome, failed, fitness, maxLateral, seconds, kept, steered, message] = facts;
+      const [outcome, failed, fitness, maxLateral, seconds, kept, steered, message, bag] = facts;
       const [x, y, lateral] = kept ? [column(kept), column(kept), column(kept)] : [[], [], []];
       const steering = steered ? column(kept) : [];
       // Every kept frame is `data.frame` seconds after the one before, but the last one may come sooner.
       const time = x.map((_, i) => Math.min(i * data.frame, seconds));
-      return { outcome, failed: Boolean(failed), fitness, maxLateral, seconds, message, x, y, lateral, steering, time, distance: distancesAlong(x, y) };
+      return { outcome, failed: Boolean(failed), fitness, maxLateral, seconds, message, bag, x, y, lateral, steering, time, distance: distancesAlong(x, y) };
     });
     return { id, sibling: data.simulators[sibling].name, run, number, seed, road, runs: drives };
   });

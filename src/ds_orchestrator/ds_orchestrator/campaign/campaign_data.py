@@ -1,0 +1,70 @@
+"""A campaign read once from its store, for everything that looks at its results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import config_of
+from ds_orchestrator.maps.campaign_maps import cells_of
+from ds_orchestrator.search.features import Cell
+from ds_orchestrator.store.store import Execution, Store, Test
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignData:
+    """Contents of a campaign's store at one moment, finished or not.
+
+    Attributes:
+        config: configuration as run.
+        tests: every test, by sibling, run and number.
+        executions: every execution, by simulator and test, with its trajectory.
+        notes: facts such as versions and times.
+        errors: attempts that ended in an error: test, simulator, attempt, outcome, message.
+        given_up: tests whose search continued without their outcome.
+        searches: runs of a search: sibling, run, method, seed.
+        results: result -> number of executions that it was made from.
+    """
+
+    config: CampaignConfig
+    tests: tuple[Test, ...] = ()
+    executions: tuple[Execution, ...] = ()
+    notes: Mapping[str, str] = field(default_factory=dict)
+    errors: tuple[tuple[str, str, int, str, str], ...] = ()
+    given_up: frozenset[str] = frozenset()
+    searches: tuple[tuple[str, int, str, int], ...] = ()
+    results: Mapping[str, int] = field(default_factory=dict)
+
+    @cached_property
+    def verdicts(self) -> tuple[Execution, ...]:
+        """Executions that ended in a verdict on the driver."""
+        return tuple(e for e in self.executions if e.outcome.is_verdict)
+
+    @cached_property
+    def cells(self) -> dict[str, Cell]:
+        """Cell of every test that has one, over all features of the campaign."""
+        config = self.config
+        return cells_of(
+            self.tests, self.executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible
+        )
+
+
+def read_campaign(store: Store) -> CampaignData:
+    """Read a campaign; every trajectory is decompressed once.
+
+    Raises:
+        ds_orchestrator.store.sqlite_file.StoreError: the file is damaged.
+        ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
+    """
+    return CampaignData(
+        config=config_of(store),
+        tests=tuple(store.tests()),
+        executions=tuple(store.executions()),
+        notes=store.notes(),
+        errors=tuple(store.errors()),
+        given_up=frozenset(store.given_up()),
+        searches=tuple(store.searches()),
+        results=store.results(),
+    )

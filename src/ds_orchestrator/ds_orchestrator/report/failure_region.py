@@ -1,0 +1,121 @@
+"""Where a driver fails, in terms of the road: one threshold on bend radius or number of turns (a decision stump).
+
+The rule, fixed before any campaign was looked at with it:
+
+1. A road fails if it fails on the twin. Without a twin's outcomes, it fails if it fails on every sibling.
+2. For the largest curvature of a road and for its turns count, every threshold between two different values splits
+   the roads into gentler and harder ones. The split with the largest Youden index J, the share of failing roads above
+   minus the share of passing roads above, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before
+   turns, then the harder threshold.
+3. The split is reported only if the 95 % intervals (Jeffreys) of both sides' failure probabilities do not overlap,
+   since a threshold chosen from the same data always looks better than it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.maps.merge_operators import jeffreys_interval
+from ds_orchestrator.store.store import Test
+
+Axis = Literal["curvature", "turns"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Share:
+    """Failures of a group of roads.
+
+    Attributes:
+        failures: number of failing roads.
+        roads: number of roads, at least 1.
+    """
+
+    failures: int
+    roads: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the failure probability (Jeffreys)."""
+        return jeffreys_interval(self.failures, self.roads)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Split:
+    """Threshold that separates failing roads from the others.
+
+    Attributes:
+        axis: `curvature`, the largest of a road in 1/m, or `turns`.
+        threshold: smallest value of the harder roads.
+        harder: roads from the threshold on.
+        gentler: the other roads.
+    """
+
+    axis: Axis
+    threshold: float
+    harder: Share
+    gentler: Share
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the intervals of the two sides do not overlap."""
+        return self.harder.interval[0] > self.gentler.interval[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoadOutcomes:
+    """Roads and which of them fail.
+
+    Attributes:
+        where: the simulators that decide, such as `the twin donkey`.
+        tests: roads with an outcome on all of these simulators.
+        failed: for each test, whether its road fails.
+    """
+
+    where: str
+    tests: tuple[Test, ...]
+    failed: tuple[bool, ...]
+
+    @property
+    def share(self) -> Share:
+        """Failures over all roads."""
+        return Share(failures=sum(self.failed), roads=len(self.tests))
+
+
+def road_outcomes(data: CampaignData) -> RoadOutcomes:
+    """Decide which roads of a campaign fail, by rule 1 of this module."""
+    config = data.config
+    done = {(e.test_id, e.simulator): e.outcome.is_failure for e in data.verdicts}
+    if config.twin and any(simulator == config.twin for _, simulator in done):
+        where, judges = f"the twin {config.twin}", [config.twin]
+    else:
+        where = config.siblings[0] if len(config.siblings) == 1 else "every sibling"
+        judges = list(config.siblings)
+    tests = tuple(t for t in data.tests if all((t.test_id, name) in done for name in judges))
+    return RoadOutcomes(
+        where=where, tests=tests, failed=tuple(all(done[t.test_id, name] for name in judges) for t in tests)
+    )
+
+
+def best_split(outcomes: RoadOutcomes) -> Split | None:
+    """Find the split with the largest Youden index, clear or not, by rule 2 of this module; None if there is none."""
+    total = outcomes.share
+    passing = total.roads - total.failures
+    axes: tuple[tuple[Axis, list[float]], ...] = (
+        ("curvature", [test.road.curvature for test in outcomes.tests]),
+        ("turns", [float(test.road.turns_count) for test in outcomes.tests]),
+    )
+    candidates: list[tuple[tuple[int, bool, float], Split]] = []
+    for axis, values in axes:
+        for threshold in sorted(set(values))[1:]:
+            above = [failed for value, failed in zip(values, outcomes.failed, strict=True) if value >= threshold]
+            harder = Share(failures=sum(above), roads=len(above))
+            gentler = Share(failures=total.failures - harder.failures, roads=total.roads - harder.roads)
+            # Youden's J times the failing and the passing roads: whole numbers have no rounding errors to break ties.
+            youden = harder.failures * passing - (harder.roads - harder.failures) * total.failures
+            split = Split(axis=axis, threshold=threshold, harder=harder, gentler=gentler)
+            candidates.append(((youden, axis == "curvature", threshold), split))
+    if not candidates or not 0 < total.failures < total.roads:
+        return None
+    return max(candidates, key=lambda candidate: candidate[0])[1]

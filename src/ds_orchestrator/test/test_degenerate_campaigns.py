@@ -1,0 +1,107 @@
+"""Campaigns with hardly anything in them go through maps, evaluation and report like any other."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from report_campaigns import make_execution, road
+
+from ds_orchestrator.campaign.campaign_data import read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.evaluation.campaign_evaluation import read_correlations
+from ds_orchestrator.maps.map_id import MapId, map_ids
+from ds_orchestrator.report.build import write_all
+from ds_orchestrator.store.store import Store, Test
+from ds_sim.registry import label_of
+from ds_sim.simulator import Outcome
+
+TWO = CampaignConfig(siblings=["nowhere:A", "path_to_x:Sim"], twin="nowhere:Twin")
+"""Simulators that cannot be made, so that nothing is drawn; one of them looks like two in a migration's name."""
+ONE = CampaignConfig(siblings=["nowhere:A"], twin="nowhere:Twin")
+ALONE = CampaignConfig(siblings=["nowhere:A", "path_to_x:Sim"], twin=None)
+FAILS, PASSES = 2.5, 0.5
+
+
+def campaign(folder: Path, config: CampaignConfig, offsets: list[float], roads: list[int]) -> Store:
+    """A store of one test a road, alternately of each sibling, each with the same outcome on every simulator."""
+    store = Store(folder / "campaign.sqlite", config=config.identity())
+    for k, (offset, seed) in enumerate(zip(offsets, roads, strict=True)):
+        sibling = config.siblings[k % len(config.siblings)]
+        test = Test(test_id=f"t-0-{k:04d}", sibling=sibling, run=0, number=k, road=road(seed), seed=1)
+        store.add_test(test)
+        for name in config.simulators:
+            store.add_execution(make_execution(test, name, offset))
+    return store
+
+
+def no_constant(name: str) -> Any:
+    raise AssertionError(f"{name} in a JSON file")
+
+
+@pytest.mark.parametrize(
+    ("config", "offsets", "roads", "said"),
+    [
+        pytest.param(TWO, [PASSES], [0], "did not fail on the only road", id="one test"),
+        pytest.param(TWO, [FAILS], [0], "failed on the only road", id="one failure"),
+        pytest.param(TWO, [FAILS, PASSES], [0, 1], "failed on 1 of 2 roads", id="two tests"),
+        pytest.param(TWO, [PASSES] * 6, list(range(6)), "failed on none of 6 roads", id="no failures"),
+        pytest.param(TWO, [FAILS] * 6, list(range(6)), "failed on all 6 roads", id="all failures"),
+        pytest.param(TWO, [FAILS, PASSES] * 2, [0] * 4, "failed on 2 of 4 roads", id="one cell"),
+        pytest.param(ONE, [FAILS, PASSES, PASSES], [0, 1, 2], "failed on 1 of 3 roads", id="one sibling"),
+        pytest.param(ALONE, [FAILS, PASSES, PASSES], [0, 1, 2], "failed on 1 of 3 roads", id="no twin"),
+        pytest.param(TWO, [], [], "Nothing was driven yet", id="nothing"),
+    ],
+)
+def test_the_whole_chain(
+    tmp_path: Path, config: CampaignConfig, offsets: list[float], roads: list[int], said: str
+) -> None:
+    store = campaign(tmp_path, config, offsets, roads)
+    store.add_error("t-0-0000", config.siblings[0], 0, Outcome.SIM_ERROR, "broke")
+    page = write_all(tmp_path, store).read_text(encoding="utf-8")
+    assert said in page
+    for path in (tmp_path / "maps").glob("*.json"):
+        json.loads(path.read_text(), parse_constant=no_constant)
+    for map_id in map_ids(config.siblings, config.twin):
+        stem = tmp_path / "maps" / label_of(map_id.name)
+        assert all(Path(f"{stem}{end}").is_file() for end in (".json", "_probability.png", "_quality.png"))
+    tables = list((tmp_path / "evaluation").glob("*.csv"))
+    assert bool(tables) == bool(config.twin)
+    for path in tables:
+        assert not {"nan", "inf", "-inf"} & {value for row in csv.reader(path.open()) for value in row}
+    found = read_correlations(tmp_path, config)
+    compared = 2 * (len(config.siblings) + 1)
+    assert len(found) == (compared if config.twin else 0)
+    # Whatever r is of so few cells, it carries no conclusion, and no interval pretends that it does.
+    assert all(c.caution and c.r_interval is None and c.auc_interval is None for c in found)
+    assert ("No conclusion from this campaign" in page) == bool(config.twin)
+    # The same again: the results are up to date, and nothing is lost by writing them twice.
+    assert write_all(tmp_path, store).read_text(encoding="utf-8") == page
+    store.close()
+
+
+def test_correlations_of_an_earlier_version_are_read(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    row = {
+        "name": "union_path_to_x:Sim", "value": "quality", "cells": 9, "r": 0.5, "p": 0.1, "reason": "", "baseline": 0,
+        "r_interval": [0.1, 0.9], "auc": None, "auc_interval": None, "auc_reason": "why",
+    }  # fmt: skip
+    (tmp_path / "maps" / "correlations.json").write_text(json.dumps([row]))
+    (found,) = read_correlations(tmp_path, TWO)
+    assert found.map == MapId.union("path_to_x:Sim") and found.value == "quality_loss"
+    assert found.r_interval == (0.1, 0.9) and found.failing is None and found.caution == ""
+
+
+def test_a_campaign_is_read_once_and_unchanged(tmp_path: Path) -> None:
+    store = campaign(tmp_path, TWO, [FAILS, PASSES], [0, 1])
+    data = read_campaign(store)
+    assert data.config == TWO and [t.test_id for t in data.tests] == ["t-0-0000", "t-0-0001"]
+    assert len(data.executions) == 6 and set(data.cells) == {"t-0-0000", "t-0-0001"}
+    reads = []
+    store.executions = lambda: reads.append(1) or []  # type: ignore[method-assign, func-returns-value]
+    write_all(tmp_path, store, data=data)
+    assert not reads and "failed on 1 of 2 roads" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    store.close()

@@ -1,0 +1,77 @@
+"""Identities of maps: names that files and JSON documents have had from the start, whatever simulators are called."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ds_orchestrator.maps import merge_operators
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
+from ds_orchestrator.maps.frame import maps_frame
+from ds_orchestrator.maps.map_id import MapId, compared_ids, map_ids
+from ds_orchestrator.maps.merge_operators import OPERATORS, merged_interval
+
+TRICKY = "path_to_x:Sim"
+
+
+@pytest.mark.parametrize(
+    ("map_id", "name", "title"),
+    [
+        (MapId.search("bullet"), "search_bullet", "Search on bullet"),
+        (MapId.migration(TRICKY, "twin_to"), f"migration_{TRICKY}_to_twin_to", f"Migration: {TRICKY} to twin_to"),
+        (MapId.union(TRICKY), f"union_{TRICKY}", f"All tests on {TRICKY}"),
+        (MapId.merged(), "merged", "Siblings merged"),
+        (MapId.merged("weighted_mean"), "merged_weighted_mean", "Siblings merged weighted_mean"),
+        (MapId.twin("donkey"), "twin_donkey", "Twin donkey"),
+    ],
+)
+def test_names_and_titles(map_id: MapId, name: str, title: str) -> None:
+    assert (map_id.name, map_id.title) == (name, title)
+
+
+def test_every_map_of_a_campaign_has_an_identity_of_its_own() -> None:
+    ids = map_ids(["a", "b"], "t", ["mean"])
+    assert [map_id.name for map_id in ids] == [
+        "search_a", "search_b", "migration_a_to_b", "migration_a_to_t", "migration_b_to_a", "migration_b_to_t",
+        "union_a", "union_b", "merged", "merged_mean", "twin_t",
+    ]  # fmt: skip
+    assert len(set(ids)) == len(ids)
+    assert [map_id.name for map_id in compared_ids(ids)] == ["union_a", "union_b", "merged", "twin_t"]
+
+
+def test_an_interval_does_not_depend_on_the_order_of_the_operators(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mean of 3 of 9 and 4 of 9 is drawn from the seed that its place in the list gave it in the first version."""
+    counts = [(3, 9), (4, 9)]
+    before = {name: merged_interval(name, counts) for name in OPERATORS}
+    merge_operators._merged_interval.cache_clear()
+    monkeypatch.setattr(merge_operators, "OPERATORS", dict(reversed(list(OPERATORS.items()))))
+    assert {name: merged_interval(name, counts) for name in OPERATORS} == before
+    assert len({operator.seed for operator in OPERATORS.values()}) == len(OPERATORS)
+    rng = np.random.default_rng([3, 3, 9, 4, 9])
+    draws = rng.beta([[3.5], [4.5]], [[6.5], [5.5]], (2, merge_operators.DRAWS)).mean(axis=0)
+    assert before["mean"] == pytest.approx(tuple(np.quantile(draws, [0.025, 0.975])), rel=1e-12)
+
+
+def test_maps_as_a_frame() -> None:
+    full = MapCell(tests=4, failures=1, probability=0.25, quality_loss=0.5, interval=(0.1, 0.6))
+    bare = MapCell(tests=2, failures=None, probability=0.0, quality_loss=0.0)
+    maps = {
+        MapId.migration(TRICKY, "t"): FeatureMap(id=MapId.migration(TRICKY, "t"), cells={(3, 12): full, (2, 9): bare}),
+        MapId.merged(): FeatureMap(id=MapId.merged(), cells={(2, 9): bare}),
+        MapId.twin("t"): FeatureMap(id=MapId.twin("t"), cells={}),
+    }
+    frame = maps_frame(maps)
+    assert list(frame.columns) == [
+        "map", "kind", "simulator", "origin", "operator", "turns_count", "curvature", "tests", "failures",
+        "probability", "interval_low", "interval_high", "quality_loss",
+    ]  # fmt: skip
+    assert frame[["kind", "turns_count", "curvature"]].to_numpy().tolist() == [
+        ["migration", 2, 9], ["migration", 3, 12], ["merged", 2, 9],
+    ]  # fmt: skip
+    row = frame.iloc[1]
+    assert (row.origin, row.simulator, row.failures, row.interval_high) == (TRICKY, "t", 1, 0.6)
+    assert frame.failures.isna().tolist() == [True, False, True] and frame.interval_low.isna().tolist()[0]
+    assert len(maps_frame({})) == 0
+    other = FeatureMap(id=MapId.merged("mean"), cells={}, features=("curvature", "turns_count"))
+    with pytest.raises(ValueError, match="maps of different features"):
+        maps_frame({**maps, other.id: other})
