@@ -98,7 +98,13 @@ def _other(value: Any, rng: Rng) -> Any:
 
 
 def damaged_json(text: str, rng: Rng) -> bytes:
-    """Damage to a JSON document: to its values mostly, else to its bytes."""
+    """Damage to a JSON document, or to one of its lines if each is one: to its values mostly, else to its bytes."""
+    lines = text.splitlines()
+    if len(lines) > 1 and not lines[0].rstrip().endswith(("{", "[", ",")):
+        at = int(rng.integers(len(lines)))
+        made = [line.encode() for line in lines]
+        made[at] = damaged_json(lines[at], rng)
+        return b"\n".join(made)
     if rng.random() < 0.2:
         return damaged_bytes(text.encode(), rng)
     if rng.random() < 0.02:

@@ -102,8 +102,9 @@ def _write_foreign(folder: Path) -> Path:
 def _write_ros1(folder: Path) -> Path:
     store = get_typestore(Stores.ROS1_NOETIC)
     make = store.types["std_msgs/msg/String"]
-    with Ros1Writer(folder / "file.bag") as writer:
-        writer.set_compression(Ros1Writer.CompressionFormat.LZ4)
+    file = Ros1Writer(folder / "file.bag")
+    file.set_compression(Ros1Writer.CompressionFormat.LZ4)
+    with file as writer:
         connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
         for number in range(5):
             message = make(data="x" * number)  # type: ignore[call-arg]

@@ -12,7 +12,7 @@ import bz2
 import re
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import IO, Any
+from typing import IO, Any, ClassVar
 
 import lz4.frame
 from backports import zstd
@@ -20,9 +20,10 @@ from rosbags.highlevel import anyreader
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import metadata, reader, storage_mcap, storage_sqlite3
-from rosbags.typesys import get_types_from_idl, get_types_from_msg
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
-from ds_bags.limits import MAX_METADATA, TooLargeError, count_opened, left_to_open, too_much
+from ds_bags.limits import TooLargeError, count_opened, left_to_open, parse_metadata, too_much
 from ds_sim.bounded_yaml import load_yaml
 
 MAX_DEFINITION = 256 * 2**10
@@ -111,7 +112,28 @@ class _BoundedYaml:
         del typ
 
     def load(self, text: str) -> Any:
-        return load_yaml(text, limits=MAX_METADATA)
+        return parse_metadata(text)
+
+
+class _SharedTypestore(Typestore):
+    """A typestore that checks types before code is made of them, and makes it once for all bags with the same types."""
+
+    _known: ClassVar[dict[str, _SharedTypestore]] = {}
+
+    def register(self, typs: dict[str, Any]) -> None:
+        check_types(typs)
+        key = repr(sorted(typs.items()))
+        if key not in self._known:
+            super().register(typs)
+            while len(self._known) >= 8:
+                del self._known[next(iter(self._known))]
+            self._known[key] = self
+        known = self._known[key]
+        self.fielddefs, self.types, self.cache = known.fielddefs, known.types, known.cache
+
+
+def _typestore(kind: Stores) -> Typestore:
+    return _SharedTypestore() if kind is Stores.EMPTY else get_typestore(kind)
 
 
 _parse_qos: Callable[[Any], list[Any]] = metadata.parse_qos
@@ -132,9 +154,7 @@ def _bounded_qos(profiles: Any) -> list[Any]:
 def _types(parse: Callable[..., dict[str, Any]], text: str, *name: str) -> dict[str, Any]:
     if len(text) > MAX_DEFINITION:
         raise TooLargeError(f"a message definition has {len(text)} characters, the limit is {MAX_DEFINITION}")
-    found = parse(text, *name)
-    check_types(found)
-    return found
+    return parse(text, *name)
 
 
 def check_types(types: dict[str, Any]) -> None:
@@ -209,6 +229,7 @@ def _install() -> None:
         anyreader: {
             "get_types_from_msg": partial(_types, get_types_from_msg),
             "get_types_from_idl": partial(_types, get_types_from_idl),
+            "get_typestore": _typestore,
         },
     }
     for module, names in replaced.items():

@@ -6,11 +6,12 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any
 
 from ds_bags.layout import BagError
-from ds_sim.bounded_yaml import BoundedYamlError, YamlLimits, read_yaml
+from ds_sim.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_bounded
 
 MAX_METADATA = YamlLimits(size=16 * 2**20, nodes=1_000_000, depth=30)
 """Of a `metadata.yaml`; chosen: a pack of 1,000 bags has half of it."""
@@ -100,6 +101,16 @@ def regular_file(path: Path) -> Path:
     raise BagError(f"{printable(path)} is not a regular file: copy the bag again, as files")
 
 
+@lru_cache(maxsize=1)
+def parse_metadata(text: str) -> Any:
+    """Parse the text of a `metadata.yaml`; kept, as `rosbags` parses it once more.
+
+    Raises:
+        BoundedYamlError: it is not YAML, or beyond `MAX_METADATA`.
+    """
+    return load_yaml(text, limits=MAX_METADATA)
+
+
 def bag_information(folder: Path) -> dict[str, Any]:
     """What `metadata.yaml` says, with the types that every reader of it relies on.
 
@@ -108,7 +119,9 @@ def bag_information(folder: Path) -> dict[str, Any]:
     """
     path = regular_file(folder / "metadata.yaml")
     try:
-        information = read_yaml(path, limits=MAX_METADATA)
+        information = parse_metadata(read_bounded(path, MAX_METADATA.size).decode())
+    except UnicodeDecodeError:
+        raise BagError(f"{path} cannot be read (not UTF-8 text): copy the bag again") from None
     except BoundedYamlError as error:
         raise BagError(f"{path} cannot be read ({printable(error)}): copy the bag again") from None
     try:

@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
-from ds_bags.bounded_rosbags import check_ros1_types, check_types
+from ds_bags.bounded_rosbags import check_ros1_types
 from ds_bags.layout import BagError, image_spool_path, partial_path
 from ds_bags.limits import (
     MAX_TIME,
@@ -79,10 +79,8 @@ class BagReader:
 
     def _check(self) -> None:
         """Check what only an open bag tells."""
-        types = self._reader.typestore.fielddefs
-        check_types(dict(types))
         if not self._reader.is2:
-            check_ros1_types(dict(types))
+            check_ros1_types(dict(self._reader.typestore.fielddefs))
         if len(self._reader.connections) > MAX_TOPICS:
             raise TooLargeError(f"it has {len(self._reader.connections)} topics, the limit is {MAX_TOPICS}")
         for connection in self._reader.connections:

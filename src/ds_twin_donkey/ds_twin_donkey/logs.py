@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import TubError, is_tub, number, read_tub
-from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
+from ds_bags.layout import BagError
+from ds_bags.limits import printable
+from ds_bags.reader import BagReader, stamp_of
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.parameters import SCALE
@@ -125,51 +127,45 @@ def _resampled(times: Array, commands: Array, measured: Array) -> Drive:
 
 
 def _read_bag(path: Path) -> Log:
-    from rosbags.highlevel import AnyReader, AnyReaderError
-
-    simulator = _simulator_of(path)
-    if simulator in SIMULATORS and simulator != "donkey":
-        raise LogError(f"{path}: a drive of {simulator}, which is not a 1:16 car: use drives of the car to fit")
-    states: dict[int, Any] = {}
-    commanded: dict[int, tuple[float, float]] = {}
+    states: dict[int, tuple[float, ...]] = {}
+    given: dict[int, tuple[float, float]] = {}
     try:
-        with AnyReader([path]) as reader:
-            for connection, _, raw in reader.messages():
-                kind = connection.msgtype.rpartition("/")[2]
-                if kind in ("VehicleState", "DriveCommand"):
-                    message: Any = reader.deserialize(raw, connection.msgtype)
-                    stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-                    if kind == "VehicleState":
-                        states[stamp] = (message.x, message.y, message.yaw, message.speed, message.yaw_rate)
-                    else:
-                        commanded[stamp] = (message.steering, message.throttle)
-    except (AnyReaderError, OSError, KeyError, AttributeError, ValueError) as error:
-        raise LogError(f"{path}: the bag cannot be read ({' '.join(str(error).split())}): record it again") from None
-    except Exception as error:  # the reader of a damaged MCAP file may raise anything
-        raise LogError(f"{path}: the bag is damaged ({type(error).__name__}): record it again") from None
-    stamps = sorted(states.keys() & commanded.keys())
+        with BagReader(path) as bag:
+            simulator = bag.facts.get("simulator", "")
+            if simulator in SIMULATORS and simulator != "donkey":
+                raise LogError(
+                    f"{path}: a drive of {simulator}, which is no 1:16 car: give drives of the car that is fitted"
+                )
+            files = bag.files
+            wanted = [c for c in bag.connections if c.msgtype.rpartition("/")[2] in ("VehicleState", "DriveCommand")]
+            for connection, _, raw in bag.messages(wanted):
+                message = bag.message(connection, raw)
+                stamp = stamp_of(message)
+                if connection.msgtype.endswith("/VehicleState"):
+                    states[stamp] = tuple(float(getattr(message, name)) for name in CHANNELS)
+                else:
+                    given[stamp] = float(message.steering), float(message.throttle)
+    except BagError as error:
+        raise LogError(str(error)) from None
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, LogError):
+            raise
+        raise LogError(f"{path}: a message is not as recorded here ({printable(error)}): record it again") from None
+    stamps = sorted(states.keys() & given.keys())
     if len(stamps) < 2:
         raise LogError(
-            f"{path}: {len(states)} states and {len(commanded)} commands without a common stamp: give a bag of a drive"
+            f"{path}: {len(states)} states and {len(given)} commands, of which {len(stamps)} have the same stamp: "
+            "give a bag that `ds drive --bag` or a campaign recorded"
         )
     measured = np.array([states[s] for s in stamps], dtype=np.float64)
     measured[:, [0, 1, 3]] /= SCALE
-    commands = np.array([commanded[s] for s in stamps], dtype=np.float64)
+    commands = np.array([given[s] for s in stamps], dtype=np.float64)
     return Log(
         name=path.name,
         kind="bag",
-        sha256=_digest(sorted(path.glob("*.mcap")) or sorted(path.glob("*.db3"))),
+        sha256=_digest(sorted(files)),
         drives=drives_of(np.array(stamps) / 1e9, commands, measured),
     )
-
-
-def _simulator_of(path: Path) -> str:
-    """Simulator named in the metadata of a bag of this project; "" if none."""
-    try:
-        information = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
-        return str((information.get("custom_data") or {}).get("simulator", ""))
-    except (OSError, BoundedYamlError, KeyError, TypeError, AttributeError):
-        return ""  # reading the bag reports what is wrong with the file
 
 
 def _read_tub(path: Path) -> Log:

@@ -10,6 +10,8 @@ from ds_driver.networks.preprocessing import ImageError
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 Pixels = NDArray[np.uint8]
+MAX_PIXELS = 2**26
+"""Pixels of one image; chosen: 8192 x 8192, more than any camera on a vehicle has."""
 _TO_RGB = {
     "rgb8": (3, None),
     "8UC3": (3, cv2.COLOR_BGR2RGB),
@@ -51,15 +53,44 @@ def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int) -
 
 
 def rgb_of_file(data: bytes) -> Pixels:
-    """The image of the bytes of a JPEG or PNG, (height, width, 3) uint8 RGB.
+    """Decode the bytes of a JPEG or PNG, to (height, width, 3) uint8 RGB.
 
     Raises:
-        ImageError: the bytes are damaged.
+        ImageError: the bytes are damaged, of another format, or of an image of more than `MAX_PIXELS`.
     """
-    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    size = _declared_size(data)
+    if size is not None and size[0] * size[1] > MAX_PIXELS:
+        raise ImageError(f"an image of {size[0]} x {size[1]} px: the limit is {MAX_PIXELS} pixels")
+    try:
+        found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if size is not None else None
+    except cv2.error:
+        found = None
     if found is None:
-        raise ImageError("an image is damaged")
+        raise ImageError("an image is damaged, or neither JPEG nor PNG")
     return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def _declared_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height by the header of a JPEG or PNG, before memory is taken for them; None for anything else."""
+    if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
+        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if data[:2] != b"\xff\xd8":
+        return None
+    at = 2
+    while at + 9 <= len(data):
+        if data[at] != 0xFF:
+            at = data.find(b"\xff", at)
+            if at < 0:
+                return None
+            continue
+        marker = data[at + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
+        if marker in (0x00, 0x01, 0xFF) or 0xD0 <= marker <= 0xD8:
+            at += 1 if marker == 0xFF else 2
+        else:
+            at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4], "big"))
+    return None
 
 
 def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels:

@@ -20,10 +20,13 @@ from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.crops import TRUST
 from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.networks.preprocessing import Crop, ImageError
+from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.registry import received_simulator, spec_of
 
 NEAR = 0.1
 """s that an image and a steering value may be apart in someone else's bag; chosen: two frames at 20 Hz."""
+MAX_IMAGE_FILE = 64 * 2**20
+"""Bytes of one image of a tub."""
 Truth = Literal["recorded", "autopilot"]
 
 
@@ -36,7 +39,7 @@ class Reading:
         steering: topic and field of the steering, such as `/cmd:drive.steering_angle`; None for our own commands.
         factor: that makes of it a steering from -1 full left to +1 full right.
         rows: of the images that are kept, see `ds_driver.data.pixels.fit_to_network`.
-        truth: what a driver is compared with: the recorded steering, or what the autopilot would have done (our bags).
+        truth: what a driver is compared with: the recorded steering, or the autopilot's (bags of this project).
         trusted: simulators of the user's own whose code may run.
     """
 
@@ -113,10 +116,10 @@ def open_recording(path: Path, reading: Reading) -> Recording:
             raise BagError(f"{path} is no bag of ours: what the autopilot would do is known for those alone")
         if not ours:
             return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
-        simulator = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
-        spec = spec_of(simulator)
+        name = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
+        spec = spec_of(name)
         crop = Crop(spec.crop_top, spec.crop_bottom)
-        return Recording(path=path, group=simulator, kind="bag of ours", crop=crop, reading=reading)
+        return Recording(path=path, group=name, kind="bag of ours", crop=crop, reading=reading)
 
 
 def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
@@ -125,8 +128,9 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
         image, trouble = None, ""
         try:
             assert record.image is not None
-            image = fit_to_network(rgb_of_file(record.image.read_bytes()), recording.reading.rows)
-        except (OSError, ImageError) as error:
+            data = read_bounded(record.image, MAX_IMAGE_FILE)
+            image = fit_to_network(rgb_of_file(data), recording.reading.rows)
+        except (OSError, ImageError, BoundedYamlError) as error:
             trouble = f"{record.image}: {getattr(error, 'strerror', None) or error}"
         yield RecordedFrame(
             index=record.index,
@@ -206,7 +210,7 @@ def _labels(bag: BagReader, recording: Recording) -> _Labels:
         return _Labels(_field(bag, recording.reading), {}, exact=False)
     if recording.kind != "bag of ours":
         return _Labels({}, {}, exact=True)
-    recorded = read_run(bag)
+    recorded = read_run(bag, trusted=recording.reading.trusted)
     speed = {t: seen.vehicle.speed for t, seen in zip(recorded.stamps, recorded.run.observations, strict=True)}
     if recording.reading.truth == "autopilot":
         pilot = Autopilot(spec_of(recorded.simulator).autopilot)
