@@ -216,7 +216,9 @@ class RecordedRun:
     stamps: list[int]
 
 
-def read_run(bag: BagReader, *, simulator: str | None = None, seed: int | None = None) -> RecordedRun:
+def read_run(
+    bag: BagReader, *, simulator: str | None = None, seed: int | None = None, trusted: Collection[str] = ()
+) -> RecordedRun:
     """Read the one run that a bag of this project holds.
 
     `rosbags-convert` and `ros2 bag convert` drop a bag's custom data. The road is then taken from its message;
@@ -224,8 +226,9 @@ def read_run(bag: BagReader, *, simulator: str | None = None, seed: int | None =
 
     Args:
         bag: open bag.
-        simulator: name given by the user: confirms a recorded name that is not shipped, and stands in for a lost one.
-        seed: stands in for a lost one.
+        simulator: named by the user: taken if the bag has lost its own, and trusted if it is the bag's own.
+        seed: taken if the bag has lost its own.
+        trusted: simulators of the user's own that the bag may name: their code runs when they are made.
 
     Raises:
         BagError: it holds no run or more than one, its parts do not fit together, or something is missing.
@@ -236,7 +239,7 @@ def read_run(bag: BagReader, *, simulator: str | None = None, seed: int | None =
         held = "no run" if not states else "several runs (`ds bag unpack` takes one out)"
         raise BagError(f"{bag.path} holds {held} of this project: `ds bag info` lists its topics")
     facts = _completed(bag, simulator, seed)
-    recorded = received_simulator(facts["simulator"], confirmed=[simulator] if simulator else [])
+    recorded = received_simulator(facts["simulator"], confirmed=[*trusted, *([simulator] if simulator else [])])
     observations: list[Observation] = []
     stamps: list[int] = []
     given: dict[int, Command] = {}

@@ -6,7 +6,7 @@ the same seed. No driver takes part.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,13 +41,16 @@ class Verification:
     difference: str = ""
 
 
-def verify_bag(folder: Path, simulator: str | None = None, seed: int | None = None) -> Verification:
+def verify_bag(
+    folder: Path, simulator: str | None = None, *, seed: int | None = None, trusted: Collection[str] = ()
+) -> Verification:
     """Re-simulate a bag's run and compare.
 
     Args:
         folder: bag of this project.
-        simulator: another one than the recorded; confirms a recorded name that is not shipped, see `read_run`.
+        simulator: another one than the recorded, named by the user.
         seed: of the run, if the bag has lost it.
+        trusted: simulators of the user's own that the bag may name, see `read_run`.
 
     Raises:
         ds_bags.layout.BagError: the bag cannot be read, or holds no run.
@@ -55,7 +58,7 @@ def verify_bag(folder: Path, simulator: str | None = None, seed: int | None = No
         ds_sim.registry.UnknownSimulatorError: the simulator cannot be made.
     """
     with BagReader(folder) as bag:
-        recorded = read_run(bag, simulator=simulator, seed=seed)
+        recorded = read_run(bag, simulator=simulator, seed=seed, trusted=trusted)
         chosen = simulator or recorded.simulator
         # Another simulator shows another world: there the states alone can be the same.
         images = _images(bag, recorded) if chosen == recorded.simulator else iter(())

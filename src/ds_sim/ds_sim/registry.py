@@ -43,7 +43,7 @@ class UntrustedSimulatorError(ValueError):
     """A received file names a simulator whose code is not shipped, and nobody confirmed it."""
 
 
-def received_simulator(name: object, *, confirmed: Collection[str] = (), option: str = "--sim") -> str:
+def received_simulator(name: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> str:
     """Check a simulator name that was read from a received file, before anything is imported.
 
     A shipped simulator may be named freely, with a parameter file too: `donkey@FILE` opens one regular file of YAML,

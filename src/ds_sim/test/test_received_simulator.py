@@ -28,7 +28,7 @@ def test_any_other_name_is_refused_in_one_line(name: object) -> None:
 def test_only_exactly_the_confirmed_name_is_let_through(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "evilmod.py").write_text("raise SystemExit('imported')\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(UntrustedSimulatorError, match=r"name it yourself with --sim 'evilmod:S'"):
+    with pytest.raises(UntrustedSimulatorError, match=r"name it yourself with --trust 'evilmod:S'"):
         received_simulator("evilmod:S", confirmed=["evilmod:T", "evilmod"])
     assert received_simulator("evilmod:S", confirmed=["evilmod:S"]) == "evilmod:S"
     assert "evilmod" not in sys.modules

@@ -1,4 +1,4 @@
-"""Publishes a bag's messages to the graph as they were recorded: same bytes, topics and QoS, and /clock with them."""
+"""Publishes a bag's messages to the graph as they were recorded, in bytes, topics and QoS, and /clock with them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
+from ds_bags.limits import printable
 from ds_sim.ros.runtime import init_ros
 
 QUEUE = 5000
-"""Messages that a publisher keeps for slow readers; chosen: more than the longest run of ours has on a topic."""
+"""Messages that a publisher keeps for slow readers; chosen: more than a run has on any topic."""
 IN_FLIGHT = 8 * 2**20
 """Bytes on a topic after which a replay without pauses waits for its readers; chosen: some fifty images. Asking after
 every message would cost seconds: Fast DDS lets small ones be acknowledged only by its heartbeat, every 3 s."""
@@ -40,7 +42,7 @@ class GraphOutput:
         patient: wait for reliable readers before a queue overflows.
 
     Attributes:
-        skipped: topic -> why it is not published.
+        skipped: topic -> reason why it is not published.
     """
 
     def __init__(self, connections: Iterable[Connection], *, patient: bool) -> None:
@@ -53,10 +55,16 @@ class GraphOutput:
         self._clock = self._node.create_publisher(Clock, "/clock", 10)
         for connection in connections:
             kind, reason = _message_class(connection)
+            if not reason:
+                try:
+                    publisher = self._node.create_publisher(kind, connection.topic, _qos(connection))
+                    self._publishers[connection.id] = publisher
+                except (NameValidationException, ValueError, RuntimeError) as error:
+                    reason = (
+                        f"it cannot be published ({printable(str(error).splitlines()[0] if str(error) else error)})"
+                    )
             if reason:
-                self.skipped[connection.topic] = reason
-            else:
-                self._publishers[connection.id] = self._node.create_publisher(kind, connection.topic, _qos(connection))
+                self.skipped[printable(connection.topic)] = reason
 
     def wait_for_readers(self, seconds: float) -> bool:
         """Wait at most so long until somebody listens; whether somebody does."""
@@ -104,8 +112,14 @@ class GraphOutput:
 
 
 def _message_class(connection: Connection) -> tuple[Any, str]:
-    """The class of a topic's messages, and why there is none."""
+    """Class of a topic's messages, or why there is none.
+
+    A type comes from the bag, and importing a package runs its code: only packages of messages that are installed as
+    such in the ROS workspace are imported.
+    """
     package, _, kind = connection.msgtype.partition("/msg/")
+    if not (package.isidentifier() and kind.isidentifier() and _is_interface(package, kind)):
+        return None, f"{printable(connection.msgtype)} is not installed here"
     try:
         found = getattr(import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
@@ -114,6 +128,12 @@ def _message_class(connection: Connection) -> tuple[Any, str]:
     if installed and connection.digest and installed != connection.digest:
         return None, f"{connection.msgtype} is another version here than in the bag"
     return found, ""
+
+
+def _is_interface(package: str, kind: str) -> bool:
+    """Whether a prefix of the workspace has the definition of a message."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return any((Path(prefix) / "share" / package / "msg" / f"{kind}.msg").is_file() for prefix in prefixes if prefix)
 
 
 def _installed_digest(package: str, kind: str) -> str:
@@ -136,7 +156,12 @@ def _qos(connection: Connection) -> QoSProfile:
     latched = offered is not None and offered.durability == QosDurability.TRANSIENT_LOCAL
     best_effort = offered is not None and offered.reliability == QosReliability.BEST_EFFORT
     return QoSProfile(
-        depth=offered.depth if offered is not None and latched and offered.depth else QUEUE,
+        depth=_depth(offered.depth) if offered is not None and latched else QUEUE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
     )
+
+
+def _depth(offered: object) -> int:
+    """A queue's length as the bag has it, if it is one."""
+    return offered if type(offered) is int and 0 < offered <= QUEUE else QUEUE

@@ -8,6 +8,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_orchestrator.cli.options import Camera, ImageRows, JsonFlag, RecordedSteering, SteeringFactor, rows_of
+from ds_orchestrator.cli.options import Camera, ImageRows, JsonFlag, RecordedSteering, SteeringFactor, Trust, rows_of
 from ds_orchestrator.cli.output import Interrupted, Result, answer, countdown, end, say
 
 if TYPE_CHECKING:
@@ -35,7 +36,10 @@ BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.
 
 def bag_info(folder: Path) -> Result:
     """What is in a bag."""
+    from rich.text import Text
+
     from ds_bags.info import describe, in_words
+    from ds_bags.limits import printable
 
     document = describe(folder)
 
@@ -44,7 +48,8 @@ def bag_info(folder: Path) -> Result:
             print(line)
         table = Table("topic", "type", "messages")
         for topic in document["topics"]:
-            table.add_row(topic["name"], topic["type"], str(topic["messages"]))
+            # Names from a file are text, not markup.
+            table.add_row(*(Text(printable(topic[key])) for key in ("name", "type", "messages")))
         Console().print(table)
 
     return Result(document=document, show=show)
@@ -117,11 +122,11 @@ def _rate(text: str) -> float:
     raise typer.BadParameter(f"{text!r}: expected a number above 0, or max")
 
 
-def bag_redrive(folder: Path, sim: str | None) -> Result:
-    """Drive a bag's commands again, and compare."""
+def bag_redrive(folder: Path, sim: str | None, seed: int | None = None, trusted: Collection[str] = ()) -> Result:
+    """Re-simulate a bag's run, and compare."""
     from ds_bags.verification import verify_bag
 
-    found = verify_bag(folder, sim)
+    found = verify_bag(folder, sim, seed=seed, trusted=trusted)
     same = found.step is None
     document = {"bag": str(folder), "same": same} | asdict(found)
 
@@ -285,11 +290,13 @@ def replay_command(
 @bag_app.command("redrive")
 def redrive_command(
     folder: BagFolder,
-    sim: Annotated[str | None, typer.Option(help="Another simulator than the recorded one.")] = None,
+    sim: Annotated[str | None, typer.Option(help="Simulator in place of the recorded one.")] = None,
+    trust: Trust = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the run, if the bag has lost it.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Give the recorded commands to the recorded simulator again; every bit must come out the same."""
-    end(bag_redrive(folder, sim), as_json)
+    """Re-simulate the recorded commands on the recorded simulator; every bit must come out the same."""
+    end(bag_redrive(folder, sim, seed, trust or []), as_json)
 
 
 @bag_app.command("drive")
@@ -303,6 +310,7 @@ def drive_command(
     rows: ImageRows = None,
     truth: Annotated[Truth, typer.Option(help="Compare with the recorded steering, or the autopilot's.")] = "recorded",
     limit: Annotated[int | None, typer.Option(min=1, help="Only so many images of each.")] = None,
+    trust: Trust = None,
     attach: Annotated[bool, typer.Option(help="Ask the driver node that runs in this ROS domain.")] = False,
     namespace: Annotated[str, typer.Option(help="Where that node looks for its simulator.")] = "/ds1",
     as_json: JsonFlag = False,
@@ -310,7 +318,7 @@ def drive_command(
     """Let a driver answer recorded images one by one: its steering errors, their density and distances."""
     from ds_driver.data.recordings import Reading
 
-    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth)
+    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth, simulator=sim)
     if not attach:
         answer(bag_drive(folders, driver, reading, out, limit), as_json)
         return
