@@ -63,7 +63,8 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
     """
     if not isinstance(name, str):
         raise UntrustedSimulatorError(f"simulator is a {type(name).__name__}, expected one of {', '.join(SIMULATORS)}")
-    if name.partition("@")[0] in SIMULATORS or name in confirmed:
+    shipped = {*SIMULATORS, *SIMULATORS.values()}
+    if name.partition("@")[0] in shipped or name in confirmed:
         return name
     shown = repr(name) if len(name) <= MAX_LABEL_LENGTH else f"{name[:MAX_LABEL_LENGTH]!r}..."
     if ":" not in name:

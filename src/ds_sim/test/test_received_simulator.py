@@ -11,7 +11,7 @@ from ds_sim.registry import SIMULATORS, UntrustedSimulatorError, received_simula
 
 
 def test_shipped_names_pass_with_and_without_a_parameter_file() -> None:
-    for name in [*SIMULATORS, "donkey@car.yaml"]:
+    for name in [*SIMULATORS, *SIMULATORS.values(), "donkey@car.yaml"]:
         assert received_simulator(name) == name
 
 

@@ -134,7 +134,7 @@ def _read_bag(path: Path) -> Log:
             simulator = bag.facts.get("simulator", "")
             if simulator in SIMULATORS and simulator != "donkey":
                 raise LogError(
-                    f"{path}: a drive of {simulator}, which is no 1:16 car: give drives of the car that is fitted"
+                    f"{path}: a drive of {simulator}, which is not a 1:16 car: give drives of the car that is fitted"
                 )
             files = bag.files
             wanted = [c for c in bag.connections if c.msgtype.rpartition("/")[2] in ("VehicleState", "DriveCommand")]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ds_bags.rosbag2_writer import Rosbag2Writer
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import rollout
@@ -194,10 +195,10 @@ def test_a_tub_with_inconsistent_units_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_bag_of_another_vehicle_is_refused(tmp_path: Path) -> None:
-    about = "rosbag2_bagfile_information: {custom_data: {simulator: bullet}}"
-    (tmp_path / "metadata.yaml").write_text(about)
+    writer = Rosbag2Writer(tmp_path / "bag", {})
+    writer.close({"simulator": "bullet"})
     with pytest.raises(LogError, match="a drive of bullet, which is not a 1:16 car"):
-        read_log(tmp_path)
+        read_log(tmp_path / "bag")
 
 
 def test_drives_of_a_standing_car_are_refused() -> None:
@@ -238,7 +239,7 @@ def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="neither a bag"):
         read_log(tmp_path)
     (tmp_path / "metadata.yaml").write_text("nonsense")
-    with pytest.raises(LogError, match=r"the bag .*record it again$"):
+    with pytest.raises(LogError, match=r"is not as rosbag2 writes it .*copy the bag again$"):
         read_log(tmp_path)
     with pytest.raises(FitError, match="record longer ones"):
         fit([simulated_recording(P, np.random.default_rng(0), np.zeros((20, 2)))])
