@@ -318,7 +318,14 @@ def drive_command(
     """Let a driver answer recorded images one by one: its steering errors, their density and distances."""
     from ds_driver.data.recordings import Reading
 
-    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth, simulator=sim)
+    reading = Reading(
+        camera=camera,
+        steering=steering,
+        factor=factor,
+        rows=rows_of(rows),
+        truth=truth,
+        trusted=tuple(trust or ()),
+    )
     if not attach:
         answer(bag_drive(folders, driver, reading, out, limit), as_json)
         return
