@@ -20,5 +20,6 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
     ],
     zip_safe=False,
+    extras_require={"test": ["pytest"]},
     entry_points={"console_scripts": ["simulator = ds_sim_softbody.main:main"]},
 )

@@ -6,7 +6,7 @@ ros2 launch ds_bringup adapter.launch.py [sim:=bullet|softbody|donkey] [namespac
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -30,6 +30,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="simulator",
                 namespace=LaunchConfiguration("namespace"),
                 parameters=[{"simulator": text("sim"), "sync": text("sync")}],
+                on_exit=Shutdown(reason="the simulator ended"),
                 output="screen",
             ),
             Node(

@@ -7,7 +7,7 @@ A simulator of your own: sim:=module:Class parameters:=FILE, with FILE as those 
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -48,6 +48,7 @@ def generate_launch_description() -> LaunchDescription:
                         "sync": ParameterValue(LaunchConfiguration("sync"), value_type=str),
                     },
                 ],
+                on_exit=Shutdown(reason="the simulator ended"),
                 output="screen",
             ),
             Node(

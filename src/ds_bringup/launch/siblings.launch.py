@@ -4,7 +4,7 @@ ros2 launch ds_bringup siblings.launch.py [driver:=dave2|autopilot|PATH] [sync:=
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -41,6 +41,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="simulator",
                 namespace=namespace,
                 parameters=[parameters, sync],
+                on_exit=Shutdown(reason="the simulator ended"),
                 output="screen",
             )
         )

@@ -9,6 +9,7 @@ from pathlib import Path
 from ds_orchestrator.graph.executor import GraphExecutor
 from ds_orchestrator.graph.process_specs import driver_process, simulator_processes
 from ds_orchestrator.graph.ros_domain import RosDomain
+from ds_orchestrator.graph.shared_memory import remove_leftovers
 from ds_orchestrator.graph.signals import IgnoreSignals
 from ds_orchestrator.graph.supervisor import Supervisor
 from ds_orchestrator.graph.worker_pool import WorkerPool
@@ -37,6 +38,7 @@ def running_graph(
         supervisor = None
         domain = None
         if not attach:
+            remove_leftovers()
             held = RosDomain()
             stack.callback(held.close)
             domain = held.number

@@ -1,0 +1,119 @@
+"""Manifests of the ROS packages: every import is declared, under a key that rosdep knows, and nothing else is."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[2] / "src"
+PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/package.xml"))
+PYTHON_PACKAGES = [name for name in PACKAGES if (SOURCE / name / "setup.py").exists()]
+
+# Keys as of rosdep/python.yaml and jazzy/distribution.yaml in github.com/ros/rosdistro, commit 8468e88 (2026-08-22).
+KEYS = {
+    "cv2": "python3-opencv",
+    "google": "python3-protobuf",
+    "gymnasium": "python3-gymnasium-pip",
+    "jinja2": "python3-jinja2",
+    "numpy": "python3-numpy",
+    "onnxruntime": "python3-onnxruntime-pip",
+    "pydantic": "python3-pydantic",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "shapely": "python3-shapely",
+    "sklearn": "python3-sklearn",
+    "torch": "python3-torch",
+    "typer": "python3-typer",
+    "yaml": "python3-yaml",
+}
+"""Imported module -> rosdep key."""
+ROS_KEYS = {
+    "action_msgs", "ament_cmake", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs",
+    "launch", "launch_ros", "nav_msgs", "python3-pybullet-pip", "python3-pytest", "rcl_interfaces", "rclpy",
+    "ros2launch", "rosgraph_msgs", "rosidl_default_generators", "rosidl_default_runtime", "sensor_msgs", "std_msgs",
+    "std_srvs", "tf2_msgs", "visualization_msgs",
+}  # fmt: skip
+NO_KEY = {
+    "backports": "backports.zstd",
+    "lazy_loader": "lazy_loader",
+    "lz4": "lz4",
+    "markupsafe": "markupsafe",
+    "mcap": "mcap",
+    "onnx": "onnx",
+    "openvino": "openvino",
+    "plotly": "plotly",
+    "pyarrow": "pyarrow",
+    "pymunk": "pymunk",
+    "safetensors": "safetensors",
+    "statsmodels": "statsmodels",
+}
+"""Imported module -> its name on PyPI, where rosdep has no key."""
+WITHOUT_IMPORT = {
+    "ds_orchestrator": ("ds_sim_bullet", "ds_sim_softbody"),  # made by the names in ds_sim/registry.py
+    "ds_sim_bullet": ("python3-pybullet-pip",),  # imported when the first vehicle is made
+    "ds_driver": ("geometry_msgs",),  # imported by the name of the message that a user chooses
+}
+
+
+def imports_of(package: Path) -> set[str]:
+    """Top-level modules outside the package and the standard library that its modules import."""
+    found: set[str] = set()
+    for path in (package / package.name).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.partition(".")[0])
+    return found - set(sys.stdlib_module_names) - {package.name}
+
+
+def manifest(name: str) -> ElementTree.Element:
+    return ElementTree.parse(SOURCE / name / "package.xml").getroot()
+
+
+def declared(name: str) -> set[str]:
+    return {str(e.text) for e in manifest(name) if e.tag in ("depend", "exec_depend")}
+
+
+@pytest.mark.parametrize("name", PYTHON_PACKAGES)
+def test_every_import_is_declared_and_nothing_else_is(name: str) -> None:
+    used = imports_of(SOURCE / name)
+    needed = {KEYS.get(module, module) for module in used - NO_KEY.keys()} | set(WITHOUT_IMPORT.get(name, ()))
+    assert declared(name) == needed
+    comment = re.search(r"<!-- no rosdep key[^:]*: (.*?) -->", (SOURCE / name / "package.xml").read_text())
+    named = set(comment.group(1).split(", ")) if comment else set()
+    assert named == {NO_KEY[module] for module in used & NO_KEY.keys()}
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_every_key_is_one_of_this_workspace_or_known_to_rosdep(name: str) -> None:
+    tags = ("depend", "exec_depend", "test_depend", "buildtool_depend")
+    keys = {str(e.text) for e in manifest(name) if e.tag in tags}
+    assert keys <= set(PACKAGES) | ROS_KEYS | set(KEYS.values())
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_a_manifest_has_a_maintainer_a_url_and_a_dated_changelog(name: str) -> None:
+    """The changelog as REP-132 has it: the newest version first, which is the project's or still to come."""
+    root = manifest(name)
+    assert root.findtext("maintainer") and root.findtext("url") and root.findtext("license") == "Apache-2.0"
+    version = tomllib.loads((SOURCE.parent / "pyproject.toml").read_text())["project"]["version"]
+    assert root.findtext("version") == version
+    lines = (SOURCE / name / "CHANGELOG.rst").read_text().splitlines()
+    assert lines[1] == f"Changelog for package {name}"
+    headings = [lines[i - 1] for i, line in enumerate(lines) if i > 2 and line and set(line) == {"-"}]
+    assert headings
+    assert headings[0] == "Forthcoming" or re.fullmatch(rf"{re.escape(version)} \(\d{{4}}-\d\d-\d\d\)", headings[0])
+
+
+@pytest.mark.parametrize("name", PYTHON_PACKAGES)
+def test_colcon_finds_the_tests_with_pytest(name: str) -> None:
+    """colcon runs pytest for packages whose tests depend on it, and otherwise unittest, which finds nothing."""
+    assert 'extras_require={"test": ["pytest"]}' in (SOURCE / name / "setup.py").read_text()
