@@ -2,20 +2,195 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import subprocess
 import sys
+import tomllib
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from ds_road import Road, generate, write_roads
+from ds_orchestrator.campaign.config import parse_config
+from ds_orchestrator.cli import application, evaluations, main
+from ds_orchestrator.cli.options import SHIPPED_SIMULATORS
+from ds_orchestrator.cli.output import duration
+from ds_orchestrator.cli.twin import FitProgress
+from ds_orchestrator.cli.verbs import VERBS, overview
+from ds_orchestrator.evaluation.table import Column, Table
+from ds_orchestrator.store.rows import trajectory_sha256
+from ds_orchestrator.store.store import Execution, Store, Test
+from ds_road import Road, generate, read_roads, write_roads
+from ds_sim.registry import SIMULATORS
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
 
 DS = [sys.executable, "-m", "ds_orchestrator.cli.main"]
+REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """`ds` in this process, as its imports take longer than most verbs."""
+    given = [str(argument) for argument in arguments]
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        status = main.answer_without_libraries(given)
+        status = application.run(given) if status is None else status
+    return subprocess.CompletedProcess(given, status, out.getvalue(), err.getvalue())
+
+
+def in_process(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """`ds` in a process of its own."""
     return subprocess.run([*DS, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign of four roads on two siblings and a twin, the second and third of which fail everywhere."""
+    folder = tmp_path_factory.mktemp("campaign")
+    raw = {"siblings": ["bullet", "softbody"], "twin": "donkey", "driver": "autopilot"}
+    store = Store(folder / "campaign.sqlite", config=parse_config(raw, "here").identity())
+    for number in range(4):
+        test = Test(
+            test_id=f"bullet-0-{number:04d}", sibling="bullet", run=0, number=number,
+            road=generate(np.random.default_rng(number)), seed=100 + number,
+        )  # fmt: skip
+        store.add_test(test)
+        for simulator in ("bullet", "softbody", "donkey"):
+            digest = trajectory_sha256(RunRecord(road=test.road, seed=0))
+            failed = number in (1, 2) and simulator != "softbody"
+            store.add_execution(
+                Execution(
+                    test_id=test.test_id, simulator=simulator, message="", fitness=-0.1 if failed else 0.5,
+                    outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED, max_lateral_position=1.0 + number,
+                    steps=0, simulated_seconds=0.0, trajectory_sha256=digest,
+                    trajectory=np.zeros((0, 5)),
+                )
+            )  # fmt: skip
+    store.close()
+    return folder
+
+
+@pytest.mark.parametrize("arguments", [(), ("-h",), ("--help",), ("--version",), ("completion", "zsh"), ("help",)])
+def test_help_version_and_completion_need_the_standard_library_alone(arguments: tuple[str, ...]) -> None:
+    command = [sys.executable, "-I", "-S", "-c", f"""
+import sys
+sys.path.insert(0, {str(REPOSITORY / "src/ds_orchestrator")!r})
+sys.argv = {["ds", *arguments]!r}
+from ds_orchestrator.cli.main import main
+main()"""]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == (0 if arguments else 2) and done.stderr == "" and done.stdout
+    if arguments == ("--version",):
+        project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+        assert done.stdout == f"ds {project['version']}\n"
+
+
+def test_the_overview_says_of_every_verb_what_its_own_help_says() -> None:
+    app: Any = application.make_app()
+    for name, verb in VERBS.items():
+        assert f"  {name} " in overview()
+        if not verb.module:
+            continue
+        command = app.get_command(None, name)
+        assert command.help.splitlines()[0] == verb.summary, name
+        assert tuple(getattr(command, "commands", ())) == verb.verbs, name
+    assert tuple(SIMULATORS) == SHIPPED_SIMULATORS
+
+
+def test_a_help_text_imports_nothing_heavy() -> None:
+    script = """
+import sys
+from ds_orchestrator.cli.application import run
+for verb in {verbs!r}:
+    run([verb, "--help"])
+heavy = {{"numpy", "torch", "scipy", "shapely", "rclpy", "cv2", "pyarrow", "plotly", "onnx"}} & set(sys.modules)
+assert not heavy, heavy
+"""
+    verbs = [name for name, verb in VERBS.items() if verb.module]
+    done = subprocess.run(
+        [sys.executable, "-c", script.format(verbs=verbs)], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("Usage:") == len(verbs)
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("ds ma", "maps"),
+        ("ds campaign ro", "roads"),
+        ("ds bag redrive --vi", "--video"),
+        ("ds drive --sim bul", "bullet"),
+    ],
+)
+def test_tab_completes_verbs_options_and_simulators(typed: str, offered: str) -> None:
+    words = typed.split(" ")
+    asked = {"COMP_WORDS": typed, "COMP_CWORD": str(len(words) - 1), "_DS_COMPLETE": "complete_bash"}
+    done = subprocess.run(DS, capture_output=True, text=True, timeout=60, env={**os.environ, **asked})
+    assert done.stdout.split() == [offered], done.stderr
+
+
+def test_from_a_cell_or_a_failure_to_its_roads(campaign: Path, tmp_path: Path) -> None:
+    failed = ds("campaign", "roads", campaign, "--failed", "--out", tmp_path / "failed.json")
+    assert failed.returncode == 0, failed.stderr
+    roads = json.loads((tmp_path / "failed.json").read_text())
+    assert [road["test_id"] for road in roads] == ["bullet-0-0001", "bullet-0-0002"]
+    assert roads[0]["seed"] == 101 and roads[0]["outcomes"]["softbody"] == "COMPLETED"
+    expected = [generate(np.random.default_rng(number)) for number in (1, 2)]
+    assert read_roads(tmp_path / "failed.json") == expected
+    assert json.loads(ds("campaign", "roads", campaign, "--failed", "--simulator", "softbody").stdout) == []
+    turns, curvature = expected[0].turns_count, expected[0].curvature_bin
+    for cell in (f"{turns},{curvature / 100:.2f}", f"{turns},{curvature}"):
+        found = json.loads(ds("campaign", "roads", campaign, "--cell", cell).stdout)
+        assert "bullet-0-0001" in {road["test_id"] for road in found}
+        assert all(road["cell"] == {"turns_count": turns, "curvature": curvature} for road in found)
+    exported = ds("road", "export", tmp_path / "failed.json", "--format", "sbft", "--out", tmp_path / "sbft")
+    assert exported.stdout.splitlines() == [str(tmp_path / f"sbft/bullet-0-000{n}.json") for n in (1, 2)]
+
+
+def test_maps_are_grids_one_at_a_time(campaign: Path) -> None:
+    shown = ds("maps", campaign, "--map", "union_bullet")
+    assert shown.returncode == 0, shown.stderr
+    assert "All tests on bullet: failure probability" in shown.stdout and "merged" in shown.stdout
+    assert "1/1" in shown.stdout and "0/1" in shown.stdout
+    everything = json.loads(ds("maps", campaign, "--json").stdout)
+    assert {"merged", "union_bullet", "twin_donkey"} <= set(everything)
+
+
+def test_an_evaluation_is_short_unless_all_is_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tables = [
+        Table(name=name, title=title, columns=[Column("r", "number")], rows=[[0.5]])
+        for name, title in (("rq2", "RQ2: failures"), ("robustness_checks", "RQ2 in other ways"))
+    ]
+    evaluations.tables_result(tables, tmp_path, everything=False).show()
+    short = capsys.readouterr().out
+    assert "RQ2: failures" in short and "Not shown without --all: RQ2 in other ways" in short
+    assert short.count("0.500") == 1 and (tmp_path / "robustness_checks.csv").is_file()
+    evaluations.tables_result(tables, None, everything=True).show()
+    assert capsys.readouterr().out.count("0.500") == 2
+
+
+def test_a_fit_says_how_long_it_still_takes() -> None:
+    lines: list[str] = []
+    clock = iter([0.0, 0.0, 2.0, 4.0, 4.0, 9.0])
+    progress = FitProgress(lambda: next(clock), lines.append)
+    for line in (
+        "phase 1 of 3: windows",
+        "iteration 0: 1",
+        "iteration 1: 1",
+        "phase 2 of 3: windows",
+        "iteration 0: 1",
+    ):
+        progress(line)
+    assert lines[0] == "[0 s] phase 1 of 3: windows"
+    # 2 s an iteration: 3 more, then 4 of 2.5 times that, and 8 of 6 times.
+    assert lines[1].endswith(f"about {duration(2.0 * (3 + 10 + 48))} left")
+    assert lines[4].endswith(f"about {duration(2.0 * (7.5 + 48))} left")
 
 
 def test_road_check_answers_for_every_road_whatever_it_is(tmp_path: Path) -> None:
@@ -44,49 +219,58 @@ def test_road_generate_can_be_checked_and_shown(tmp_path: Path) -> None:
     assert people.returncode == 0 and "yes" in people.stdout
 
 
-def test_bad_input_ends_with_2_and_one_line(tmp_path: Path) -> None:
-    import numpy as np
-
+def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> None:
     two = tmp_path / "two.json"
     write_roads([generate(np.random.default_rng(s)) for s in (1, 2)], two)
     crossing = tmp_path / "crossing.json"
     crossing.write_text(json.dumps([[50, 50], [50, 100], [50, 150], [100, 150], [100, 110], [20, 110], [10, 60]]))
-    sampled = tmp_path / "sampled.json"
-    sampled.write_text(json.dumps([{"road_points": [[125, 10 * i] for i in range(1, 9)]}]))
+    deep = tmp_path / "deep.json"
+    deep.write_text("[" * 200_000)
     config = tmp_path / "c.yaml"
     config.write_text("siblings: [bulett]")
+    deep_config = tmp_path / "deep.yaml"
+    deep_config.write_text("siblings: " + "[" * 50_000)
     cut = tmp_path / "cut.safetensors"
     cut.write_bytes(b"cut")
-    cases: dict[str, tuple[object, ...]] = {
-        "bulet": ("drive", "--sim", "bulet", "--driver", "autopilot"),
-        "dave3": ("drive", "--sim", "donkey", "--driver", "dave3"),
-        "missing": ("drive", "--sim", "donkey", "--driver", tmp_path / "none.safetensors"),
-        "damaged": ("drive", "--sim", "donkey", "--driver", cut),
-        "2 roads": ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", two),
-        "give its control points": ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", sampled),
-        "not valid": ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", crossing),
-        "No such file": ("road", "check", tmp_path / "none.json"),
-        "unknown simulator": ("campaign", "run", config, "--out", tmp_path / "out"),
-        "no campaign": ("maps", tmp_path),
-        "no drives": ("train", "--data", tmp_path, "--out", tmp_path / "t"),
-    }
-    for named, arguments in cases.items():
-        done = ds(*arguments, *(["--json"] if arguments[0] in ("drive", "maps") else []))
+    out = tmp_path / "out"
+    cases: tuple[tuple[str, tuple[object, ...]], ...] = (
+        ("bullet, softbody, donkey", ("drive", "--sim", "bulet", "--driver", "autopilot")),
+        ("bullet, softbody, donkey", ("drive",)),
+        ("dave3", ("drive", "--sim", "donkey", "--driver", "dave3")),
+        ("missing", ("drive", "--sim", "donkey", "--driver", tmp_path / "none.safetensors")),
+        ("damaged", ("drive", "--sim", "donkey", "--driver", cut)),
+        ("2 roads", ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", two)),
+        ("not valid", ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", crossing)),
+        ("expected a name that ends with .mp4", ("drive", "--sim", "donkey", "--video", tmp_path / "x.avi")),
+        ("--seed", ("drive", "--sim", "donkey", "--seed", "minus one")),
+        ("No such file", ("road", "check", tmp_path / "none.json")),
+        ("directory", ("road", "check", tmp_path)),
+        ("not JSON", ("road", "check", deep)),
+        ("FILE", ("road", "export", two, "--out", cut)),
+        ("unknown simulator", ("campaign", "run", config, "--out", out)),
+        ("deep", ("campaign", "run", deep_config, "--out", out)),
+        ("directory", ("campaign", "run", tmp_path, "--out", out)),
+        ("no campaign", ("maps", tmp_path)),
+        ("no map 'mergd'", ("maps", campaign, "--map", "mergd")),
+        ("no test 'x'", ("campaign", "roads", campaign, "--test", "x")),
+        ("such as", ("campaign", "roads", campaign, "--cell", "77,0.99")),
+        ("no simulator 'bulet'", ("campaign", "roads", campaign, "--simulator", "bulet")),
+        ("no drives", ("train", "--data", tmp_path, "--out", tmp_path / "t")),
+        ("unknown verb 'flie'", ("flie",)),
+        ("did you mean 'maps'", ("map",)),
+        ("completion", ("completion", "tcsh")),
+    )
+    for named, arguments in cases:
+        done = ds(*arguments)
         assert done.returncode == 2, (named, done.stderr)
         assert done.stdout == "", named
         lines = done.stderr.strip().splitlines()
-        assert len(lines) == 1 and named in lines[0], (named, lines)
-
-
-def test_unknown_verbs_and_options_end_with_2() -> None:
-    for arguments in (("fly",), ("drive",), ("drive", "--sim", "donkey", "--seed", "minus one")):
-        done = ds(*arguments)
-        assert done.returncode == 2 and "Traceback" not in done.stderr
+        assert len(lines) == 1 and (named == "FILE" or named in lines[0]), (named, lines)
 
 
 @pytest.mark.graph
 def test_drive_answers_with_one_document_and_repeats_itself() -> None:
-    runs = [ds("drive", "--sim", "donkey", "--driver", "autopilot", "--seed", 5, "--json") for _ in range(2)]
+    runs = [in_process("drive", "--sim", "donkey", "--driver", "autopilot", "--seed", 5, "--json") for _ in range(2)]
     first, second = (json.loads(run.stdout) for run in runs)
     assert runs[0].returncode == 0 and first["outcome"] == "COMPLETED"
     assert {"fitness", "max_lateral_position", "steps", "simulated_seconds", "wall_seconds"} <= set(first)

@@ -62,10 +62,11 @@ class Forbid:
 sys.meta_path.insert(0, Forbid())
 import ds_road, ds_sim.road_simulator, ds_driver.training.trainer, ds_driver.closed_loop.success_rate
 import ds_orchestrator.campaign.runner, ds_orchestrator.run
-import ds_orchestrator.report.html_report, ds_orchestrator.report.build, ds_orchestrator.cli.main
+import ds_orchestrator.report.html_report, ds_orchestrator.report.build, ds_orchestrator.cli.application
 from ds_sim.registry import SIMULATORS, make_simulator
 for name in SIMULATORS: make_simulator(name)
-ds_orchestrator.cli.main.make_app()
+app = ds_orchestrator.cli.application.make_app()
+for verb in app.list_commands(None): app.get_command(None, verb)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

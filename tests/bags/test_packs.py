@@ -15,8 +15,10 @@ from ds_bags.packs import pack, topic_prefix, unpack
 from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
 from ds_orchestrator.campaign.bag_groups import groups_of
+from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Execution, Store, Test
+from ds_road.features import minimum_radius
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -38,8 +40,10 @@ def test_what_is_unpacked_is_what_was_packed_byte_for_byte(bags: Path, tmp_path:
     assert describe(tmp_path / "pack")["facts"]["packed"] == "3"
 
 
-def test_a_campaign_s_bags_are_grouped_by_cell_or_by_run(run: RunRecord, tmp_path: Path) -> None:
-    store = Store(tmp_path / "campaign.sqlite", config="{}")
+def test_a_campaign_s_bags_are_grouped_by_its_own_features_or_by_run(run: RunRecord, tmp_path: Path) -> None:
+    features = ["minimum_radius:20", "turns_count"]
+    raw = {"siblings": ["bullet", "softbody"], "twin": "donkey", "driver": "autopilot", "features": features}
+    store = Store(tmp_path / "campaign.sqlite", config=parse_config(raw, "here").identity())
     for number, sibling in enumerate(("bullet", "softbody")):
         name = f"{sibling}-0-000{number}"
         store.add_test(Test(test_id=name, sibling=sibling, run=0, number=number, road=run.road, seed=3))
@@ -59,7 +63,8 @@ def test_a_campaign_s_bags_are_grouped_by_cell_or_by_run(run: RunRecord, tmp_pat
     write_bag(tmp_path / "bags" / "bullet-0-0000-on-donkey", "/twin", "donkey", run, {})
     for name in ("bullet-0-0000-on-bullet", "softbody-0-0001-on-bullet"):
         shutil.copytree(tmp_path / "bags" / "bullet-0-0000-on-donkey", tmp_path / "bags" / name)
-    cell = f"cell_{run.road.turns_count}_{run.road.curvature_bin}"
+    radius_in_feet = int(minimum_radius(run.road.points) * 3.280839895)
+    cell = f"cell_{radius_in_feet // 20}_{run.road.turns_count}"
     assert {name: len(found) for name, found in groups_of(tmp_path, "cell").items()} == {cell: 3}
     assert {name: len(found) for name, found in groups_of(tmp_path, "run").items()} == {"bullet-0": 2, "softbody-0": 1}
 

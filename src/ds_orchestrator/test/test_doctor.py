@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -30,20 +31,48 @@ def test_what_is_well_needs_no_fix() -> None:
     assert by_name(checks)["C++ compiler"].detail == "/usr/bin/c++"
 
 
-def test_imports_are_tried_for_real_and_keep_standard_output_clean(capfd: pytest.CaptureFixture[str]) -> None:
-    found = doctor.try_imports(Path(sys.executable), {"numpy": "numpy", "no-such-thing": "no_such_thing"})
+@pytest.mark.parametrize("imports", [False, True])
+def test_libraries_are_looked_up_and_keep_standard_output_clean(
+    capfd: pytest.CaptureFixture[str], imports: bool
+) -> None:
+    wanted = {"numpy": "numpy", "no-such-thing": "no_such_thing"}
+    found = doctor.look_up(Path(sys.executable), wanted, imports=imports)
     version, problem = found["numpy"]
-    assert not problem
-    assert version.split(".")[0].isdigit()
+    assert not problem and version.split(".")[0].isdigit()
     assert "no_such_thing" in found["no-such-thing"][1]
     assert capfd.readouterr().out == ""
+
+
+def test_an_installed_library_that_cannot_be_imported_is_found_by_importing_it(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text("raise OSError('libbroken.so: cannot open shared object file')\n")
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={tmp_path} exec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    assert "libbroken.so" in doctor.look_up(python, {"broken": "broken"}, imports=True)["broken"][1]
+
+
+def test_a_healthy_environment_passes() -> None:
+    """The one in which the tests run: whatever set-up installed has its pinned version and its module's right name."""
+    pins = doctor.read_pins(REPOSITORY / "requirements/project.txt")
+    owners = metadata.packages_distributions()
+    modules = {name: doctor.module_of(name) for name in pins}
+    for name, module in modules.items():
+        found = {owner.lower().replace("-", "_") for owner in owners.get(module, [])}
+        assert name.replace("-", "_") in found, f"{module} does not belong to {name}"
+    checks = doctor.check_libraries(pins, doctor.look_up(Path(sys.executable), modules))
+    assert [check for check in checks if not check.ok] == []
+
+
+def test_no_advice_deletes_the_environment() -> None:
+    (check,) = doctor.check_libraries({"torch": "2.13.0"}, {"torch": ("", "no module torch")})
+    assert check.fix == "rm -rf .venv/.setup && make setup"
 
 
 def test_an_interpreter_that_dies_is_reported_for_each_library(tmp_path: Path) -> None:
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\nexit 139\n")
     broken.chmod(0o755)
-    assert "139" in doctor.try_imports(broken, {"numpy": "numpy"})["numpy"][1]
+    assert "139" in doctor.look_up(broken, {"numpy": "numpy"})["numpy"][1]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +88,7 @@ def test_a_library_must_have_the_pinned_version(installed: tuple[str, str], ok: 
     ("installed", "ok", "told"),
     [
         (("2026.4.1-22982-releases", ""), True, "2026.4.1"),
-        (("", "no module"), True, "not installed: an extra"),
+        (("", "no module"), True, "not installed; optional"),
         (("2025.1", ""), False, "2026.4.1 is pinned"),
     ],
 )
@@ -78,7 +107,7 @@ def test_torn_weights_are_noticed(tmp_path: Path) -> None:
     file = tmp_path / "dave2.safetensors"
     assert "missing" in doctor.check_weights(file).detail
     file.write_bytes(b"version https://example.invalid/pointer")
-    assert "torn" in doctor.check_weights(file).detail
+    assert "truncated" in doctor.check_weights(file).detail
     file.write_bytes(bytes(doctor.SMALLEST_WEIGHTS))
     assert doctor.check_weights(file).ok
 

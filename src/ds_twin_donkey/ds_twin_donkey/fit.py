@@ -144,13 +144,15 @@ def fit(
     stages = [(settings.window_seconds, settings.max_seconds)]
     if settings.window_seconds > ROUGH_SECONDS:
         stages.insert(0, (ROUGH_SECONDS, min(ROUGH_TOTAL, settings.max_seconds)))
-    for seconds, max_total in stages:
+    for phase, (seconds, max_total) in enumerate(stages, start=3 - len(stages)):
         windows = Windows(drives, start, seconds, max_total, MAX_FACTOR * start.command_delay)
         problem = Problem(windows, start, ROUGH_SUBSTEPS)
-        say(f"{problem.windows.count} windows of {seconds:g} s, {int(problem.windows.known.sum())} measured values")
+        counts = f"{problem.windows.count} windows of {seconds:g} s, {int(problem.windows.known.sum())} measured values"
+        say(f"phase {phase} of 3: {counts}")
         theta, eta = _rounds(problem, names, theta, sigma, settings, say)
         sigma = problem.sigma
     problem.substeps = SUBSTEPS
+    say("phase 3 of 3: the model at its full rate")
     theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, say, 1e-5)
     held = _undetermined(problem, names, theta, eta)
     if held:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Literal
 
 from ds_bags.layout import BagError
-from ds_orchestrator.store.store import Execution, Store
+from ds_orchestrator.campaign.folder import config_of, open_store
+from ds_orchestrator.maps.campaign_maps import cells_of
+from ds_orchestrator.store.store import Execution
 
 By = Literal["cell", "run"]
+NO_CELL = "no_cell"
+"""Pack of the tests without a cell: those with a feature of the run that their own sibling has not driven yet."""
 
 
 def missing_bags(campaign: Path, executions: Sequence[Execution]) -> list[str]:
@@ -24,33 +29,35 @@ def missing_line(missing: Sequence[str]) -> str:
 
 
 def groups_of(campaign: Path, by: By, *, say: Callable[[str], None] = lambda line: None) -> dict[str, list[Path]]:
-    """Name of a pack -> the bags of the campaign that belong in it, as far as they are there.
+    """Group the bags that a campaign's folder holds.
 
     Args:
         campaign: campaign folder.
-        by: one pack per map cell, or per search run.
+        by: `cell` for the cells of the campaign's own feature map, `run` for the runs of its searches.
         say: called with one line if bags are missing.
 
+    Returns:
+        Name of a pack, such as `cell_3_17` (bins of the features in the configuration's order) or `bullet-0`, -> bags.
+
     Raises:
-        ds_orchestrator.store.store.StoreError: no campaign.
-        BagError: a campaign without bags.
+        ds_orchestrator.store.store.StoreError: the folder holds no campaign.
+        BagError: the campaign has no bags.
     """
-    store = Store(campaign / "campaign.sqlite")
-    try:
-        tests = {test.test_id: test for test in store.tests()}
-        executions = store.executions()
-    finally:
-        store.close()
+    with closing(open_store(campaign)) as store:
+        config, tests, executions = config_of(store), store.tests(), store.executions()
+    cells = cells_of(tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible)
     groups: dict[str, list[Path]] = {}
     missing = missing_bags(campaign, executions)
     for execution in sorted(executions, key=lambda e: e.bag):
         folder = campaign / execution.bag
-        if execution.bag and (folder / "metadata.yaml").is_file():
-            test = tests[execution.test_id]
-            name = f"cell_{test.road.turns_count}_{test.road.curvature_bin}"
-            if by == "run":
-                name = execution.test_id.rpartition("-")[0]
-            groups.setdefault(name, []).append(folder)
+        if not execution.bag or not (folder / "metadata.yaml").is_file():
+            continue
+        if by == "run":
+            name = execution.test_id.rpartition("-")[0]
+        else:
+            cell = cells.get(execution.test_id)
+            name = NO_CELL if cell is None else "_".join(("cell", *map(str, cell)))
+        groups.setdefault(name, []).append(folder)
     if not groups:
         raise BagError(f"{campaign} has no bags: they are packed already, or its configuration has `record: none`")
     if missing:

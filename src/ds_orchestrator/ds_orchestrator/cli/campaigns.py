@@ -1,4 +1,4 @@
-"""`ds demo`, `ds campaign`, `ds maps`, `ds report`: campaigns and what came out of them."""
+"""`ds demo`, `ds campaign`, `ds report`: campaigns, their state, and the roads they found."""
 
 from __future__ import annotations
 
@@ -7,35 +7,28 @@ import time
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_orchestrator.campaign.campaign_data import read_campaign
-from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, read_config
-from ds_orchestrator.campaign.folder import config_of, open_store
-from ds_orchestrator.campaign.runner import Stopped
 from ds_orchestrator.cli.options import AttachFlag, Folder, JsonFlag, OutFolder, Trust
-from ds_orchestrator.cli.output import Interrupted, Result, answer, end, say
-from ds_orchestrator.cli.progress import ScreenListener
-from ds_orchestrator.evaluation.campaign_evaluation import maps_of, network_of
-from ds_orchestrator.evaluation.paper_tables import correlation_tables
-from ds_orchestrator.search.features import feature_of
-from ds_orchestrator.store.store import Store
+from ds_orchestrator.cli.output import Interrupted, Result, answer, duration, end, say
+
+if TYPE_CHECKING:
+    from ds_orchestrator.campaign.config import CampaignConfig
+    from ds_orchestrator.store.store import Store
 
 Workers = Annotated[
     int | None,
     typer.Option(
-        min=1,
-        max=MOST_WORKERS,
-        help="Graphs that drive at the same time, instead of the configuration's; results do not depend on it.",
+        min=1, help="Graphs that drive at the same time, instead of the configuration's; results do not depend on it."
     ),
 ]
 
 app = typer.Typer()
-campaign_app = typer.Typer(help="Campaigns: run, resume, look at.", no_args_is_help=True)
+campaign_app = typer.Typer(help="Run, resume and inspect campaigns.", no_args_is_help=True)
 app.add_typer(campaign_app, name="campaign")
 
 
@@ -43,17 +36,23 @@ def campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Resu
     """Run a campaign to its report, or resume it.
 
     Raises:
-        Interrupted: the user stopped it; what was finished is kept.
+        Interrupted: the user stopped it.
     """
+    from ds_orchestrator.campaign.runner import Stopped
+    from ds_orchestrator.cli.progress import ScreenListener
+    from ds_orchestrator.evaluation.campaign_evaluation import network_of
+    from ds_orchestrator.evaluation.paper_tables import correlation_tables
     from ds_orchestrator.run import run_campaign
 
     started = time.monotonic()
+    listener = ScreenListener()
     try:
-        with ScreenListener() as listener:
+        with listener:
             outcome = run_campaign(config, out, listener, attach=attach, say=say)
     except (KeyboardInterrupt, Stopped):
-        raise Interrupted from None
-    say(f"finished in {time.monotonic() - started:.0f} s")
+        known = (out / "campaign.sqlite").is_file()
+        raise Interrupted(_kept(out, listener.done) if known else "") from None
+    say(f"finished in {duration(time.monotonic() - started)}")
     document: dict[str, Any] = {
         "folder": str(out),
         "report": str(outcome.report),
@@ -75,8 +74,14 @@ def campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Resu
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
 
 
+def _kept(out: Path, done: int) -> str:
+    finished = f"{done} finished execution{'s are' if done != 1 else ' is'} kept; " if done else ""
+    return f"{finished}`ds campaign resume {out}` continues"
+
+
 def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
     """Read the configuration of a campaign folder; the code that it names is shipped or trusted."""
+    from ds_orchestrator.campaign.folder import config_of, open_store
     from ds_orchestrator.run import check_trust
 
     with closing(open_store(folder)) as store:
@@ -86,22 +91,24 @@ def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
 
 
 def status(folder: Path) -> Result:
-    """How far a campaign is, stage by stage."""
+    """Report how far a campaign is, stage by stage."""
+    from ds_orchestrator.campaign.folder import open_store
+
     with closing(open_store(folder)) as store:
         return _status(folder, store)
 
 
 def _status(folder: Path, store: Store) -> Result:
     from ds_orchestrator.campaign.bag_groups import missing_bags, missing_line
+    from ds_orchestrator.campaign.campaign_data import read_campaign
     from ds_orchestrator.campaign.status import stages_of
 
     data = read_campaign(store)
     config, executions = data.config, data.executions
     counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
     for execution in executions:
-        counts[execution.simulator][execution.outcome.name] = (
-            counts[execution.simulator].get(execution.outcome.name, 0) + 1
-        )
+        of_simulator = counts.setdefault(execution.simulator, {})
+        of_simulator[execution.outcome.name] = of_simulator.get(execution.outcome.name, 0) + 1
     stages = stages_of(data)
     missing = missing_bags(folder, executions)
     driving = [stage.expected for stage in stages if stage.failures is not None]
@@ -135,42 +142,23 @@ def _status(folder: Path, store: Store) -> Result:
     return Result(document=document, show=show)
 
 
-def maps(folder: Path) -> Result:
-    """Every map of a campaign."""
-    from ds_orchestrator.maps.feature_map import to_json
-
-    with closing(open_store(folder)) as store:
-        document: dict[str, Any] = to_json(maps_of(read_campaign(store)))
-
-    def show() -> None:
-        for name, content in document.items():
-            table = Table(title=name)
-            features = [feature_of(name) for name in content["features"]]
-            columns = [*(f.title for f in features), "tests", "failures", "probability", "95 %", "quality loss"]
-            for column in columns:
-                table.add_column(column, justify="right")
-            for cell in content["cells"]:
-                interval = cell["interval"]
-                table.add_row(
-                    *(feature.label(cell[feature.name]) for feature in features),
-                    str(cell["tests"]),
-                    "" if cell["failures"] is None else str(cell["failures"]),
-                    f"{cell['probability']:.2f}",
-                    "" if interval is None else f"{interval[0]:.2f}, {interval[1]:.2f}",
-                    f"{cell['quality']:.2f}",
-                )
-            Console().print(table)
-
-    return Result(document=document, show=show)
-
-
 def _with(config: CampaignConfig, workers: int | None) -> CampaignConfig:
     """The configuration with another number of workers."""
+    from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError
+
+    if workers is not None and workers > MOST_WORKERS:
+        raise ConfigError(f"--workers {workers}: expected 1 to {MOST_WORKERS}")
     return config if workers is None else config.model_copy(update={"workers": workers})
 
 
 def shipped_config(name: str) -> CampaignConfig:
-    """A configuration that comes with ds_bringup."""
+    """Read a configuration that ships with ds_bringup.
+
+    Raises:
+        ds_orchestrator.campaign.config.ConfigError: the workspace is not built or not sourced.
+    """
+    from ds_orchestrator.campaign.config import ConfigError, read_config
+
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         path = Path(prefix) / "share" / "ds_bringup" / "config" / f"{name}.yaml"
         if path.exists():
@@ -182,19 +170,24 @@ def shipped_config(name: str) -> CampaignConfig:
 def demo_command(
     out: OutFolder = Path("demo"), workers: Workers = None, attach: AttachFlag = False, as_json: JsonFlag = False
 ) -> None:
-    """The whole method, small, with the shipped network; ends with the path of the report."""
+    """Run a small campaign with the shipped network, from search to report.
+
+    The last line is the path of the HTML report.
+    """
     end(campaign(_with(shipped_config("demo"), workers), out, attach=attach), as_json)
 
 
 @campaign_app.command("run")
 def campaign_run_command(
-    config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="What to do.")],
+    config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
     out: OutFolder,
     workers: Workers = None,
     attach: AttachFlag = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Run a campaign, or go on with the one in the folder if it has the same configuration."""
+    """Run a campaign; resume it if the folder holds one with the same configuration."""
+    from ds_orchestrator.campaign.config import read_config
+
     end(campaign(_with(read_config(config, hint=say), workers), out, attach=attach), as_json)
 
 
@@ -206,25 +199,42 @@ def campaign_resume_command(
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Go on with a campaign that was stopped."""
+    """Resume a campaign that was stopped."""
     end(campaign(_with(stored_config(folder, trust), workers), folder, attach=attach), as_json)
 
 
 @campaign_app.command("status")
 def campaign_status_command(folder: Folder, as_json: JsonFlag = False) -> None:
-    """How far a campaign is."""
+    """Show how far a campaign is, stage by stage."""
     answer(status(folder), as_json)
 
 
-@app.command("maps")
-def maps_command(folder: Folder, as_json: JsonFlag = False) -> None:
-    """Every feature map of a campaign."""
-    answer(maps(folder), as_json)
+@campaign_app.command("roads")
+def campaign_roads_command(
+    folder: Folder,
+    failed: Annotated[bool, typer.Option("--failed", help="Only roads on which the driver failed.")] = False,
+    simulator: Annotated[
+        str | None, typer.Option(help="Only roads driven on this simulator; --failed then means failed there.")
+    ] = None,
+    cell: Annotated[
+        str | None, typer.Option(help="Only roads of this cell of the feature map, as on its axes, such as 3,0.17.")
+    ] = None,
+    test: Annotated[str | None, typer.Option(help="Only the road of this test.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; standard output if left out.")] = None,
+) -> None:
+    """Print a campaign's roads as JSON, as `ds drive --road` and `ds road check` take it.
+
+    Each road comes with its test, seed, cell, and outcome on every simulator. `ds drive --road FILE` with a file of one
+    road drives it with the test's seed, which repeats the recorded run.
+    """
+    from ds_orchestrator.cli.campaign_roads import print_roads
+
+    print_roads(folder, failed=failed, simulator=simulator, cell=cell, test=test, out=out)
 
 
 @app.command("report")
 def report_command(folder: Folder, trust: Trust = None) -> None:
-    """Write the report of a campaign again."""
+    """Rebuild a campaign's maps, tables and HTML report."""
     from ds_orchestrator.run import rebuild_report
 
     print(rebuild_report(folder, say=say, trusted=trust or []))

@@ -1,39 +1,52 @@
-"""`ds evaluate`, `ds offline`: how well the siblings foretell the twin, in the paper's tables."""
+"""`ds evaluate`, `ds offline`: how well the siblings predict the twin, in the paper's tables."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
-from ds_orchestrator.campaign.campaign_data import read_campaign
-from ds_orchestrator.campaign.folder import open_store
 from ds_orchestrator.cli.options import Folder, JsonFlag, Trust
-from ds_orchestrator.cli.output import Result, answer, countdown
-from ds_orchestrator.evaluation.campaign_evaluation import (
-    correlations_of,
-    maps_of,
-    network_of,
-    paired_differences_of,
-    tables_of,
-)
-from ds_orchestrator.evaluation.open_loop import ErrorsError, architecture_of, predict
-from ds_orchestrator.evaluation.paper_tables import NETWORKS, Network, error_tables
-from ds_orchestrator.evaluation.steering_error_stats import check_error_robustness, compare_errors
-from ds_orchestrator.evaluation.table import Table, document_of, keep_tables, write_tables
-from ds_orchestrator.report.build import RQ1
+from ds_orchestrator.cli.output import Interrupted, Result, answer, countdown
+
+if TYPE_CHECKING:
+    from ds_orchestrator.evaluation.paper_tables import Network
+    from ds_orchestrator.evaluation.table import Table
 
 app = typer.Typer()
 
 
 def evaluation(
-    folder: Path, *, data: Path | None, images: int | None, out: Path | None, trusted: Collection[str] = ()
+    folder: Path,
+    *,
+    data: Path | None,
+    images: int | None,
+    out: Path | None,
+    everything: bool,
+    trusted: Collection[str] = (),
 ) -> Result:
-    """The tables of a campaign: RQ2 and RQ3, and RQ1 if there is a data set."""
+    """The tables of a campaign: RQ2 and RQ3, and RQ1 if there is a data set.
+
+    Raises:
+        ds_orchestrator.evaluation.open_loop.ErrorsError: the campaign has no twin, or the data set lacks images.
+    """
+    from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.evaluation.campaign_evaluation import (
+        correlations_of,
+        maps_of,
+        network_of,
+        paired_differences_of,
+        tables_of,
+    )
+    from ds_orchestrator.evaluation.open_loop import ErrorsError
+    from ds_orchestrator.evaluation.table import keep_tables
+    from ds_orchestrator.report.build import RQ1
+
     with closing(open_store(folder)) as store:
         campaign = read_campaign(store)
     config, maps = campaign.config, maps_of(campaign)
@@ -49,7 +62,7 @@ def evaluation(
         )
         keep_tables(tables, folder / RQ1)
     tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
-    return _answer(tables, out or folder / "evaluation")
+    return tables_result(tables, out or folder / "evaluation", everything=everything)
 
 
 def offline(
@@ -60,12 +73,17 @@ def offline(
     twin: str,
     images: int | None,
     out: Path | None,
+    everything: bool,
     trusted: Collection[str] = (),
 ) -> Result:
     """RQ1 of any network on any data set."""
+    from ds_orchestrator.evaluation.open_loop import architecture_of
+    from ds_orchestrator.evaluation.paper_tables import NETWORKS
+
     architecture = architecture_of(driver)
     network: Network | None = (architecture, "sim") if architecture in NETWORKS else None
-    return _answer(_offline_tables(data, driver, siblings, twin, images, network, trusted), out)
+    tables = _offline_tables(data, driver, siblings, twin, images, network, trusted)
+    return tables_result(tables, out, everything=everything)
 
 
 def _offline_tables(
@@ -77,7 +95,14 @@ def _offline_tables(
     network: Network | None,
     trusted: Collection[str],
 ) -> list[Table]:
-    found = predict(data, driver, countdown(), images=images, trusted=trusted)
+    from ds_orchestrator.evaluation.open_loop import ErrorsError, predict
+    from ds_orchestrator.evaluation.paper_tables import error_tables
+    from ds_orchestrator.evaluation.steering_error_stats import check_error_robustness, compare_errors
+
+    try:
+        found = predict(data, driver, countdown(), images=images, trusted=trusted)
+    except KeyboardInterrupt:
+        raise Interrupted from None
     names = siblings if siblings is not None else [name for name in found if name != twin]
     missing = [name for name in (*names, twin) if name not in found]
     if missing:
@@ -88,7 +113,15 @@ def _offline_tables(
     return error_tables(compared, other_ways, errors, names, twin, network)
 
 
-def _answer(tables: list[Table], out: Path | None) -> Result:
+def is_detail(table: Table) -> bool:
+    """True for a table that checks another one or lists what a figure shows: printed with --all only."""
+    return any(word in table.name for word in ("robustness", "variants", "densities"))
+
+
+def tables_result(tables: list[Table], out: Path | None, *, everything: bool) -> Result:
+    """Write tables to a folder, and print the main ones, or everything."""
+    from ds_orchestrator.evaluation.table import document_of, write_tables
+
     document: dict[str, Any] = dict(document_of(tables))
     if out is not None:
         write_tables(tables, out)
@@ -96,15 +129,20 @@ def _answer(tables: list[Table], out: Path | None) -> Result:
     def show() -> None:
         console = Console()
         for table in tables:
-            table.show(console)
+            if everything or not is_detail(table):
+                table.show(console)
+        hidden = [table.title for table in tables if is_detail(table)]
+        if hidden and not everything:
+            print(f"Not shown without --all: {'; '.join(hidden)}")
         if out is not None:
             print(f"{out}: every table as CSV and LaTeX")
 
     return Result(document=document, show=show)
 
 
-Images = Annotated[int | None, typer.Option(min=1, help="At most so many images of each simulator.")]
+Images = Annotated[int | None, typer.Option(min=1, help="Images of each simulator at most.")]
 Tables = Annotated[Path | None, typer.Option(help="Folder for the tables as CSV and LaTeX.")]
+Everything = Annotated[bool, typer.Option("--all", help="Print the robustness checks and densities too.")]
 
 
 @app.command("evaluate")
@@ -113,24 +151,38 @@ def evaluate_command(
     data: Annotated[Path | None, typer.Option(help="Data set for RQ1; see `ds offline`.")] = None,
     images: Images = None,
     out: Annotated[Path | None, typer.Option(help="Folder for CSV and LaTeX; DIR/evaluation if left out.")] = None,
+    everything: Everything = False,
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """How well the siblings and their merge foretell the twin: the paper's tables, its numbers beside ours."""
-    answer(evaluation(folder, data=data, images=images, out=out, trusted=trust or []), as_json)
+    """Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).
+
+    The paper's tables, with its numbers beside those of this campaign. With --json, CSV and LaTeX, all of them.
+    """
+    found = evaluation(folder, data=data, images=images, out=out, everything=everything, trusted=trust or [])
+    answer(found, as_json)
 
 
 @app.command("offline")
 def offline_command(
     data: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a data set; see `ds collect`.")],
-    driver: Annotated[str, typer.Option(help="A shipped network or a weights file.")] = "dave2",
-    siblings: Annotated[str | None, typer.Option(help="Separated by commas; all but the twin if left out.")] = None,
+    driver: Annotated[str, typer.Option(help="Shipped network or weights file.")] = "dave2",
+    siblings: Annotated[
+        str | None, typer.Option(help="Simulators, separated by commas; all but the twin if left out.")
+    ] = None,
     twin: Annotated[str, typer.Option(help="Simulator that acts as the twin.")] = "donkey",
     images: Images = None,
     out: Tables = None,
+    everything: Everything = False,
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """RQ1: a network's steering errors on the siblings' images against those on the twin's, without driving."""
+    """Compare a network's steering errors on two sets of images (RQ1).
+
+    Its errors on the siblings' images against those on the twin's, without driving.
+    """
     names = siblings.split(",") if siblings is not None else None
-    answer(offline(data, driver, siblings=names, twin=twin, images=images, out=out, trusted=trust or []), as_json)
+    found = offline(
+        data, driver, siblings=names, twin=twin, images=images, out=out, everything=everything, trusted=trust or []
+    )
+    answer(found, as_json)

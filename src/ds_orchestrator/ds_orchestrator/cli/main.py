@@ -1,67 +1,83 @@
-"""The command `ds`: every verb of the project, for people and for programs.
+"""Entry point of the command `ds`.
 
 Results go to standard output, with `--json` as one JSON document and nothing else; everything else goes to standard
 error. Exit status: 0 done, 1 a run ended in an error, 2 bad input.
+
+The overview, `--version`, `doctor` and `completion` need the standard library alone, so that they work before set-up.
+Any other verb is imported when it is typed.
 """
 
 from __future__ import annotations
 
-import errno
-import sqlite3
+import os
+import re
 import sys
-from typing import Any
+from collections.abc import Sequence
 
-import typer
-
-from ds_orchestrator.cli.output import Interrupted
-from ds_orchestrator.graph import signals as stopping
-
-
-def make_app() -> typer.Typer:
-    """Every verb; what they import takes a second or more, in which Ctrl-C is understood already."""
-    from ds_orchestrator.cli import bags, campaigns, drives, evaluations, networks, roads, siblings, twin
-
-    app = typer.Typer(
-        help="Test a driving network on digital siblings.",
-        no_args_is_help=True,
-        add_completion=False,
-        pretty_exceptions_enable=False,
-    )
-    for part in (campaigns, evaluations, drives, bags, roads, networks, siblings, twin):
-        app.add_typer(part.app)
-    return app
+from ds_orchestrator import doctor
+from ds_orchestrator.cli.verbs import COMPLETION_VARIABLE, VERBS, completion, overview, uses_colour
+from ds_orchestrator.graph import signals
 
 
-def _one_line(error: BaseException) -> str:
-    text: Any = error.strerror if isinstance(error, OSError) and error.strerror else error
-    where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
-    full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
-    advice = ": make room, and give the same command again" if full else ""
-    return f"{where}{' '.join(str(text).split())}{advice}"
+def answer_without_libraries(arguments: Sequence[str]) -> int | None:
+    """Answer what needs no library.
+
+    Args:
+        arguments: of `ds`.
+
+    Returns:
+        Exit status, or None if the arguments ask for something else.
+    """
+    first, rest = (arguments[0], arguments[1:]) if arguments else ("--help", ())
+    if COMPLETION_VARIABLE in os.environ:
+        return None
+    if first in ("-h", "--help", "help"):
+        if rest and rest[0] in VERBS:
+            return None
+        print(overview(colour=uses_colour()))
+        return 0 if arguments else 2
+    if first == "--version":
+        print(f"ds {version()}")
+        return 0
+    if first == "doctor":
+        return doctor.main(rest)
+    if first == "completion":
+        program = doctor.repository() / "ds"
+        return completion(rest, program if program.is_file() else None)
+    return None
 
 
-def _end_stopped() -> None:
-    print("stopped: what was finished is kept, the same command goes on from there", file=sys.stderr)
-    sys.exit(stopping.exit_status())
+def version() -> str:
+    """The version in this checkout's pyproject.toml, or that of the installed package."""
+    project = doctor.repository() / "pyproject.toml"
+    if project.is_file() and (found := re.search(r'^version = "(.*)"$', project.read_text("utf-8"), re.MULTILINE)):
+        return found[1]
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed
+
+    try:
+        return installed("ds_orchestrator")
+    except PackageNotFoundError:
+        return "of unknown version"
 
 
 def main() -> None:
     """Run `ds`; whatever goes wrong ends in one line on standard error."""
-    stopping.listen()
+    arguments = sys.argv[1:]
+    status = answer_without_libraries(arguments)
+    if status is not None:
+        sys.exit(status)
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
+    signals.listen()
     try:
-        make_app()(prog_name="ds")
-    except (Interrupted, KeyboardInterrupt):
-        _end_stopped()
-    except SystemExit as end:
-        if end.code == 130:  # typer's answer to an interruption
-            _end_stopped()
-        raise
-    except (ValueError, OSError, sqlite3.Error) as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        sys.exit(2)
-    except RuntimeError as error:
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        sys.exit(1)
+        from ds_orchestrator.cli.application import run
+
+        status = run(arguments)
+    except KeyboardInterrupt:  # while libraries are imported
+        print("stopped", file=sys.stderr)
+        status = signals.exit_status()
+    sys.exit(status)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Options that several verbs of `ds` share."""
+"""Options and arguments that several verbs of `ds` share."""
 
 from __future__ import annotations
 
@@ -7,27 +7,54 @@ from typing import Annotated
 
 import typer
 
-from ds_driver.closed_loop.simulation import AUTOPILOT
-from ds_sim.registry import UnknownSimulatorError, make_simulator
+SHIPPED_SIMULATORS = ("bullet", "softbody", "donkey")
+"""Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
-OutFolder = Annotated[Path, typer.Option(help="Folder of the campaign; one that was stopped there goes on.")]
-AttachFlag = Annotated[bool, typer.Option(help="Start nothing: use the nodes that run in this ROS domain.")]
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the random road.")]
+
+def _complete_simulator(incomplete: str) -> list[str]:
+    return [name for name in SHIPPED_SIMULATORS if name.startswith(incomplete)]
+
+
+def _complete_driver(incomplete: str) -> list[str]:
+    return [name for name in ("autopilot", "dave2", "dave2_short") if name.startswith(incomplete)]
+
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+OutFolder = Annotated[Path, typer.Option(help="Campaign folder; a campaign that was stopped there is resumed.")]
+AttachFlag = Annotated[bool, typer.Option(help="Start no nodes: use those that run in this ROS domain.")]
+Wait = Annotated[
+    float, typer.Option(min=1.0, max=3600.0, help="With --attach: wait at most this many seconds for the nodes.")
+]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Campaign folder.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of the random roads.")]
 MaxAngle = Annotated[int, typer.Option(min=1, max=360, help="Maximum angle of random roads, degrees.")]
 Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas.")]
+Simulator = Annotated[
+    str,
+    typer.Option(
+        help="Simulator: bullet, softbody, donkey, donkey@FILE (fitted parameters), or module:Class.",
+        autocompletion=_complete_simulator,
+    ),
+]
 
-DriverName = Annotated[str, typer.Option(help="autopilot, dave2, a .safetensors or .yaml file, or module:Class.")]
-Backend = Annotated[str, typer.Option(help="What computes the network: auto, torch, onnx or openvino.")]
+DriverName = Annotated[
+    str,
+    typer.Option(
+        help="Driver: autopilot, dave2, a .safetensors or .yaml file, or module:Class.",
+        autocompletion=_complete_driver,
+    ),
+]
+Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx or openvino.")]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
-Camera = Annotated[str | None, typer.Option(help="Topic of the images, if there are several.")]
+Camera = Annotated[str | None, typer.Option(help="Image topic, where a bag has several.")]
 RecordedSteering = Annotated[
-    str | None, typer.Option(help="TOPIC:FIELD of the recorded steering, such as /cmd:drive.steering_angle.")
+    str | None, typer.Option(help="Recorded steering as TOPIC:FIELD, such as /cmd:drive.steering_angle.")
 ]
-SteeringFactor = Annotated[float, typer.Option(help="Makes of that -1 full left to +1 full right.")]
-ImageRows = Annotated[str | None, typer.Option(help="FIRST:LAST image rows to keep; the lower part if left out.")]
+SteeringFactor = Annotated[
+    float, typer.Option(help="Factor that scales the recorded steering to -1 (full left) to +1 (full right).")
+]
+ImageRows = Annotated[str | None, typer.Option(help="Image rows to keep, as FIRST:LAST; the lower part if left out.")]
 
 Trust = Annotated[
     list[str] | None,
@@ -40,17 +67,27 @@ Trust = Annotated[
 
 
 def rows_of(text: str | None) -> tuple[int, int] | None:
-    """`FIRST:LAST` as two numbers."""
+    """Parse `FIRST:LAST`.
+
+    Raises:
+        typer.BadParameter: the text is not two numbers with a colon between them.
+    """
     if text is None:
         return None
     first, colon, last = text.partition(":")
-    if colon and first.isdigit() and last.isdigit():
+    if colon and first.isdecimal() and last.isdecimal() and len(text) < 20:
         return int(first), int(last)
-    raise typer.BadParameter(f"{text!r}: expected FIRST:LAST, such as 40:120")
+    raise typer.BadParameter(f"--rows {text!r}: expected FIRST:LAST, such as 40:120")
 
 
 def simulators_of(text: str) -> list[str]:
-    """Simulators by name, separated by commas; each can be made, and none is named twice."""
+    """Parse simulator names separated by commas, and check that each can be made.
+
+    Raises:
+        ds_sim.registry.UnknownSimulatorError: a name stands for no simulator, or is given twice.
+    """
+    from ds_sim.registry import UnknownSimulatorError, make_simulator
+
     names = text.split(",")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -61,14 +98,16 @@ def simulators_of(text: str) -> list[str]:
 
 
 def driver_named(driver: str, backend: str, device: str) -> str:
-    """A driver's name with what computes it, as `dave2@onnx`; the autopilot computes no network.
+    """Join a driver's name and its backend, as in `dave2@onnx`.
 
     Raises:
-        ds_driver.networks.backends.BackendError: backend or device are unknown, or do not go together.
+        ds_driver.networks.backends.BackendError: backend or device are unknown, do not go together, or are given for
+            the autopilot, which runs no network.
     """
+    from ds_driver.closed_loop.simulation import AUTOPILOT
     from ds_driver.networks.backends import BackendError, with_backend
 
     named = with_backend(driver, backend, device)
     if driver == AUTOPILOT and named != driver:
-        raise BackendError("the autopilot computes no network: leave out --backend and --device")
+        raise BackendError("the autopilot runs no network: leave out --backend and --device")
     return named

@@ -1,4 +1,4 @@
-"""What a verb of `ds` answers: a result for a person or as JSON, one exit status, progress on standard error."""
+"""What a verb of `ds` returns, how it is printed, and progress on standard error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ import typer
 
 
 class Interrupted(Exception):
-    """The user stopped a command."""
+    """The user stopped a verb.
+
+    Args:
+        kept: what is kept and how to go on, for the user; empty if nothing was written.
+    """
+
+    def __init__(self, kept: str = "") -> None:
+        super().__init__(kept)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +29,8 @@ class Result:
 
     Attributes:
         document: as JSON values.
-        show: shows it to a person, on standard output.
-        error: True if a run ended in an error.
+        show: prints it for a person, on standard output.
+        error: True if the exit status is to be 1.
     """
 
     document: Any
@@ -32,28 +39,35 @@ class Result:
 
 
 def say(line: str) -> None:
-    """A line of progress."""
+    """Print a line of progress."""
     print(line, file=sys.stderr, flush=True)
 
 
+def duration(seconds: float) -> str:
+    """A duration in the unit that suits it."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
 def countdown() -> Callable[[int, int, str], None]:
-    """Says what is done, and for how long it will go on if it goes on like this."""
+    """A function that prints what is done and how long the rest takes at the same pace."""
     started = time.monotonic()
 
     def progress(done: int, total: int, line: str) -> None:
         left = (time.monotonic() - started) / done * (total - done)
-        say(f"{done}/{total} {line}; about {left:.0f} s left")
+        say(f"{done}/{total} {line}" + (f"; about {duration(left)} left" if done < total else ""))
 
     return progress
 
 
 def number(value: float | None) -> str:
-    """For a table; empty if there is none."""
+    """Format a value for a table; empty if there is none."""
     return "" if value is None else f"{value:.2f}"
 
 
 def answer(result: Result, as_json: bool) -> None:
-    """Show a result to a person, or print it as JSON."""
+    """Print a result for a person or as JSON."""
     if as_json:
         print(json.dumps(result.document, allow_nan=False))
     else:
@@ -61,7 +75,7 @@ def answer(result: Result, as_json: bool) -> None:
 
 
 def end(result: Result, as_json: bool) -> None:
-    """Show a result, and end with status 1 if a run ended in an error."""
+    """Print a result, and exit with status 1 if it is an error."""
     answer(result, as_json)
     if result.error:
         raise typer.Exit(1)

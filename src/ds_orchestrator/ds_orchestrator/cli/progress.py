@@ -1,29 +1,83 @@
-"""A campaign's progress on a person's screen: stage, tests done, failures so far, time left for all that drives."""
+"""Progress on standard error: of a campaign, and of one drive."""
 
 from __future__ import annotations
 
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ds_orchestrator.cli.eta import Eta
+from ds_orchestrator.cli.output import duration, say
 from ds_orchestrator.store.store import Execution, Test
+
+EVERY = 5.0
+"""Seconds between two lines about a drive where there is no terminal; chosen."""
+REMEMBERED = 30
+"""Executions on each simulator whose durations count; chosen: enough to average roads, few enough to follow a machine
+that becomes busy."""
+
+
+class Eta:
+    """Estimates how long a campaign still drives, from the durations of its latest executions.
+
+    The simulators of a stage work in parallel, the stages one after the other. Times are seconds of a steady clock.
+    """
+
+    def __init__(self) -> None:
+        self._expected: Sequence[Mapping[str, int]] = []
+        self._done: dict[tuple[int, str], int] = {}
+        self._last: dict[str, float] = {}
+        self._took: dict[str, deque[float]] = {}
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """Set how many executions each stage has on each simulator, finished ones included."""
+        self._expected = stages
+
+    def begin(self, now: float) -> None:
+        """Begin a stage."""
+        self._last = dict.fromkeys((name for stage in self._expected for name in stage), now)
+
+    def finished(self, stage: int, simulator: str, now: float, *, fresh: bool) -> None:
+        """Count a finished execution; one of an earlier session (not fresh) took no time."""
+        self._done[stage, simulator] = self._done.get((stage, simulator), 0) + 1
+        if fresh:
+            took = now - self._last.get(simulator, now)
+            self._took.setdefault(simulator, deque(maxlen=REMEMBERED)).append(took)
+        self._last[simulator] = now
+
+    def seconds(self) -> float | None:
+        """Estimate the seconds left; None until an execution has finished in this session."""
+        means = {name: sum(took) / len(took) for name, took in self._took.items()}
+        if not means:
+            return None
+        # A simulator that has not driven yet is taken to be as fast as the others.
+        usual = sum(means.values()) / len(means)
+        return sum(
+            max(
+                (
+                    max(count - self._done.get((stage, name), 0), 0) * means.get(name, usual)
+                    for name, count in simulators.items()
+                ),
+                default=0.0,
+            )
+            for stage, simulators in enumerate(self._expected)
+        )
 
 
 class ScreenListener:
-    """Draws a progress bar on standard error, or writes a line now and then where there is no terminal."""
+    """Shows a campaign's stage, executions, failures and time left: a bar on a terminal, lines elsewhere."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True)
         self._lock = threading.Lock()
         self._total = 0
-        self._done = 0
         self._failures = 0
         self._left = Eta()
+        self.done = 0
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -49,33 +103,67 @@ class ScreenListener:
             self._left.begin(time.monotonic())
         self._progress.update(self._task, description=name)
         if not self._console.is_terminal:
-            print(f"stage: {name}", file=sys.stderr, flush=True)
+            say(f"stage: {name}")
 
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
-        """Take in how many executions there are in all."""
+        """Set the number of executions of each stage on each simulator."""
         with self._lock:
             self._left.expect(stages)
             self._total = sum(sum(stage.values()) for stage in stages)
         self._progress.update(self._task, total=self._total)
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
-        """Count an execution; what the store knew already took no time, so it does not count for the time left."""
+        """Count an execution; one that was in the store took no time, so it does not count for the time left."""
         with self._lock:
-            self._done += 1
+            self.done += 1
             # A test is driven on its own sibling by the search, elsewhere by the stage after that.
             self._left.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
             self._failures += execution is not None and execution.outcome.is_failure
-            left = self._time_left()
-            self._progress.update(self._task, completed=self._done, failures=self._failures, left=left)
+            seconds = self._left.seconds()
+            left = "" if seconds is None else f"about {duration(seconds)} left"
+            self._progress.update(self._task, completed=self.done, failures=self._failures, left=left)
             if not self._console.is_terminal and fresh:
                 outcome = execution.outcome.name.lower() if execution else "error"
-                line = f"{self._done}/{self._total} {test.test_id} on {simulator}: {outcome}"
+                line = f"{self.done}/{self._total} {test.test_id} on {simulator}: {outcome}"
                 print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
 
-    def _time_left(self) -> str:
-        seconds = self._left.seconds()
-        if seconds is None:
-            return ""
-        if seconds < 120:
-            return f"about {seconds:.0f} s left"
-        return f"about {seconds / 60:.0f} min left" if seconds < 7200 else f"about {seconds / 3600:.1f} h left"
+
+class DriveProgress:
+    """Shows how far a drive is along its road: a bar on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, description: str) -> None:
+        console = Console(stderr=True)
+        self._live = console.is_terminal
+        self._description = description
+        self._said = time.monotonic()
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TextColumn("{task.fields[state]}"),
+            console=console,
+            disable=not self._live,
+            transient=True,
+        )
+        self._task = self._progress.add_task(description, total=1.0, state="")
+
+    def __enter__(self) -> DriveProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def update(self, step: int, driven: float, lateral_position: float) -> None:
+        """Show a feedback of the simulator.
+
+        Args:
+            step: frames so far.
+            driven: part of the road, in [0, 1].
+            lateral_position: m from the lane's centre, positive to the right.
+        """
+        state = f"frame {step}, {lateral_position:+.2f} m off the lane's centre"
+        self._progress.update(self._task, completed=driven, state=state)
+        if not self._live and time.monotonic() - self._said >= EVERY:
+            self._said = time.monotonic()
+            say(f"{self._description}: {driven:.0%}, {state}")

@@ -1,38 +1,46 @@
-"""`ds road`: roads to generate, check and look at."""
+"""`ds road`: generate, check, draw and export roads."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
-import ds_road
 from ds_orchestrator.cli.options import JsonFlag, MaxAngle, Seed
 from ds_orchestrator.cli.output import Result, answer
-from ds_sim.camera.png import png
+
+if TYPE_CHECKING:
+    from ds_road import Road
+
+Format = Literal["opendrive", "sbft"]
 
 app = typer.Typer()
-road_app = typer.Typer(help="Roads: generate, check, show.", no_args_is_help=True)
+road_app = typer.Typer(help="Generate, check, draw and export roads.", no_args_is_help=True)
 app.add_typer(road_app, name="road")
 
 
 def generate_roads(seed: int, count: int, max_angle: int) -> list[Any]:
     """Control points of random roads."""
+    import numpy as np
+
+    import ds_road
+
     rng = np.random.default_rng(seed)
     return [ds_road.generate(rng, max_angle=max_angle).control_points for _ in range(count)]
 
 
 def check_roads(file: Path) -> Result:
     """Validity and features of every road of a file."""
+    import ds_road
+
     document = [ds_road.check(raw) for raw in ds_road.read_raw_roads(file)]
 
     def show() -> None:
-        table = Table("road", "valid", "length m", "curvature /m", "turns", "turns as maxitwo_compatible", "reason")
+        table = Table("road", "valid", "length, m", "curvature, 1/m", "turns", "turns as in maxitwo", "reason")
         for index, row in enumerate(document):
             known = row["length"] is not None
             table.add_row(
@@ -51,44 +59,89 @@ def check_roads(file: Path) -> Result:
 
 def show_road(file: Path | None, seed: int, max_angle: int, out: Path) -> Path:
     """Draw one road as a PNG."""
+    import ds_road
+    from ds_sim.camera.png import png
+
     out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle))))
     return out
 
 
-def one_road(file: Path | None, seed: int, max_angle: int) -> ds_road.Road:
-    """The road of a file that holds just one, or a random one."""
+def one_road(file: Path | None, seed: int, max_angle: int) -> Road:
+    """The road of a file that holds one, or a random one.
+
+    Raises:
+        ds_road.RoadError: the file holds none, or several.
+    """
+    import numpy as np
+
+    import ds_road
+
     if file is None:
         return ds_road.generate(np.random.default_rng(seed), max_angle=max_angle)
     roads = ds_road.read_roads(file)
     if len(roads) != 1:
-        raise ds_road.RoadError(f"{file}: {len(roads)} roads, expected one")
+        raise ds_road.RoadError(f"{file}: {len(roads)} roads, expected one: keep the one to drive")
     return roads[0]
+
+
+def export_roads(file: Path, out: Path, form: Format) -> list[Path]:
+    """Write every road of a file in another format.
+
+    Returns:
+        Paths of the files.
+    """
+    import ds_road
+    from ds_road import export
+
+    roads = ds_road.read_roads(file)
+    raw = ds_road.read_raw_roads(file)
+    names = [
+        one["test_id"] if isinstance(one, dict) and isinstance(one.get("test_id"), str) else f"road_{index:04d}"
+        for index, one in enumerate(raw)
+    ]
+    return export.write_all(roads, names, out, form)
 
 
 @road_app.command("generate")
 def road_generate_command(
     seed: Seed = 0,
-    count: Annotated[int, typer.Option(min=1, max=100_000, help="How many.")] = 1,
+    count: Annotated[int, typer.Option(min=1, max=100_000, help="Number of roads.")] = 1,
     max_angle: MaxAngle = 270,
 ) -> None:
-    """Random roads as a JSON list on standard output."""
+    """Print random roads as a JSON list."""
     print(json.dumps(generate_roads(seed, count, max_angle)))
 
 
 @road_app.command("check")
 def road_check_command(
-    file: Annotated[Path, typer.Argument(help="JSON list of roads.")], as_json: JsonFlag = False
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: JsonFlag = False
 ) -> None:
-    """Validity and features of every road of a file."""
+    """Check every road of a file: validity, length, curvature and turns."""
     answer(check_roads(file), as_json)
 
 
 @road_app.command("show")
-def roadshow_command(
-    file: Annotated[Path | None, typer.Argument(help="File with one road as JSON.")] = None,
+def road_show_command(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="File with one road as JSON; a random one if left out.")
+    ] = None,
     seed: Seed = 0,
     max_angle: MaxAngle = 270,
-    out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("road.png"),
+    out: Annotated[Path, typer.Option(help="Picture to write, PNG.")] = Path("road.png"),
 ) -> None:
-    """Draw a road."""
+    """Draw a road as a PNG."""
     print(show_road(file, seed, max_angle, out))
+
+
+@road_app.command("export")
+def road_export_command(
+    file: Annotated[Path, typer.Argument(metavar="ROADS", help="JSON list of roads.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to, created if missing.")],
+    form: Annotated[Format, typer.Option("--format", help="File format.")] = "opendrive",
+) -> None:
+    """Export roads for other tools: ASAM OpenDRIVE 1.7, or the JSON of the SBFT tool competition.
+
+    Writes one file per road, named after its test or its place in the list, and prints their paths.
+    """
+    for path in export_roads(file, out, form):
+        print(path)

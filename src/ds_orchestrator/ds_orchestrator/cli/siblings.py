@@ -1,19 +1,16 @@
-"""`ds siblings compare`: how differently the simulators behave."""
+"""`ds siblings compare`: how much the simulators agree."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
-import ds_road
-from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.cli.options import (
     Backend,
     DriverName,
@@ -25,26 +22,36 @@ from ds_orchestrator.cli.options import (
     simulators_of,
 )
 from ds_orchestrator.cli.output import Interrupted, Result, countdown, end, number
-from ds_road import write_roads
-from ds_sim.camera.png import png
-from ds_sim.session import RunRecord
+
+if TYPE_CHECKING:
+    from ds_sim.session import RunRecord
 
 PICTURED = 6
-"""Roads that a comparison draws; chosen: what one looks at in a minute."""
+"""Roads that a comparison draws; chosen: a minute's look."""
 
 app = typer.Typer()
-siblings_app = typer.Typer(help="Siblings: how differently they behave.", no_args_is_help=True)
+siblings_app = typer.Typer(help="Compare how the simulators behave.", no_args_is_help=True)
 app.add_typer(siblings_app, name="siblings")
 
 
 def compare_siblings(
     driver: str, simulators: list[str], *, roads: int, seed: int, max_angle: int, out: Path | None
 ) -> Result:
-    """Drive the same roads with the same driver on every simulator, and say how differently it went."""
+    """Drive the same roads with the same driver on every simulator, and compare verdicts and trajectories.
+
+    Raises:
+        ds_orchestrator.campaign.config.ConfigError: fewer than two simulators.
+        Interrupted: the user stopped it; nothing is written.
+    """
+    import numpy as np
+
+    import ds_road
     from ds_driver.closed_loop.simulation import Drive, drive_all
     from ds_driver.closed_loop.success_rate import unseen_roads
+    from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.evaluation.simulator_agreement import APART, compare, most_different, summary
     from ds_orchestrator.graph.process_specs import check_driver
+    from ds_sim.camera.png import png
 
     if len(simulators) < 2:
         raise ConfigError(f"simulators {', '.join(simulators)}: expected at least two, as --sims a,b")
@@ -75,7 +82,7 @@ def compare_siblings(
     }
     if out is not None:
         (out / "comparison.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-        write_roads(chosen, out / "roads.json")
+        ds_road.write_roads(chosen, out / "roads.json")
         for rank, index in enumerate(most_different(runs, PICTURED)):
             paths = {
                 name: np.array([(o.vehicle.x, o.vehicle.y) for o in runs[name][index].observations])
@@ -118,10 +125,10 @@ def siblings_compare_command(
     seed: Seed = 40,
     max_angle: MaxAngle = 270,
     sims: Simulators = "bullet,softbody,donkey",
-    out: Annotated[Path | None, typer.Option(help="Folder for numbers, roads and pictures.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for comparison.json, roads.json and pictures.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """The same roads with the same driver: which fail where, and how far apart the vehicles drive."""
+    """Drive the same roads on several simulators: which fail where, and how far apart the vehicles drive."""
     named = driver_named(driver, backend, "cpu")
     found = compare_siblings(named, simulators_of(sims), roads=roads, seed=seed, max_angle=max_angle, out=out)
     end(found, as_json)

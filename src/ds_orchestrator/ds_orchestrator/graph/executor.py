@@ -40,6 +40,13 @@ START_TIME = 90.0
 """Seconds that a graph gets to come up, importing its libraries on a busy machine included."""
 BUSY_TIME = 25.0
 """Seconds for which a goal waits for another client's run; ROS forgets a client that was killed after 20 s."""
+QUIET, UNANSWERED = 2.0, 3
+"""Seconds without a sign of life after which a simulator of somebody else's process is asked for one, and how many such
+questions in a row may stay unanswered; chosen: a dead node is reported in ten seconds, a loaded one answers in that."""
+QUESTION_TIME = 2.5
+"""Seconds for the answer to such a question."""
+Watch = Callable[[int, float, float], None]
+"""Called during a run with the frames so far, the driven part of the road in [0, 1], and the lateral position, m."""
 _NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 _NUMBERS = itertools.count()
 
@@ -75,6 +82,7 @@ class GraphExecutor:
         self._report = report
         self._revival = threading.Lock()
         self._driver_renewed, self._driver_starts = -math.inf, False
+        self._start_time = START_TIME
         self._stopped, self._closing = threading.Event(), threading.Event()
         # A context of its own, because several graphs, each in its domain, may be driven by one process.
         self._context = Context()
@@ -99,6 +107,8 @@ class GraphExecutor:
             GraphError: the time is up; says what is missing.
             ds_orchestrator.graph.supervisor.ProcessError: a process of the supervisor ended.
         """
+        if only is None:
+            self._start_time = limit
         deadline = time.monotonic() + limit
         awaited = [only] if only else list(self._simulators)
         while missing := [m for name in awaited if (m := self._simulators[name].missing())]:
@@ -131,8 +141,16 @@ class GraphExecutor:
             raise GraphError(f"{simulator} does not answer get_info within {SERVICE_TIME:.0f} s: is its node alive?")
         return response
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
-        """Drive a road on a simulator; always ends, and never raises for what goes wrong in another process."""
+    def execute(self, simulator: str, road: Road, seed: int, watch: Watch | None = None) -> RunRecord:
+        """Drive a road on a simulator; always ends, and never raises for what goes wrong in another process.
+
+        Args:
+            simulator: name.
+            road: to drive.
+            seed: of the run.
+            watch: called from another thread with the simulator's feedback.
+        """
+        self._simulators[simulator].watch = watch
         while True:
             record = RunRecord(road=road, seed=seed)
             self._revive()
@@ -203,7 +221,7 @@ class GraphExecutor:
         simulator = self._simulators[name]
         began = time.monotonic()
         try:
-            self.wait_until_ready(START_TIME, only=name)
+            self.wait_until_ready(self._start_time, only=name)
         except (GraphError, RuntimeError) as error:
             return Outcome.SIM_ERROR, str(error)
         # A goal must not be sent twice, but a service may be asked until a simulator that has just started answers.
@@ -259,6 +277,8 @@ class GraphExecutor:
         if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
             return f"{', '.join(sorted(dead))} ended during the run"
         self._restart(name)
+        if self._supervisor is None and not self._stopped.is_set():
+            return f"{name} has not answered for {time.monotonic() - simulator.alive:.0f} s: is its node alive?"
         return "the simulator fell silent during the run"
 
     def _await_result(self, name: str, handle: Any) -> Any:
@@ -275,7 +295,23 @@ class GraphExecutor:
             if self._supervisor is not None and self._processes(name) & set(self._supervisor.dead()):
                 return None
             self._wait(future, 0.5)
+            if self._supervisor is None and not future.done() and not self._answers(simulator):
+                return None
         return future.result()
+
+    def _answers(self, simulator: _Simulator) -> bool:
+        """False if a simulator whose process is not ours shows no sign of life and answers no question."""
+        if time.monotonic() - max(simulator.alive, simulator.answered) < QUIET:
+            return True
+        request = GetSimulatorInfo.Request()
+        for _ in range(UNANSWERED):
+            asked = time.monotonic()
+            if self._call(lambda: simulator.info.call_async(request), QUESTION_TIME) is not None:
+                simulator.answered = time.monotonic()
+                return True
+            if self._stopped.is_set() or simulator.alive > asked:
+                return True
+        return False
 
     def _ask(self, client: Any, request: Any) -> Any:
         """The answer of a service that may be asked again, or None."""
@@ -323,10 +359,17 @@ class _Simulator:
         self.reset = node.create_client(Trigger, f"{namespace}/reset")
         self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
         self.alive = 0.0
+        """When the last feedback came."""
+        self.answered = 0.0
+        """When the last question during a run was answered."""
+        self.watch: Watch | None = None
 
-    def heard(self, _feedback: Any) -> None:
-        """Note a sign of life of the simulator."""
+    def heard(self, message: Any) -> None:
+        """Note a sign of life, and hand the feedback on."""
         self.alive = time.monotonic()
+        if self.watch is not None:
+            feedback = message.feedback
+            self.watch(feedback.step, feedback.progress, feedback.lateral_position)
 
     def other_clients(self) -> list[str]:
         """Nodes other than this one that have a client of the simulator's action."""

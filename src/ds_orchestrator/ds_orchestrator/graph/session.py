@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from ds_orchestrator.graph.executor import GraphExecutor
+from ds_orchestrator.graph.executor import START_TIME, GraphExecutor
 from ds_orchestrator.graph.process_specs import driver_process, simulator_processes
 from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_orchestrator.graph.shared_memory import remove_leftovers
@@ -17,7 +17,14 @@ from ds_orchestrator.graph.worker_pool import WorkerPool
 
 @contextmanager
 def running_graph(
-    namespaces: dict[str, str], driver: str, *, command_timeout: float, logs: Path, attach: bool = False
+    namespaces: dict[str, str],
+    driver: str,
+    *,
+    command_timeout: float,
+    logs: Path,
+    attach: bool = False,
+    wait: float = START_TIME,
+    report: Callable[[str], None] = lambda line: None,
 ) -> Iterator[GraphExecutor]:
     """A graph that is ready to drive.
 
@@ -27,6 +34,8 @@ def running_graph(
         command_timeout: s that a simulator waits for its driver.
         logs: folder for the processes' logs.
         attach: start nothing, use the nodes that run already in this environment's ROS domain.
+        wait: s that the nodes get to come up.
+        report: called with one line when a run has to wait for another client.
 
     Raises:
         ds_orchestrator.graph.executor.GraphError: it does not come up.
@@ -45,10 +54,12 @@ def running_graph(
             specs = [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
-        executor = GraphExecutor(namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor)
+        executor = GraphExecutor(
+            namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor, report=report
+        )
         stack.callback(executor.close)
         stack.callback(deaf.__enter__)
-        executor.wait_until_ready()
+        executor.wait_until_ready(wait)
         executor.check_simulators()
         yield executor
 

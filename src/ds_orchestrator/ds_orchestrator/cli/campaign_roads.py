@@ -1,0 +1,121 @@
+"""`ds campaign roads`: from a cell or a failure of a campaign to the roads behind it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.folder import config_of, open_store
+from ds_orchestrator.cli.output import say
+from ds_orchestrator.maps.campaign_maps import cells_of
+from ds_orchestrator.search.features import Cell, Feature, feature_of
+from ds_road import road_to_json
+
+
+def print_roads(
+    folder: Path, *, failed: bool, simulator: str | None, cell: str | None, test: str | None, out: Path | None
+) -> None:
+    """Write a selection of a campaign's roads to a file or to standard output, as a JSON list; see `roads_of`."""
+    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
+    # One road a line: a line can be cut out and driven.
+    text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in found) + "\n]" if found else "[]"
+    if out is None:
+        print(text)
+    else:
+        out.write_text(text + "\n", "utf-8")
+        print(out)
+    say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
+
+
+def roads_of(
+    folder: Path,
+    *,
+    failed: bool = False,
+    simulator: str | None = None,
+    cell: str | None = None,
+    test: str | None = None,
+) -> list[dict[str, Any]]:
+    """Select roads of a campaign.
+
+    Args:
+        folder: campaign folder.
+        failed: keep roads on which the driver failed, on any simulator or on `simulator`.
+        simulator: keep roads that were driven there.
+        cell: keep roads of this cell, as the axes of `ds maps` or the bins of `ds maps --json` name it, such as
+            `3,0.17` or `3,17`.
+        test: keep the road of this test.
+
+    Returns:
+        Roads as `ds_road.road_from_json` takes them, with `test_id`, `seed`, `cell` (bin by feature) and `outcomes`
+        (outcome by simulator) beside the control points, in the order of the store.
+
+    Raises:
+        ConfigError: the campaign has no such simulator, cell or test.
+    """
+    with closing(open_store(folder)) as store:
+        config, tests, executions = config_of(store), store.tests(), store.executions()
+    if simulator is not None and simulator not in config.simulators:
+        raise ConfigError(f"{folder} has no simulator {simulator!r}: expected one of {', '.join(config.simulators)}")
+    if test is not None and test not in {t.test_id for t in tests}:
+        raise ConfigError(
+            f"{folder} has no test {test!r}: expected an id such as {_examples(t.test_id for t in tests)}"
+        )
+    cells = cells_of(tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible)
+    wanted = None if cell is None else _cell_named(cell, [feature_of(name) for name in config.features], cells)
+    outcomes: dict[str, dict[str, Any]] = {t.test_id: {} for t in tests}
+    failures: set[tuple[str, str]] = set()
+    for execution in executions:
+        outcomes.setdefault(execution.test_id, {})[execution.simulator] = execution.outcome.name
+        if execution.outcome.is_failure:
+            failures.add((execution.test_id, execution.simulator))
+    found = []
+    for one in tests:
+        driven = outcomes[one.test_id]
+        counted = [simulator] if simulator is not None else list(driven)
+        if (
+            (test is not None and one.test_id != test)
+            or (wanted is not None and cells.get(one.test_id) != wanted)
+            or (simulator is not None and simulator not in driven)
+            or (failed and not any((one.test_id, name) in failures for name in counted))
+        ):
+            continue
+        road = road_to_json(one.road)
+        found.append(
+            {
+                **(road if isinstance(road, dict) else {"control_points": road}),
+                "test_id": one.test_id,
+                "seed": one.seed,
+                "cell": dict(zip(config.features, cells[one.test_id], strict=True)) if one.test_id in cells else None,
+                "outcomes": dict(sorted(driven.items())),
+            }
+        )
+    return found
+
+
+def _examples(names: Any) -> str:
+    known = list(names)
+    return ", ".join(known[:2]) if known else "(it has no tests yet)"
+
+
+def _cell_named(text: str, features: Sequence[Feature], cells: Mapping[str, Cell]) -> Cell:
+    """The filled cell that a text names, by the labels of the axes or by bins."""
+    parts = [part.strip() for part in text.split(",")]
+    filled = sorted(set(cells.values()))
+
+    def labels(cell: Cell) -> list[str]:
+        return [feature.label(bin_) for feature, bin_ in zip(features, cell, strict=True)]
+
+    for named in (labels, lambda cell: [str(bin_) for bin_ in cell]):
+        for cell in filled:
+            if parts == named(cell):
+                return cell
+    axes = ",".join(feature.name for feature in features)
+    some = "; ".join(",".join(labels(cell)) for cell in filled[:6])
+    raise ConfigError(
+        f"no road in cell {text!r}: expected {axes} of a filled cell, such as {some or '(no cell is filled yet)'}"
+        + ("; ..." if len(filled) > 6 else "")
+    )

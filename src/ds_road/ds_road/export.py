@@ -1,0 +1,177 @@
+"""Exports roads: ASAM OpenDRIVE for simulators and scenario editors, and the JSON of the SBFT tool competition.
+
+OpenDRIVE 1.7 (ASAM, 2021): one road with its centre line as the reference line, a left and a right lane, right-hand
+traffic; vehicles drive in the right lane, id -1. The reference line passes through every sample of `Road.points`:
+
+* A road of control points is written as what it is: each segment of its Catmull-Rom spline is a cubic polynomial, which
+  a `paramPoly3` represents exactly. It stays within 1 um of the spline.
+* A road of road points has one `line` from each point to the next.
+
+SBFT: the test format of the cyber-physical systems track of the SBFT tool competition, editions 2021 to 2023
+(`road_points`, from which its pipeline interpolates the road by a cubic spline), with the samples of the centre line as
+road points. `ds_road.read_roads` reads it back, as a road of road points.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road.road import Road, RoadError
+from ds_road.spline import SAMPLES_PER_SEGMENT
+
+Format = Literal["opendrive", "sbft"]
+SUFFIXES: dict[Format, str] = {"opendrive": ".xodr", "sbft": ".json"}
+SBFT_VERSION = "SBFT CPS-SDC tool competition 2023"
+"""Edition of the format, written into each file."""
+_STRAIGHT = 1e-9
+"""m of bend in a segment that still counts as a straight line."""
+_MARK_WIDTH = 0.12
+"""m; width of the painted lines (chosen: common on rural roads)."""
+
+
+def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path, form: Format) -> list[Path]:
+    """Write one file per road.
+
+    Args:
+        roads: to export.
+        names: of the roads, one each; the names of the files, in which other characters than letters, digits, `_`, `-`
+            and `.` become `_`.
+        folder: created if missing; files of the same name are replaced.
+        form: file format.
+
+    Returns:
+        Paths of the files, in the order of the roads.
+
+    Raises:
+        RoadError: two roads have the same name, or none was given.
+    """
+    if not roads:
+        raise RoadError("no road to export: expected at least one")
+    files = [_file_name(name) + SUFFIXES[form] for name in names]
+    if twice := sorted({file for file in files if files.count(file) > 1}):
+        raise RoadError(f"two roads are called {twice[0]}: give them different names")
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / file for file in files]
+    for road, name, path in zip(roads, names, paths, strict=True):
+        path.write_text(opendrive(road, name) if form == "opendrive" else sbft(road, name), "utf-8")
+    return paths
+
+
+def sbft(road: Road, name: str) -> str:
+    """A road as a test of the SBFT tool competition, JSON."""
+    document = {
+        "name": name,
+        "format": SBFT_VERSION,
+        "road_id": road.road_id,
+        "road_points": road.points.tolist(),
+        **({"lane_width": road.lane_width} if road.lane_width != 4.0 else {}),
+    }
+    return json.dumps(document, allow_nan=False) + "\n"
+
+
+def opendrive(road: Road, name: str) -> str:
+    """A road as an OpenDRIVE 1.7 file, XML."""
+    geometry, length = _plan_view(road)
+    edges = np.vstack((road.left_edge, road.right_edge))
+    (west, south), (east, north) = edges.min(axis=0), edges.max(axis=0)
+    root = ElementTree.Element("OpenDRIVE")
+    _add(
+        root, "header", revMajor="1", revMinor="7", name=_printable(name), version="1.0",
+        north=north, south=south, east=east, west=west,
+    )  # fmt: skip
+    body = _add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule="RHT")
+    _add(body, "type", s="0", type="rural")
+    body.append(geometry)
+    lanes = _add(body, "lanes")
+    section = _add(lanes, "laneSection", s="0")
+    _lane(_add(section, "left"), 1, road.lane_width, "solid")
+    _lane(_add(section, "center"), 0, None, "broken")
+    _lane(_add(section, "right"), -1, road.lane_width, "solid")
+    _add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _plan_view(road: Road) -> tuple[ElementTree.Element, float]:
+    """The reference line, and its length in m."""
+    element = ElementTree.Element("planView")
+    s = 0.0
+    for start, coefficients in _pieces(road):
+        # Column 0 of the coefficients belongs to x, column 1 to y; row k to p to the power of k + 1, p in [0, 1].
+        heading = math.atan2(coefficients[0, 1], coefficients[0, 0])
+        cos, sin = math.cos(heading), math.sin(heading)
+        u = coefficients @ np.array([cos, sin])
+        v = coefficients @ np.array([-sin, cos])
+        straight = np.abs(v).max() < _STRAIGHT
+        length = float(math.hypot(*coefficients.sum(axis=0))) if straight else _arc_length(coefficients)
+        piece = _add(element, "geometry", s=s, x=start[0], y=start[1], hdg=heading, length=length)
+        if straight:
+            _add(piece, "line")
+        else:
+            _add(
+                piece, "paramPoly3", aU="0", bU=u[0], cU=u[1], dU=u[2], aV="0", bV="0", cV=v[1], dV=v[2],
+                pRange="normalized",
+            )  # fmt: skip
+        s += length
+    return element, s
+
+
+def _pieces(road: Road) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Start of each piece of the reference line, and the (3, 2) coefficients of its cubic without the constant."""
+    points = road.points
+    if road.sampled:
+        zero = np.zeros(2)
+        return [(a, np.stack((b - a, zero, zero))) for a, b in zip(points[:-1], points[1:], strict=True)]
+    pieces = []
+    last = SAMPLES_PER_SEGMENT - 1
+    # The samples of a segment are uniform in the parameter of its cubic, so four of them determine it.
+    chosen = np.round(np.linspace(0, last, 4)).astype(int)
+    p = chosen[1:] / last
+    vandermonde = np.stack((p, p**2, p**3), axis=1)
+    for begin in range(0, len(points) - 1, last):
+        segment = points[begin : begin + last + 1]
+        pieces.append((segment[0], np.linalg.solve(vandermonde, segment[chosen[1:]] - segment[0])))
+    return pieces
+
+
+def _arc_length(coefficients: NDArray[np.float64]) -> float:
+    """Length of a cubic over [0, 1], m, by Gauss-Legendre quadrature on eight parts."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    parts = 8
+    p = ((nodes + 1.0) / 2.0 + np.arange(parts)[:, None]).ravel() / parts
+    derivative = np.stack((np.ones_like(p), 2.0 * p, 3.0 * p**2), axis=1) @ coefficients
+    return float(np.tile(weights, parts) @ np.hypot(*derivative.T) / (2.0 * parts))
+
+
+def _lane(side: ElementTree.Element, number: int, width: float | None, mark: str) -> None:
+    lane = _add(side, "lane", id=str(number), type="none" if width is None else "driving", level="false")
+    if width is not None:
+        _add(lane, "width", sOffset="0", a=width, b="0", c="0", d="0")
+    _add(
+        lane, "roadMark", sOffset="0", type=mark, weight="standard", color="white", width=_MARK_WIDTH, laneChange="none"
+    )
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: str | float) -> ElementTree.Element:
+    """Append an element; numbers are written so that every bit comes back."""
+    texts = {key: value if isinstance(value, str) else repr(float(value)) for key, value in attributes.items()}
+    return ElementTree.SubElement(parent, tag, texts)
+
+
+def _printable(name: str) -> str:
+    """A name without the characters that XML 1.0 forbids."""
+    return "".join(c for c in name if c.isprintable())
+
+
+def _file_name(name: str) -> str:
+    plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".")[:200]
+    return plain or "road"
