@@ -14,7 +14,8 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 LONGEST_FIRST = (
     "tests/graph/test_kill.py",
     "tests/graph/test_runs_and_roads.py",
-    "tests/conformance/test_as_sibling.py",
+    "tests/conformance/test_nodes.py",
+    "tests/conformance/test_simulators.py",
 )
 """Files that take longest, so that no worker starts one when the other workers have finished."""
 

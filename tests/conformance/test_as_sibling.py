@@ -9,17 +9,29 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
-pytestmark = pytest.mark.graph
+from ds_orchestrator.campaign.config import parse_config
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "add_a_simulator.md"
 
 
-def test_the_whole_method_takes_a_third_sibling(tmp_path: Path) -> None:
+def documented_line() -> str:
     line = re.search(r"^siblings: .*$", DOCUMENT.read_text(), re.MULTILINE)
     assert line is not None
+    return line.group()
+
+
+def test_the_documented_line_is_a_configuration() -> None:
+    config = parse_config(yaml.safe_load(documented_line()), "add_a_simulator.md")
+    assert config.siblings == ["bullet", "softbody", "bicycle:BicycleSimulator"]
+
+
+@pytest.mark.graph
+@pytest.mark.long
+def test_the_whole_method_takes_a_third_sibling(tmp_path: Path) -> None:
     search = "search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}"
-    (tmp_path / "c.yaml").write_text("\n".join((line.group(), "twin: donkey", "driver: autopilot", search)))
+    (tmp_path / "c.yaml").write_text("\n".join((documented_line(), "twin: donkey", "driver: autopilot", search)))
     command = [sys.executable, "-m", "ds_orchestrator.cli.main", "campaign", "run", "c.yaml", "--out", "out", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stderr[-2000:]

@@ -13,13 +13,15 @@ import pytest
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.runner import trajectory_sha256
-from ds_road import generate
+from ds_road import Road
 from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 pytestmark = pytest.mark.graph
 
-ROAD = generate(np.random.default_rng(21), max_angle=120)
+ROAD = Road([(120.0, 30.0), (120.0, 55.0), (126.0, 79.0), (142.0, 98.0), (165.0, 107.0)])
+"""50 m that end in a right turn of 45 degrees."""
 
 
 @pytest.fixture(scope="module")
@@ -83,13 +85,22 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
 
     listener = threading.Thread(target=listen)
     listener.start()
-    # Until both sides of every topic know of each other, nothing is promised: one run to get acquainted.
-    executor.execute(simulator_name, ROAD, 5)
-    time.sleep(0.5)
-    for messages in heard.values():
-        messages.clear()
-    run = executor.execute(simulator_name, ROAD, 5)
-    time.sleep(0.5)
+
+    def drive_and_hear() -> RunRecord:
+        for messages in heard.values():
+            messages.clear()
+        run = executor.execute(simulator_name, ROAD, 5)
+        deadline = time.monotonic() + 2.0
+        while len(heard["odom"]) + len(heard["info"]) < 2 * (run.steps + 1) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return run
+
+    # Until both sides of every topic know of each other, nothing is promised: runs to get acquainted.
+    for _ in range(5):
+        acquainted = drive_and_hear()
+        if len(heard["odom"]) == len(heard["info"]) == acquainted.steps + 1 and heard["image"]:
+            break
+    run = drive_and_hear()
     done.set()
     listener.join(5.0)
     node.destroy_node()
