@@ -41,7 +41,7 @@ def bag_name(name: object) -> str:
     if isinstance(name, str) and plain and name and name[0] != "." and len(name.encode()) <= LONGEST_NAME:
         return name
     shown = repr(name if len(str(name)) <= 60 else f"{str(name)[:60]}...")
-    raise BagError(f"{shown} is not a plain name of a file or folder: nothing was read or written there")
+    raise BagError(f"{shown} is not a plain name of a file or folder: nothing was written, ask for another copy")
 
 
 @contextmanager

@@ -1,0 +1,255 @@
+"""Bags that somebody sends: nothing they name runs, nothing is written outside, and memory and time are bounded."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import struct
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from backports import zstd
+from rosbags.convert.converter import convert
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ds_bags.bounded_rosbags import check_types
+from ds_bags.info import describe
+from ds_bags.layout import BagError
+from ds_bags.limits import TooLargeError
+from ds_bags.packs import PACKED_RECORD, pack, unpack
+from ds_bags.reader import BagReader, read_run
+from ds_bags.recovery import recover
+from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
+from ds_bags.verification import verify_bag
+from ds_driver.data.recordings import Reading, open_recording
+from ds_sim.registry import UntrustedSimulatorError
+
+pytestmark = pytest.mark.graph
+
+FOOTER = b"\x0f" + struct.pack("<Q", 4) + bytes(4) + b"\x02" + struct.pack("<Q", 20) + bytes(20) + b"\x89MCAP0\r\n"
+
+
+@pytest.fixture
+def bag(bags: Path, tmp_path: Path) -> Path:
+    """A copy of a bag, to be changed."""
+    return Path(shutil.copytree(bags / "telemetry", tmp_path / "sent" / "telemetry"))
+
+
+def change(bag: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the metadata of a bag."""
+    document = yaml.safe_load((bag / "metadata.yaml").read_text())
+    change(document["rosbag2_bagfile_information"])
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(document))
+
+
+def refused(act: Callable[[], object], match: str, kind: type[Exception] = BagError) -> None:
+    """The act is refused with one line, within seconds."""
+    begun = time.process_time()
+    with pytest.raises(kind, match=match) as found:
+        act()
+    assert "\n" not in str(found.value) and len(str(found.value)) < 1000
+    assert time.process_time() - begun < 5.0
+
+
+def test_a_simulator_that_a_bag_names_is_not_imported(
+    bags: Path, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "evilmod.py").write_text("raise SystemExit('imported')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    images = Path(shutil.copytree(bags / "compressed", tmp_path / "sent" / "compressed"))
+    for one in (bag, images):
+        change(one, lambda information: information["custom_data"].update(simulator="evilmod:S"))
+    refused(lambda: verify_bag(bag), r"--trust 'evilmod:S'", UntrustedSimulatorError)
+    refused(lambda: verify_bag(bag, trusted=["evilmod:T"]), "evilmod:S", UntrustedSimulatorError)
+    refused(lambda: open_recording(images, Reading()), "--trust 'evilmod:S'", UntrustedSimulatorError)
+    assert describe(bag)["facts"]["simulator"] == "evilmod:S"
+    assert "evilmod" not in sys.modules
+    with pytest.raises(SystemExit, match="imported"):
+        verify_bag(bag, trusted=["evilmod:S"])
+
+
+def test_only_installed_messages_are_imported_for_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from ds_bags.ros.publisher import _message_class
+
+    (tmp_path / "evilpkg").mkdir()
+    (tmp_path / "evilpkg" / "__init__.py").write_text("raise SystemExit('imported')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("int32 a", "evilpkg/msg/X"))
+    with Ros2Writer(tmp_path / "bag", version=9) as writer:
+        for name in ("evilpkg/msg/X", "std_msgs/msg/String"):
+            writer.add_connection(f"/{name}", name, typestore=store)
+    with BagReader(tmp_path / "bag") as bag:
+        found = {connection.msgtype: _message_class(connection) for connection in bag.connections}
+    assert found["evilpkg/msg/X"] == (None, "evilpkg/msg/X is not installed here")
+    assert found["std_msgs/msg/String"][0] is not None
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "/tmp/ds_absolute", "a/b", "a\\b", "", ".", "..", ".hidden", "a\nb", "x" * 300]
+)
+def test_a_pack_writes_only_into_the_named_folder(tmp_path: Path, name: str) -> None:
+    writer = Rosbag2Writer(tmp_path / "pack", {})
+    for packed in ("good", name):
+        writer.note(PACKED_RECORD, {"name": packed, "about": "{}", "custom_data": "{}"})
+    writer.close({})
+    (tmp_path / "out").mkdir()
+    refused(lambda: unpack(tmp_path / "pack", tmp_path / "out"), "is not a plain name")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["metadata.yaml", "out", "pack", "pack.mcap"]
+    assert not Path("/tmp/ds_absolute").exists()
+
+
+def test_hidden_folders_of_others_are_left_alone(bags: Path, tmp_path: Path) -> None:
+    pack([bags / "telemetry"], tmp_path / "pack", {})
+    for folder in (tmp_path / ".two.partial", tmp_path / ".telemetry.partial", tmp_path / ".saved.partial"):
+        folder.mkdir()
+        (folder / "precious").touch()
+    pack([bags / "telemetry"], tmp_path / "two", {})
+    unpack(tmp_path / "pack", tmp_path)
+    shutil.copy(bags / "telemetry" / "telemetry.mcap", tmp_path / "left.mcap")
+    recover(tmp_path / "left.mcap", tmp_path / "saved")
+    assert len(list(tmp_path.rglob("precious"))) == 3
+    (tmp_path / "link").symlink_to("nowhere")
+    refused(lambda: recover(tmp_path / "left.mcap", tmp_path / "link"), "exists already")
+
+
+@pytest.mark.parametrize("declared", [6 * 10**9, 1000])
+def test_chunks_that_open_to_gigabytes_are_refused(bag: Path, tmp_path: Path, declared: int) -> None:
+    data = (bag / "telemetry.mcap").read_bytes()
+    header = 17 + struct.unpack("<Q", data[9:17])[0]
+    compressor = zstd.ZstdCompressor(level=1)
+    block = bytes(2**24)
+    bomb = b"".join(compressor.compress(block) for _ in range(20)) + compressor.flush()
+    assert len(bomb) < 100_000
+    body = struct.pack("<QQQII4sQ", 0, 0, declared, 0, 4, b"zstd", len(bomb)) + bomb
+    chunk = b"\x06" + struct.pack("<Q", len(body)) + body
+    (bag / "telemetry.mcap").write_bytes(data[:header] + chunk + FOOTER)
+    match = "the limit for a bag of this size" if declared > 1000 else "opens to more than its 1000 bytes"
+    refused(lambda: describe(bag), match)
+    refused(lambda: verify_bag(bag), match)
+    refused(lambda: unpack(bag, tmp_path / "out"), "the limit for a bag" if declared > 1000 else "is damaged|no pack")
+    (tmp_path / "left.mcap").write_bytes(data[:header] + chunk + data[header:])
+    if declared > 1000:
+        refused(lambda: recover(tmp_path / "left.mcap", tmp_path / "out"), match, TooLargeError)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_compressed_file_that_opens_to_gigabytes_is_refused(bag: Path) -> None:
+    compressor = zstd.ZstdCompressor(level=1)
+    bomb = b"".join(compressor.compress(bytes(2**24)) for _ in range(20)) + compressor.flush()
+    (bag / "telemetry.mcap.zstd").write_bytes(bomb)
+    new = {"compression_mode": "FILE", "compression_format": "zstd", "relative_file_paths": ["telemetry.mcap.zstd"]}
+    change(bag, lambda information: information.update(new))
+    refused(lambda: describe(bag), "the limit for a bag of this size")
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("a: &a [x]\n" + "".join(f"b{i}: &b{i} [{'*a, ' * 9}*a]\n".replace("*a", f"*b{i - 1}" if i else "*a")
+                                  for i in range(12)), "aliases expanded"),
+        ("[" * 100_000, "nested deeper"),
+        ("a: b\n" * 4_000_000, "longer than 16 MiB"),
+    ],
+)  # fmt: skip
+def test_metadata_bombs_are_refused(bag: Path, text: str, match: str) -> None:
+    (bag / "metadata.yaml").write_text(text)
+    refused(lambda: describe(bag), match)
+
+
+def test_files_that_are_no_files_are_refused_at_once(bag: Path) -> None:
+    for name in ("telemetry.mcap", "metadata.yaml"):
+        kept = (bag / name).read_bytes()
+        (bag / name).unlink()
+        os.mkfifo(bag / name)
+        refused(lambda: describe(bag), "not a regular file")
+        (bag / name).unlink()
+        (bag / name).symlink_to("/dev/zero")
+        refused(lambda: describe(bag), "not a regular file")
+        (bag / name).unlink()
+        (bag / name).write_bytes(kept)
+    (bag / "telemetry.mcap").unlink()
+    refused(lambda: describe(bag), "No such file")
+
+
+def test_tables_that_are_computed_are_refused(tmp_path: Path) -> None:
+    with Ros2Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3):
+        pass
+    file = next((tmp_path / "bag").glob("*.db3"))
+    endless = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x AS id FROM c"
+    with sqlite3.connect(file) as database:
+        database.execute("DROP TABLE message_definitions")
+        database.execute(f"CREATE VIEW message_definitions AS {endless}")
+    refused(lambda: describe(tmp_path / "bag"), "that no recorder makes")
+
+
+def test_definitions_become_code_only_within_limits() -> None:
+    check_types(get_types_from_msg("float64[36] covariance\nstring[4] names", "a/msg/B"))
+    for text in ("string[100000000] x", "uint8[0] x", "Other[-1] x"):
+        with pytest.raises((TooLargeError, ValueError), match="fields|array"):
+            check_types(get_types_from_msg(text, "a/msg/B"))
+    with pytest.raises(ValueError, match="is called"):
+        check_types({"a/msg/B": ([], [("x\nimport os", (1, ("int32", 0)))])})
+
+
+@pytest.mark.parametrize(
+    ("fact", "value", "match"),
+    [
+        ("seed", "9" * 400, "the seed"),
+        ("seed", "-1", "the seed"),
+        ("road", "[" * 100_000, "nested too deeply"),
+        ("road", f"[[0, 0], [{'9' * 400}, 1], [2, 2], [3, 3]]", "control point"),
+        ("steps", "400", "40 commands, but 400 steps"),
+    ],
+)
+def test_facts_are_checked(bag: Path, fact: str, value: str, match: str) -> None:
+    change(bag, lambda information: information["custom_data"].update({fact: value}))
+    refused(lambda: verify_bag(bag), match)
+
+
+def test_metadata_that_counts_other_messages_than_the_file_has_is_refused(bag: Path) -> None:
+    change(bag, lambda information: information.update(message_count=5000))
+    refused(lambda: describe(bag), "counts 5000 messages, its files")
+
+
+def test_a_state_that_is_not_a_number_is_refused(bags: Path, tmp_path: Path) -> None:
+    from mcap.records import Channel, Message, Metadata, Schema
+
+    from ds_bags.mcap_records import records, topic_of_channel
+
+    writer = Rosbag2Writer(tmp_path / "nan", {})
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, tuple[int, str]] = {}
+    for record, _ in records(bags / "telemetry" / "telemetry.mcap"):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel) and record.id not in channels:
+            number = writer.channel(topic_of_channel(record, schemas[record.schema_id], record.topic))
+            channels[record.id] = number, record.topic
+        elif isinstance(record, Message):
+            data, (number, topic) = record.data, channels[record.channel_id]
+            if topic == "/twin/state":  # after the header (frame "road") and the step, aligned: simulated time, then x
+                data = data[:36] + struct.pack("<d", float("nan")) + data[44:]
+            writer.write(number, record.log_time, data)
+        elif isinstance(record, Metadata) and record.name == ABOUT_RECORD:
+            facts = dict(record.metadata)
+    writer.close(facts)
+    with BagReader(tmp_path / "nan") as found:
+        refused(lambda: read_run(found), "is nan in a state")
+
+
+def test_a_converted_bag_is_redriven_with_what_it_has_lost(bags: Path, tmp_path: Path) -> None:
+    """`rosbags-convert` drops custom data; the road is in a message, simulator and seed have to be given."""
+    convert([bags / "telemetry"], tmp_path / "converted", "mcap", 9, None, "none", None, None, (), (), (), ())
+    refused(lambda: verify_bag(tmp_path / "converted"), r"does not say its simulator, seed.*give --sim NAME --seed N")
+    refused(lambda: verify_bag(tmp_path / "converted", "donkey"), r"does not say its seed.*give --seed N")
+    found = verify_bag(tmp_path / "converted", "donkey", seed=3)
+    assert (found.step, found.frames) == (None, 41)
