@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -46,7 +47,7 @@ def make_execution(test: Test, simulator: str, offset: float) -> Execution:
         outcome=Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED,
         message="", fitness=2.0 - worst, max_lateral_position=worst, steps=steps - 1,
         simulated_seconds=(steps - 1) / 20, trajectory_sha256=trajectory_sha256(trajectory), trajectory=trajectory,
-        steering=rng.normal(0.0, 0.05, steps - 1), bag=f"bags/{test.test_id}-on-{label_of(simulator)}",
+        steering=rng.normal(0.0, 0.05, steps - 1),
     )  # fmt: skip
 
 
@@ -64,14 +65,15 @@ def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> l
     return made
 
 
-def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int) -> Store:
-    """A store of such tests."""
+def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int, *, bags: bool = False) -> Store:
+    """A store of such tests, which names a bag for each execution if wanted."""
     store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
     store.note("version numpy", "1.2.3<b>")
     for test, driven in make_tests(config, per_sibling):
         store.add_test(test)
         for execution in driven:
-            store.add_execution(execution)
+            bag = f"bags/{test.test_id}-on-{label_of(execution.simulator)}" if bags else ""
+            store.add_execution(replace(execution, bag=bag))
     return store
 
 

@@ -89,7 +89,7 @@ class Campaign:
 
     def __init__(self, folder: Path, config: CampaignConfig, per_sibling: int) -> None:
         self.config = config
-        self.store: Store = make_campaign(folder, config, per_sibling)
+        self.store: Store = make_campaign(folder, config, per_sibling, bags=True)
         self.maps: dict[MapId, FeatureMap] = maps_of(read_campaign(self.store))
         self.path = report_of(folder, self.store)
 
