@@ -1,6 +1,6 @@
-"""Verbs as ROS executables, for people who start their own nodes: `ros2 run ds_orchestrator campaign ...`.
+"""Verbs of `ds` as ROS executables, for graphs started by launch files: `ros2 run ds_orchestrator campaign ...`.
 
-They take `ds`'s arguments, attach to the nodes that run already, and leave ROS's own arguments to ROS.
+They take the arguments of the verb, attach to the running nodes, and ignore ROS arguments.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from ds_orchestrator.cli import main as cli
 
 
 def campaign() -> None:
-    """`campaign CONFIG.yaml --out DIR` with running nodes."""
+    """Run `ds campaign run CONFIG.yaml --out DIR --attach`."""
     _attached(["campaign", "run"])
 
 
 def drive() -> None:
-    """`drive --sim NAME ...` with running nodes."""
+    """Run `ds drive --sim NAME ... --attach`."""
     _attached(["drive"])
 
 
 def demo() -> None:
-    """`demo --out DIR` with running nodes."""
+    """Run `ds demo --out DIR --attach`."""
     _attached(["demo"])
 
 
