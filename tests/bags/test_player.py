@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ds_bags.player import PAUSE, QUIT, STEP, Controls, Played, play
+from ds_bags.player import PAUSE, QUIT, STEP, Controls, Playback, play
 from ds_bags.reader import BagReader
 from ds_orchestrator.graph.ros_domain import RosDomain
 
@@ -51,8 +51,8 @@ class Stage:
     def clock(self, nanoseconds: int) -> None:
         self.clocks.append((round(self.time, 6), nanoseconds))
 
-    def play(self, rate: float) -> Played:
-        controls = Controls(now=lambda: self.time, wait=self.wait, tell=self.said.append)
+    def play(self, rate: float) -> Playback:
+        controls = Controls(now=lambda: self.time, wait=self.wait, report=self.said.append)
         return play(iter(MESSAGES), self, rate=rate, controls=controls)
 
 
@@ -85,7 +85,7 @@ def test_pause_and_go_on_shift_what_is_left() -> None:
     stage.play(1.0)
     # After the pause the clock goes on from the last message.
     assert [at for at, _ in stage.sent] == pytest.approx([0.0, 0.0, 5.07, 5.22])
-    assert stage.said == ["paused at 0.000 s", "goes on at 0.000 s"]
+    assert stage.said == ["paused at 0.000 s", "resumed at 0.000 s"]
 
 
 def test_a_step_sends_one_moment_and_stays_paused() -> None:

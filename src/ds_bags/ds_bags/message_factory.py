@@ -1,6 +1,6 @@
-"""Plain types as messages of a bag, without ROS: the objects that `rosbags` serialises.
+"""Builds a bag's messages from plain types, without ROS, as the objects that `rosbags` serialises.
 
-They say the same as `ds_sim.ros.conversions`, which makes the graph's; a test compares the bytes of both.
+They equal the messages of the live graph (`ds_sim.ros.conversions`); a test compares the bytes of both.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
 
 
 class TypesError(ValueError):
-    """Message definitions that cannot be found."""
+    """Message definitions that are not installed."""
 
 
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
-    """Jazzy's standard messages and ours, the latter from their installed definitions.
+    """Message types of Jazzy and of `ds_interfaces`, the latter read from their installed definitions.
 
     Raises:
         TypesError: the workspace's messages are not on AMENT_PREFIX_PATH.
@@ -47,10 +47,10 @@ def typestore() -> Typestore:
 
 
 class MessageFactory:
-    """Makes the messages of one simulator's bag.
+    """Builds the messages of one simulator's bag.
 
     Args:
-        namespace: of the simulator; its frames are called after it.
+        namespace: namespace of the simulator, which prefixes its tf frames.
     """
 
     def __init__(self, namespace: str) -> None:
@@ -75,7 +75,7 @@ class MessageFactory:
         return self._make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
     def road(self, road: Road) -> Any:
-        """All of a road."""
+        """A road with everything that defines it."""
         return self._make(
             "ds_interfaces/Road",
             road_id=road.road_id,
@@ -86,7 +86,7 @@ class MessageFactory:
         )
 
     def outcome(self, value: int) -> Any:
-        """How a run stands or ended."""
+        """The outcome of a run, or RUNNING."""
         return self._make("ds_interfaces/Outcome", value=value)
 
     def state(self, seen: Observation, road_id: str, nanoseconds: int) -> Any:
@@ -104,14 +104,14 @@ class MessageFactory:
         )
 
     def command(self, command: Command, nanoseconds: int) -> Any:
-        """The answer to the frame of this time."""
+        """The driver's command in answer to the frame of this time."""
         header = self._header(nanoseconds, ROAD_FRAME)
         return self._make(
             "ds_interfaces/DriveCommand", header=header, steering=command.steering, throttle=command.throttle
         )
 
     def odometry(self, vehicle: VehicleState, nanoseconds: int) -> Any:
-        """Planar pose in the road frame, twist in the vehicle's (REP-105); ground truth, as its covariances say."""
+        """Planar pose in the road frame, twist in the vehicle's (REP-105); covariances mark it as ground truth."""
         pose = self._make(
             "geometry_msgs/Pose",
             position=self._point(vehicle.x, vehicle.y),

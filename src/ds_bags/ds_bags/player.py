@@ -1,4 +1,4 @@
-"""Plays a bag in its own order at any rate, pauses and steps; knows neither ROS nor a terminal."""
+"""Plays a bag in recorded order at any rate, with pause and step; independent of ROS and of a terminal."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from typing import Protocol
 from rosbags.interfaces import Connection
 
 CLOCK_PERIOD = 0.025
-"""s of wall clock between two times on /clock while the bag is silent: 40 Hz, the default of `ros2 bag play`."""
+"""Seconds of wall clock between two messages on /clock while the bag is silent: 40 Hz, as `ros2 bag play`."""
 PAUSE, STEP, QUIT = "pause", "step", "quit"
 
 
 class Output(Protocol):
-    """Where a bag is played to."""
+    """Destination of a playback."""
 
     def publish(self, connection: Connection, raw: bytes) -> None:
-        """Send a message as it was recorded."""
+        """Send a message exactly as it was recorded."""
         ...
 
     def clock(self, nanoseconds: int) -> None:
-        """Tell the time of the bag."""
+        """Publish the bag's time, ns."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
-class Played:
-    """What was sent.
+class Playback:
+    """Summary of a playback.
 
     Attributes:
-        messages: how many.
-        moments: at how many different times of the bag.
-        seconds: of the bag.
-        whole: False if it was ended by a key.
+        messages: number of messages sent.
+        moments: number of distinct times in the bag at which messages were sent.
+        seconds: duration played, s of the bag's time.
+        whole: False if a key ended the playback.
     """
 
     messages: int
@@ -49,26 +49,26 @@ class Controls:
     """The player's wall clock and keys.
 
     Attributes:
-        now: s, steady.
-        wait: waits at most so many s, or less when a key comes: PAUSE, STEP, QUIT, or "".
-        tell: is told in one line when the player pauses, steps or goes on.
+        now: steady clock, s.
+        wait: waits for a key for at most the given number of seconds; returns PAUSE, STEP, QUIT or "".
+        report: called with one line when the player pauses, steps or resumes.
     """
 
     now: Callable[[], float]
     wait: Callable[[float], str]
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
 
 
 def play(
     messages: Iterable[tuple[Connection, int, bytes]], output: Output, *, rate: float, controls: Controls
-) -> Played:
-    """Play messages in their order; those of one time go out together, after that time has gone to the clock.
+) -> Playback:
+    """Play messages in order; those of one time are sent together, after that time was published on the clock.
 
     Args:
-        messages: topic, time in ns, and serialised message, in the order of time.
-        output: where to.
-        rate: bag seconds per second of wall clock, or infinity for as fast as it goes.
-        controls: clock and keys.
+        messages: topic, time in ns, and serialised message, ordered by time.
+        output: destination of the messages and the clock.
+        rate: seconds of the bag per second of wall clock; infinity for as fast as possible.
+        controls: wall clock and keys.
     """
     return _Player(output, rate, controls).play(messages)
 
@@ -83,12 +83,12 @@ class _Player:
         self._anchor_wall = 0.0
         self._anchor_bag = 0
 
-    def play(self, messages: Iterable[tuple[Connection, int, bytes]]) -> Played:
+    def play(self, messages: Iterable[tuple[Connection, int, bytes]]) -> Playback:
         sent, moments, whole = 0, 0, True
         for time, group in itertools.groupby(messages, key=lambda message: message[1]):
             if not moments:
                 self._first = self._last = time
-                self._go_on_from(time)
+                self._resume_from(time)
             if not self._until(time):
                 whole = False
                 break
@@ -100,17 +100,17 @@ class _Player:
             self._last = time
             sent, moments = sent + count, moments + 1
             if self._paused:
-                self._controls.tell(f"{self._seconds(time):.3f} s: {count} messages")
-        return Played(messages=sent, moments=moments, seconds=self._seconds(self._last), whole=whole)
+                self._controls.report(f"{self._seconds(time):.3f} s: {count} messages")
+        return Playback(messages=sent, moments=moments, seconds=self._seconds(self._last), whole=whole)
 
     def _seconds(self, time: int) -> float:
         return (time - self._first) / 1e9
 
-    def _go_on_from(self, time: int) -> None:
+    def _resume_from(self, time: int) -> None:
         self._anchor_wall, self._anchor_bag = self._controls.now(), time
 
     def _until(self, time: int) -> bool:
-        """Wait until a moment is due, or is stepped to; False to end."""
+        """Wait until a time of the bag is due or stepped to; False if the playback was ended."""
         while True:
             left = 0.0
             if not self._paused and math.isfinite(self._rate):
@@ -121,12 +121,12 @@ class _Player:
                 return False
             if key == PAUSE:
                 self._paused = not self._paused
-                self._go_on_from(self._last)
-                self._controls.tell(f"{'paused' if self._paused else 'goes on'} at {self._seconds(self._last):.3f} s")
+                self._resume_from(self._last)
+                self._controls.report(f"{'paused' if self._paused else 'resumed'} at {self._seconds(self._last):.3f} s")
             elif key == STEP:
                 if not self._paused:
                     self._paused = True
-                    self._controls.tell(f"paused at {self._seconds(self._last):.3f} s")
+                    self._controls.report(f"paused at {self._seconds(self._last):.3f} s")
                 return True
             elif not self._paused:
                 if left <= CLOCK_PERIOD:
@@ -134,6 +134,6 @@ class _Player:
                 self._tick(time)
 
     def _tick(self, time: int) -> None:
-        """The clock goes on while nothing is sent."""
+        """Advance the clock while no message is due."""
         passed = (self._controls.now() - self._anchor_wall) * self._rate
         self._output.clock(min(time, self._anchor_bag + round(passed * 1e9)))

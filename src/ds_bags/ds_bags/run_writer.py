@@ -1,4 +1,4 @@
-"""One rosbag2 folder per run: metadata version 9, MCAP storage, as ROS 2 Jazzy writes it, and without a ROS install."""
+"""Writes one rosbag2 folder per run, as ROS 2 Jazzy does (metadata version 9, MCAP), without a ROS install."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _TOPICS = {
     "camera/image_raw/compressed": ("sensor_msgs/msg/CompressedImage", 5, False),
     "outcome": ("ds_interfaces/msg/Outcome", 1, True),
 }
-"""Topic in the simulator's namespace, or with a slash in everybody's -> type, depth of its queue, latched or not."""
+"""Topic (relative to the simulator's namespace, or absolute) -> type, queue depth, latched or not."""
 _IMAGE_TOPIC = {"compressed": "camera/image_raw/compressed", "raw": "camera/image_raw"}
 
 
 def facts_of(simulator: str, run: RunRecord, level: Level) -> dict[str, str]:
-    """What a bag's custom data says of a run before it has ended."""
+    """Custom data of a bag that is known before the run has ended."""
     return {
         "simulator": simulator,
         "engine": spec_of(simulator).engine,
@@ -49,7 +49,7 @@ def facts_of(simulator: str, run: RunRecord, level: Level) -> dict[str, str]:
 
 
 def results_of(run: RunRecord) -> dict[str, str]:
-    """What a bag's custom data says of an ended run."""
+    """Custom data of a bag that is known once the run has ended."""
     return {
         "outcome": run.outcome.name,
         "message": run.message,
@@ -66,33 +66,33 @@ def write_bag(
     run: RunRecord,
     about: Mapping[str, str],
     level: Level = "telemetry",
-    seen: Iterable[Observation] | None = None,
+    observations: Iterable[Observation] | None = None,
 ) -> None:
-    """Write one run; stamps count from the start of the run.
+    """Write the bag of one run; stamps count from the start of the run.
 
-    Images are not in a record of a run: a level that has them drives the recorded commands again in this process,
-    which shows the same images bit by bit, and costs the run itself nothing.
+    A run record holds no images. A level with images re-simulates the recorded commands in this process, which yields
+    the same images bit by bit and does not slow down the run itself.
 
     Args:
-        folder: the bag; it appears whole or not at all, and replaces one that is there.
-        namespace: of the simulator, such as `/ds1`.
-        simulator: as the registry knows it.
-        run: what happened.
-        about: facts for the bag's custom data, beside road, seed, versions and outcome, which are always there.
-        level: what the bag holds.
-        seen: the run's observations with their images, if somebody has them; empty images are left out.
+        folder: bag to write; appears whole or not at all, and replaces an existing bag.
+        namespace: namespace of the simulator, such as `/ds1`.
+        simulator: name of the simulator in the registry.
+        run: the recorded run.
+        about: custom data in addition to road, seed, versions and outcome, which are always written.
+        level: whether the bag holds images, and how they are encoded.
+        observations: the run's observations with images, if available; empty images are left out.
 
     Raises:
         BagError: the folder cannot be written.
-        ds_sim.resimulation.ResimulationError: the images cannot be had, as the run does not come out the same.
+        ds_sim.resimulation.ResimulationError: re-simulation differs from the recorded run, so there are no images.
     """
-    # The files inside are named after their folder, so the unfinished one has that name too, a level deeper.
+    # The files inside are named after the bag, so the partial bag has the same name, one level deeper.
     hidden = partial_path(folder)
-    if seen is None:
-        seen = run.observations if level == "telemetry" else resimulate(simulator, run)
+    if observations is None:
+        observations = run.observations if level == "telemetry" else resimulate(simulator, run)
     try:
         shutil.rmtree(hidden, ignore_errors=True)
-        _write(hidden / folder.name, namespace, simulator, run, about, level, seen)
+        _write(hidden / folder.name, namespace, simulator, run, about, level, observations)
         shutil.rmtree(folder, ignore_errors=True)
         (hidden / folder.name).rename(folder)
         hidden.rmdir()
@@ -101,14 +101,14 @@ def write_bag(
 
 
 class RunWriter:
-    """Writes one run's messages in their order, frame by frame.
+    """Writes the messages of one run in order, frame by frame.
 
     Args:
-        writer: of the bag.
-        namespace: of the simulator.
-        spec: of the simulator.
-        run: gives road and, by and by, outcome.
-        level: what the bag holds.
+        writer: open writer of the bag.
+        namespace: namespace of the simulator.
+        spec: specification of the simulator.
+        run: supplies the road and, at the end, the outcome.
+        level: whether the bag holds images, and how they are encoded.
     """
 
     def __init__(
@@ -139,27 +139,27 @@ class RunWriter:
         }
 
     def begin(self) -> None:
-        """What holds for the whole run: the road, and where the camera sits."""
+        """Write what is constant over the run: the road and the camera's mount."""
         self._put("road", 0, self._make.road(self._run.road))
         self._put("road_markers", 0, self._make.road_markers(self._run.road, self._spec.look, 0))
         self._put("/tf_static", 0, self._make.camera_transform(self._spec.camera, 0))
 
-    def frame(self, index: int, seen: Observation) -> None:
-        """A frame and the command that answers it, if there is one."""
-        time, make = round(seen.time * 1e9), self._make
-        self._put("state", time, make.state(seen, self._run.road.road_id, time))
-        self._put("odom", time, make.odometry(seen.vehicle, time))
-        self._put("/tf", time, make.body_transform(seen.vehicle, time))
-        if self._image and seen.image.size:
+    def frame(self, index: int, observation: Observation) -> None:
+        """Write a frame and the command that answers it, if there is one."""
+        time, make = round(observation.time * 1e9), self._make
+        self._put("state", time, make.state(observation, self._run.road.road_id, time))
+        self._put("odom", time, make.odometry(observation.vehicle, time))
+        self._put("/tf", time, make.body_transform(observation.vehicle, time))
+        if self._image and observation.image.size:
             self.images += 1
             image = make.image if self._image == "camera/image_raw" else make.compressed_image
-            self._put(self._image, time, image(seen, time))
+            self._put(self._image, time, image(observation, time))
             self._put("camera/camera_info", time, make.camera_info(self._spec.camera, time))
         if index < len(self._run.commands):
             self._put("drive", time, make.command(self._run.commands[index], time))
 
     def end(self) -> None:
-        """The outcome."""
+        """Write the outcome."""
         self._put("outcome", round(self._run.simulated_seconds * 1e9), self._make.outcome(int(self._run.outcome)))
 
     def _put(self, topic: str, nanoseconds: int, message: Any) -> None:
@@ -181,8 +181,8 @@ def _write(
     try:
         messages = RunWriter(writer, namespace, spec_of(simulator), run, level)
         messages.begin()
-        for index, seen in enumerate(observations):
-            messages.frame(index, seen)
+        for index, observation in enumerate(observations):
+            messages.frame(index, observation)
         messages.end()
         images = {"images": str(messages.images)} if level != "telemetry" else {}
         writer.close(facts | results_of(run) | images)

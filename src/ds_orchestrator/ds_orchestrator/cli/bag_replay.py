@@ -75,7 +75,7 @@ def bag_replay(folder: Path, rate: float, topics: list[str], wait: float) -> Res
                 say(f"waiting up to {wait:g} s for a subscriber")
                 if not output.wait_for_readers(wait) and wait:
                     say(f"no subscriber after {wait:g} s: playing anyway")
-                controls = Controls(now=time.monotonic, wait=keys, tell=say)
+                controls = Controls(now=time.monotonic, wait=keys, report=say)
                 wanted = [c for c in chosen if c.topic not in output.skipped]
                 played = play(bag.messages(wanted), output, rate=rate, controls=controls)
                 skipped = dict(output.skipped)
