@@ -95,12 +95,11 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
             time.sleep(0.05)
         return run
 
-    # Until both sides of every topic know of each other, nothing is promised: runs to get acquainted.
+    # Until both sides of every topic know of each other, nothing is promised: at most four runs to get acquainted.
     for _ in range(5):
-        acquainted = drive_and_hear()
-        if len(heard["odom"]) == len(heard["info"]) == acquainted.steps + 1 and heard["image"]:
+        run = drive_and_hear()
+        if len(heard["odom"]) == len(heard["info"]) == run.steps + 1 and heard["image"]:
             break
-    run = drive_and_hear()
     done.set()
     listener.join(5.0)
     node.destroy_node()
