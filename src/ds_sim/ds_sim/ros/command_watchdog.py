@@ -1,4 +1,4 @@
-"""How long a simulator waits for its driver, by the wall clock; it decides when to give up, never what a result is."""
+"""Wall-clock timeout for driver commands; it decides when a run is given up, never what a result is."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ REPEAT_AFTER = 0.5
 
 
 class CommandWatchdog:
-    """Watches the wait for a driver.
+    """Measures the wait for a driver.
 
     Args:
-        limit: seconds that a driver gets for an answer.
-        frames_wait: a frame waits for its answer, so each frame begins a new wait; in real time none does.
+        limit: longest wait for an answer, s.
+        frames_wait: True in lock-step, where each frame begins a new wait; False in real time.
     """
 
     def __init__(self, limit: float, *, frames_wait: bool = True) -> None:
@@ -23,20 +23,20 @@ class CommandWatchdog:
         self._asked = self._sent = time.monotonic()
 
     def sent(self, step: int) -> None:
-        """A frame was sent; a first frame that is sent again does not give its driver more time."""
+        """Note that a frame was sent; a first frame that is sent again gives its driver no more time."""
         self._sent = time.monotonic()
         self._repeatable = step == 0
         if self._frames_wait and not self._repeatable:
             self._asked = self._sent
 
     def heard(self) -> None:
-        """A command came."""
+        """Note that a command came."""
         self._asked = time.monotonic()
         self._repeatable = False
 
     @property
     def is_over(self) -> bool:
-        """True when the driver was silent for too long."""
+        """True when the driver has been silent for too long."""
         return time.monotonic() - self._asked > self.limit
 
     @property

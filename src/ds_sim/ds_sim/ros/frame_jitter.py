@@ -1,4 +1,4 @@
-"""How well a simulator kept real time: its beats against the wall clock's even grid."""
+"""Measures how late the frames of a real-time run come."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 class FrameJitter:
-    """Collects the times of beats that should come every `period`.
+    """Statistics of beats that should come at an even period.
 
     Args:
         period: s between two beats.
@@ -22,7 +22,7 @@ class FrameJitter:
         """Beats of the grid on which nothing happened, because the one before took too long."""
 
     def beat(self, now: float) -> None:
-        """A beat at a time of the same clock; it belongs to the last point of the grid that has passed."""
+        """Note a beat, at a time of the same clock; it belongs to the last point of the grid that has passed."""
         elapsed = max(0.0, now - self._start)
         index = int(elapsed / self._period)
         self._late.append(elapsed - index * self._period)

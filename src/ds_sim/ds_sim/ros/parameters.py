@@ -1,4 +1,4 @@
-"""ROS parameters that describe themselves, and refuse what is out of range in one line."""
+"""Declares ROS parameters with descriptions and ranges; a bad value gives an error of one line."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ def declare(
     choices: Sequence[str] = (),
     length: int | None = None,
 ) -> Any:
-    """Declare a parameter that is fixed while the node lives, and give its value.
+    """Declare a read-only parameter and return its value.
 
     Args:
-        node: that gets the parameter.
-        name: of the parameter.
+        node: node that gets the parameter.
+        name: name of the parameter.
         default: decides the type: bool, int, float, str, or a list of one of them.
         description: one sentence with the unit; `ros2 param describe` shows it.
         low: smallest number, also of a list's entries.
         high: largest number.
-        choices: the texts that are possible.
+        choices: the values that are allowed.
         length: entries that a list must have: one for each namespace.
 
     Raises:
-        ValueError: the value from outside is of another type or out of range.
+        ValueError: the given value is of another type or out of range.
     """
     kind = type(default[0] if isinstance(default, list) else default)
     descriptor = ParameterDescriptor(description=description, read_only=True)

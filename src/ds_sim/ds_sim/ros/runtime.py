@@ -1,4 +1,4 @@
-"""Runs one node in a process until it is told to stop, and stops within a second whatever it is doing."""
+"""Runs one node in a process until a signal stops it, within a second whatever the node is doing."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 GRACE = 0.7
-"""Seconds after a signal in which a node may come to an end by itself; chosen so that a second holds it all."""
+"""Seconds that a node gets after a signal to end by itself; chosen so that everything fits into a second."""
 
 
 class Stop:
-    """Listens for SIGINT and SIGTERM in the main thread.
+    """Handler of SIGINT and SIGTERM in the main thread.
 
-    While the node is made, a signal interrupts it; later it is noted, so that no callback ends halfway. Whatever is
-    still busy after `GRACE`, in a library or in a simulator that hangs, is ended with its process.
+    A signal interrupts the construction of the node; later it is only noted, so that no callback ends halfway. A
+    process that is still busy after `GRACE`, in a library or in a simulator that hangs, is ended.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Stop:
     def _end_in_time(self) -> None:
         number = os.read(self._readable, 1)[0]
         threading.Event().wait(GRACE)
-        print(f"stopped in the midst of its work {GRACE:g} s after the signal", file=sys.stderr, flush=True)
+        print(f"ended while still busy, {GRACE:g} s after the signal", file=sys.stderr, flush=True)
         os._exit(128 + number)
 
 
@@ -75,7 +75,7 @@ def init_ros(**arguments: Any) -> None:
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Make a node and spin it; the exit status is 0, or 2 when the node could not be made for bad input.
 
-    SIGINT and SIGTERM end it within a second. A ValueError from `make_node` is told in one line.
+    SIGINT and SIGTERM end it within a second. A ValueError is printed in one line.
     """
     stop = Stop()
     node: Node | None = None
