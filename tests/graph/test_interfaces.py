@@ -12,15 +12,17 @@ import pytest
 pytestmark = pytest.mark.graph
 
 DOCUMENT = Path("docs/interfaces.md")
+GAINS = ("proportional", "derivative", "integral", "max_speed", "min_speed")
 NODES: dict[str, tuple[str, dict[str, object]]] = {
     "simulator": ("ds_sim.ros.simulator_node", {"simulator": "donkey", "publish_clock": True}),
-    "driver": ("ds_driver.ros.driver_node", {}),
-    "autopilot": ("ds_driver.ros.autopilot_node", {}),
+    "driver": ("ds_driver.ros.driver_node", {"crop_top": [0], "crop_bottom": [0]}),
+    "autopilot": ("ds_driver.ros.autopilot_node", dict.fromkeys(GAINS, [1.0])),
     "cmd_vel_adapter": ("ds_driver.ros.cmd_vel_adapter_node", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
     "camera_driver": ("ds_driver.ros.camera_driver_node", {}),
 }
 """Node -> module and parameters under which all of its documented interfaces are there."""
 OPTIONAL = {
+    "simulator": {("publishes", "/tf"), ("publishes", "/tf_static")},  # tf2_msgs is not on PyPI
     "cmd_vel_adapter": {("calls", "get_info")},
     "camera_driver": {("subscribes", "camera/image_raw/compressed"), ("publishes", "cmd_vel")},
 }

@@ -37,9 +37,7 @@ class DriverNode(Node):
         device = declare(self, "device", "cpu", "Where it is computed.", choices=("cpu", "cuda"))
         self._namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
         count = len(self._namespaces)
-        about = (
-            "Image rows at the {} that the network does not see, one number for each namespace; -1 asks the simulator."
-        )
+        about = "Image rows at the {} that the network does not see, one for each namespace; -1 asks the simulator."
         tops, bottoms = (
             declare(self, name, [ASK] * count, about.format(end), low=ASK, high=152, length=count)
             for name, end in (("crop_top", "top"), ("crop_bottom", "bottom"))

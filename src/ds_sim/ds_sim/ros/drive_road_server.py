@@ -45,7 +45,7 @@ class DriveRoadServer:
         try:
             self._begin(goal)
         except RequestRefused as refused:
-            self._node.get_logger().warning(f"goal refused: {refused}")
+            self._node.get_logger().warning(f"goal refused: {refused}", throttle_duration_sec=10.0)
             self._refused[bytes(goal.goal_id.uuid)] = refused
             goal.execute()
 
