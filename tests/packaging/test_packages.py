@@ -22,6 +22,7 @@ KEYS = {
     "gymnasium": "python3-gymnasium-pip",
     "jinja2": "python3-jinja2",
     "numpy": "python3-numpy",
+    "pandas": "python3-pandas",
     "onnxruntime": "python3-onnxruntime-pip",
     "pydantic": "python3-pydantic",
     "rich": "python3-rich",
