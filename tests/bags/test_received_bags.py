@@ -203,8 +203,8 @@ def test_definitions_become_code_only_within_limits() -> None:
 @pytest.mark.parametrize(
     ("fact", "value", "match"),
     [
-        ("seed", "9" * 400, "the seed"),
-        ("seed", "-1", "the seed"),
+        ("seed", "9" * 400, "seed '9"),
+        ("seed", "-1", "seed '-1'"),
         ("road", "[" * 100_000, "nested too deeply"),
         ("road", f"[[0, 0], [{'9' * 400}, 1], [2, 2], [3, 3]]", "control point"),
         ("steps", "400", "40 commands, but 400 steps"),

@@ -1,4 +1,4 @@
-"""Describes a bag, as JSON values and in words."""
+"""Describes a bag as JSON values and as lines of text."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ds_bags.reader import BagReader
 def describe(path: Path) -> dict[str, Any]:
     """Describe a bag as JSON values: its size, topics, and custom data.
 
-    Nothing is decompressed if the file has an index, and nothing that the bag names is imported.
+    Decompresses nothing if the file has an index, and imports nothing that the bag names.
 
     Raises:
-        ds_bags.layout.BagError: it cannot be read.
+        ds_bags.layout.BagError: the bag cannot be read.
     """
     with BagReader(path) as bag:
         return {
@@ -33,10 +33,10 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def in_words(document: Mapping[str, Any]) -> list[str]:
-    """Describe a bag in lines for a person: what happened first, then what is recorded.
+    """Describe a bag as lines of text: the outcome of its run first, then what is recorded.
 
     Args:
-        document: from `describe`.
+        document: result of `describe`.
     """
     facts = {printable(key): printable(value) for key, value in document["facts"].items()}
     size = f"{document['bytes'] / 1e6:.2f} MB in {document['files']} files"
@@ -46,32 +46,32 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
     elif facts:
         lines += [f"{key}: {value}" for key, value in sorted(facts.items())]
     else:
-        lines.append("It has no custom data: nothing about road, driver or outcome.")
+        lines.append("No custom data: road, driver and outcome are unknown.")
     return lines
 
 
 def _run_in_words(facts: Mapping[str, str]) -> list[str]:
     outcome = facts.get("outcome", "unknown").replace("_", " ").lower()
-    why = f" ({facts['message']})" if facts.get("message") else ""
+    reason = f" ({facts['message']})" if facts.get("message") else ""
     frames = f" after {facts['steps']} frames" if "steps" in facts else ""
-    lines = [f"{facts.get('driver') or 'An unnamed driver'} drove on {facts['simulator']}: {outcome}{frames}{why}."]
-    inside, side = _number(facts, "fitness"), _number(facts, "max_lateral_position")
-    if inside is not None and side is not None:
-        edge = f"{inside:.2f} m inside its lane" if inside >= 0.0 else f"{-inside:.2f} m out of its lane"
-        lines.append(f"At its worst the vehicle was {side:.2f} m off the lane's middle, {edge}.")
+    lines = [f"{facts.get('driver') or 'An unnamed driver'} drove on {facts['simulator']}: {outcome}{frames}{reason}."]
+    margin, offset = _number(facts, "fitness"), _number(facts, "max_lateral_position")
+    if margin is not None and offset is not None:
+        edge = f"{margin:.2f} m inside its lane" if margin >= 0.0 else f"{-margin:.2f} m out of its lane"
+        lines.append(f"At worst the vehicle was {offset:.2f} m off the lane's centre, {edge}.")
     lines.append(f"Road {facts.get('road_id', '?')}, seed {facts.get('seed', '?')}, level {facts.get('level', '?')}.")
     images, steps = _number(facts, "images"), _number(facts, "steps")
     if images is not None and steps is not None and images <= steps:
         lines.append(f"Only {images:.0f} of {steps + 1:.0f} images arrived.")
     if facts.get("test_id"):
         lines.append(f"Test {facts['test_id']} of a campaign.")
-    known = [f"{key.removeprefix('version.')} {facts[key]}" for key in sorted(facts) if key.startswith("version.")]
-    lines.append(f"Recorded with {', '.join([facts.get('engine', ''), *known]).strip(', ')}.")
+    versions = [f"{key.removeprefix('version.')} {facts[key]}" for key in sorted(facts) if key.startswith("version.")]
+    lines.append(f"Recorded with {', '.join([facts.get('engine', ''), *versions]).strip(', ')}.")
     return lines
 
 
 def _number(facts: Mapping[str, str], key: str) -> float | None:
-    """A fact as a finite number, or None."""
+    """Return a fact as a finite number, or None."""
     try:
         value = float(facts[key])
     except (KeyError, ValueError):

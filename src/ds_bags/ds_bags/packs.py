@@ -1,7 +1,7 @@
-"""Packs: many bags in one bag, each under its own name, and back.
+"""Packs many bags into one bag, each under its own name, and unpacks them.
 
-A pack is a rosbag2 folder itself: bag NAME has its topic `/ds1/state` at `/NAME/ds1/state`. All runs begin at time 0,
-so a plotter shows them over each other. Messages are copied as bytes: what is unpacked is what was packed, to the byte.
+A pack is itself a rosbag2 folder: topic `/ds1/state` of bag NAME becomes `/NAME/ds1/state`. All runs begin at time 0,
+so plotting tools overlay them. Messages are copied as bytes, so unpacked bags equal the packed ones to the byte.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from ds_bags.mcap_records import records, topic_of_channel
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
 
 PACKED_RECORD = "digital_siblings_packed"
-"""Name of the MCAP metadata record that begins a bag in a pack."""
+"""Name of the MCAP metadata record at the beginning of each bag in a pack."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pack:
-    """A pack that was written.
+    """Result of packing.
 
     Attributes:
-        folder: of the pack.
-        bags: number of bags in it.
-        bytes: size of its files.
+        folder: folder of the pack.
+        bags: number of packed bags.
+        bytes: size of the pack's files.
     """
 
     folder: Path
@@ -41,20 +41,20 @@ class Pack:
 
 
 def pack(bags: Sequence[Path], folder: Path, about: Mapping[str, str]) -> Pack:
-    """Put bags into one pack; the bags stay.
+    """Copy bags into one pack.
 
     Args:
         bags: folders of bags of one MCAP file each, with different names.
-        folder: pack to make; appears whole or not at all.
-        about: facts for its custom data.
+        folder: folder of the pack; appears whole or not at all.
+        about: facts for the custom data of the pack.
 
     Raises:
-        BagError: a bag cannot be read, two have the same name, there are too many, or the folder exists.
+        BagError: a bag cannot be read, two have the same name, there are too many bags, or the folder exists.
     """
     names = [bag_name(bag.name) for bag in bags]
     prefixes = [topic_prefix(name) for name in names]
-    if twice := sorted({name for name, prefix in zip(names, prefixes, strict=True) if prefixes.count(prefix) > 1}):
-        raise BagError(f"bags {', '.join(twice[:3])} would have the same topics: pack them separately")
+    if duplicates := sorted({name for name, prefix in zip(names, prefixes, strict=True) if prefixes.count(prefix) > 1}):
+        raise BagError(f"bags {', '.join(duplicates[:3])} would have the same topics: pack them separately")
     with new_folder(folder) as hidden:
         writer = Rosbag2Writer(hidden, about)
         try:
@@ -69,21 +69,21 @@ def pack(bags: Sequence[Path], folder: Path, about: Mapping[str, str]) -> Pack:
 
 
 def unpack(folder: Path, out: Path, only: str | None = None) -> list[Path]:
-    """Take bags out of a pack; the pack stays.
+    """Copy bags out of a pack.
 
-    Nothing is written outside `out`, and nothing at all before every name in the pack has been checked.
+    Checks every name in the pack before it writes anything, and writes only inside `out`.
 
     Args:
-        folder: pack to read.
-        out: folder in which the bags' folders are made.
-        only: name of one bag to take out; all if None.
+        folder: folder of the pack.
+        out: folder in which the bags' folders are created.
+        only: name of the bag to unpack; all if None.
 
     Raises:
-        BagError: not a pack, no such bag in it, a name that is not plain, or a bag's folder exists.
+        BagError: not a pack, no such bag in it, a name that is not plain, or a folder that exists.
     """
-    made: list[Path] = []
+    unpacked: list[Path] = []
     prefix = name = ""
-    taken: _Taken | None = None
+    current: _UnpackedBag | None = None
     schemas: dict[int, Schema] = {}
     file = _file_of(folder)
     names = _names(file)
@@ -93,34 +93,35 @@ def unpack(folder: Path, out: Path, only: str | None = None) -> list[Path]:
     with ExitStack() as stack:
         for record in _records(file):
             if isinstance(record, Metadata) and record.name in (PACKED_RECORD, "rosbag2"):
-                if taken is not None:
-                    taken.finish()
-                    made.append(taken.folder)
-                    taken = None
+                if current is not None:
+                    current.finish()
+                    unpacked.append(current.folder)
+                    current = None
                 if record.name == PACKED_RECORD:
                     name = bag_name(record.metadata.get("name"))
                     prefix = f"/{topic_prefix(name)}"
                     if only in (None, name):
-                        taken = _Taken(stack, out / name, _facts(folder, record, "about"), _facts(folder, record))
+                        about = _facts(folder, record, "about")
+                        current = _UnpackedBag(stack, out / name, about, _facts(folder, record))
             elif isinstance(record, Schema):
                 schemas[record.id] = record
-            elif taken is not None and isinstance(record, Channel) and record.topic.startswith(f"{prefix}/"):
+            elif current is not None and isinstance(record, Channel) and record.topic.startswith(f"{prefix}/"):
                 topic = topic_of_channel(record, schemas[record.schema_id], record.topic.removeprefix(prefix))
-                taken.channels[record.id] = taken.writer.channel(topic)
-            elif taken is not None and isinstance(record, Message):
-                if record.channel_id not in taken.channels:
+                current.channels[record.id] = current.writer.channel(topic)
+            elif current is not None and isinstance(record, Message):
+                if record.channel_id not in current.channels:
                     raise BagError(f"{folder}: a message of {name} has no topic of its own: copy the pack again")
-                taken.writer.write(taken.channels[record.channel_id], record.log_time, record.data)
-        if taken is not None:
+                current.writer.write(current.channels[record.channel_id], record.log_time, record.data)
+        if current is not None:
             raise BagError(f"{folder}: {name} has no end: `ds bag recover` keeps what is whole")
-    if not made:
+    if not unpacked:
         known = f"it holds {printable(', '.join(names))}" if names else "it is no pack"
         raise BagError(f"{folder}: nothing to unpack: {known}")
-    return made
+    return unpacked
 
 
-class _Taken:
-    """One bag that is being taken out."""
+class _UnpackedBag:
+    """Bag that is being unpacked."""
 
     def __init__(self, stack: ExitStack, folder: Path, about: dict[str, str], ending: dict[str, str]) -> None:
         self.folder = folder
@@ -131,13 +132,13 @@ class _Taken:
         self._stack.push(lambda kind, error, trace: self.writer.abort() if kind else None)
 
     def finish(self) -> None:
-        """Write the end, and let the folder appear."""
+        """Complete the bag and move it to its folder."""
         self.writer.close(self._ending)
         self._stack.close()
 
 
 def _names(file: Path) -> list[str]:
-    """Names of the bags in a pack, checked; chunks are skipped."""
+    """Read and check the names of the bags in a pack, without reading chunks."""
     found = (record for record, _ in records(file, chunks=False))
     return [
         bag_name(record.metadata.get("name"))
@@ -147,18 +148,18 @@ def _names(file: Path) -> list[str]:
 
 
 def _facts(folder: Path, record: Metadata, key: str = "custom_data") -> dict[str, str]:
-    """Facts of a bag in a pack."""
+    """Read the facts of a bag in a pack."""
     try:
         found: Any = json.loads(record.metadata[key])
         if all(isinstance(value, str) for value in found.values()):
             return dict(found)
     except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
         pass
-    raise BagError(f"{folder}: what a bag in it says about itself cannot be read: copy the pack again")
+    raise BagError(f"{folder}: the facts of a bag in it cannot be read: copy the pack again")
 
 
 def topic_prefix(name: str) -> str:
-    """Make a topic's first part of a bag's name: letters, digits and underscores, not beginning with a digit."""
+    """Convert a bag's name to the first part of a topic: letters, digits, underscores; first a letter."""
     text = "".join(c if c.isascii() and c.isalnum() else "_" for c in name)
     return text if text[:1].isalpha() else f"run_{text}"
 
@@ -182,7 +183,7 @@ def _add(writer: Rosbag2Writer, bag: Path) -> None:
         elif isinstance(record, Message):
             writer.write(channels[record.channel_id], record.log_time, record.data)
     if not begun:
-        raise BagError(f"{bag} was not written by this project: packing it would lose what it says about itself")
+        raise BagError(f"{bag} was not written by this project: packing would lose its facts")
 
 
 def _file_of(bag: Path) -> Path:
@@ -193,7 +194,7 @@ def _file_of(bag: Path) -> Path:
 
 
 def _records(file: Path) -> Iterator[McapRecord]:
-    """Schemas, channels, messages and metadata in the order of the file."""
+    """Yield schemas, channels, messages and metadata in the order of the file."""
     for record, _ in records(file):
         if isinstance(record, Schema | Channel | Message | Metadata):
             yield record

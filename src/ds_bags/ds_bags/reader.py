@@ -1,4 +1,4 @@
-"""Reads bags of this project and of any other: rosbag2 folders with MCAP or SQLite files, and ROS 1 `.bag` files."""
+"""Reads bags from any source: rosbag2 folders with MCAP or SQLite files, and ROS 1 `.bag` files."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ _NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 STATE, DRIVE = "ds_interfaces/msg/VehicleState", "ds_interfaces/msg/DriveCommand"
 ROAD = "ds_interfaces/msg/Road"
 MAX_SEED = 2**63 - 1
-"""Largest seed that a bag may have; what ROS carries."""
+"""Largest seed that a bag may have: the limit of a campaign's configuration and store."""
 
 
 class BagReader:
-    """Open bag, read within the limits of `ds_bags.limits`. Use it as a context manager.
+    """Reads an open bag within the limits of `ds_bags.limits`. Use it as a context manager.
 
     Args:
-        path: folder of a rosbag2, or a ROS 1 `.bag` file.
+        path: rosbag2 folder, or a ROS 1 `.bag` file.
 
     Attributes:
         path: folder or file that is read.
-        facts: the bag's custom data, as text.
-        files: the files that hold its messages.
+        facts: custom data of the bag, as text.
+        files: files that hold the messages.
 
     Raises:
-        BagError: no bag is there, it was never finished, it is damaged, or it goes beyond a limit.
+        BagError: there is no bag, or it is unfinished, damaged, or beyond a limit.
     """
 
     def __init__(self, path: Path) -> None:
@@ -74,24 +74,24 @@ class BagReader:
                 self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
                 self._reader.open()
             self._check()
-        except Exception as error:  # a damaged file raises whatever its reader stumbles on
+        except Exception as error:  # damaged files make the reader raise arbitrary errors
             raise self._damaged(error) from None
 
     def _check(self) -> None:
-        """Check what only an open bag tells."""
+        """Check the types, topics and message counts of the open bag."""
         if not self._reader.is2:
             check_ros1_types(dict(self._reader.typestore.fielddefs))
         if len(self._reader.connections) > MAX_TOPICS:
             raise TooLargeError(f"it has {len(self._reader.connections)} topics, the limit is {MAX_TOPICS}")
         for connection in self._reader.connections:
             if not isinstance(connection.topic, str) or not connection.topic:
-                raise ValueError(f"a topic is called {printable(connection.topic)!r}")
+                raise ValueError(f"a topic has the name {printable(connection.topic)!r}")
         if self._reader.is2 and self.path.is_dir():
-            # Of one reader, which is a folder of storages.
+            # A rosbag2 folder has one reader, with one storage per file.
             storages: Any = getattr(self._reader.readers[0].storage, "storages", [])  # type: ignore[union-attr]
-            held = sum(storage.metadata.message_count for storage in storages)
-            if held != self._reader.message_count:
-                raise ValueError(f"metadata.yaml counts {self._reader.message_count} messages, its files {held}")
+            counted = sum(storage.metadata.message_count for storage in storages)
+            if counted != self._reader.message_count:
+                raise ValueError(f"metadata.yaml counts {self._reader.message_count} messages, its files {counted}")
 
     def _damaged(self, error: Exception) -> BagError:
         if isinstance(error, TooLargeError):
@@ -103,22 +103,22 @@ class BagReader:
 
     @property
     def connections(self) -> list[Connection]:
-        """Topics with their types and message counts."""
+        """Return the topics with their types and message counts."""
         return list(self._reader.connections)
 
     @property
     def start(self) -> int:
-        """Time of the first message, ns."""
+        """Return the time of the first message, ns."""
         return int(self._reader.start_time)
 
     @property
     def seconds(self) -> float:
-        """Seconds from the first message to the last."""
-        # rosbags counts to the nanosecond after the last message.
+        """Return the time from the first message to the last, s."""
+        # rosbags counts to one nanosecond after the last message.
         return max(0, int(self._reader.duration) - 1) / 1e9 if self._reader.message_count else 0.0
 
     def messages(self, connections: Collection[Connection] | None = None) -> Iterator[tuple[Connection, int, bytes]]:
-        """Iterate over messages in the order of time; those of one time come as they were recorded.
+        """Iterate over messages in order of time; messages of the same time keep their recorded order.
 
         Args:
             connections: topics to read; all if None.
@@ -127,7 +127,7 @@ class BagReader:
             Topic, time in ns, and serialised message.
 
         Raises:
-            BagError: the file is damaged, or opens to more than the limit.
+            BagError: the file is damaged, or decompresses to more than the limit.
         """
         if connections is not None and not connections:
             return
@@ -149,17 +149,17 @@ class BagReader:
         """Deserialise a message.
 
         Raises:
-            BagError: the bytes are not of its type.
+            BagError: the bytes do not match the type of the topic.
         """
         try:
-            # No list can have more elements than the message has bytes.
+            # A sequence cannot have more elements than the message has bytes.
             self._reader.typestore.max_sequence_length = max(len(raw), 1)
             return self._reader.deserialize(raw, connection.msgtype)
         except Exception as error:
             raise self._damaged(error) from None
 
     def of_type(self, message_type: str) -> list[Connection]:
-        """List the topics of one message type."""
+        """Return the topics of one message type."""
         return [connection for connection in self._reader.connections if connection.msgtype == message_type]
 
     def __enter__(self) -> BagReader:
@@ -174,39 +174,39 @@ class BagReader:
 def _check_finished(path: Path) -> None:
     if not path.exists():
         if partial_path(path).exists() or image_spool_path(path).exists():
-            raise BagError(f"{path} was never finished: `ds bag recover {path} --out DIR` makes a bag of what is there")
-        raise BagError(f"{path}: no such bag: give the folder of one")
+            raise BagError(f"{path} was never finished: `ds bag recover {path} --out DIR` recovers what was written")
+        raise BagError(f"{path}: no such bag: give the folder of a bag")
     if path.is_dir() and not (path / "metadata.yaml").exists():
         if list(path.glob("*.mcap")):
-            raise BagError(f"{path} has no metadata.yaml: `ds bag recover {path} --out DIR` makes a whole bag of it")
+            raise BagError(f"{path} has no metadata.yaml: `ds bag recover {path} --out DIR` completes it")
         raise BagError(f"{path} is no bag: expected a folder with metadata.yaml")
 
 
 def _check_tables(file: Path) -> None:
-    """Refuse an SQLite file in whose tables something is computed: a view can have rows without end."""
+    """Refuse SQLite files with views, virtual tables or generated columns: a view can have endless rows."""
     database = sqlite3.connect(f"file:{quote(str(file.resolve()))}?mode=ro&immutable=1", uri=True)
     try:
-        for kind, name, made in database.execute("SELECT type, name, sql FROM sqlite_master"):
-            text = str(made or "").upper()
+        for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
+            text = str(sql or "").upper()
             if kind not in ("table", "index") or "VIRTUAL TABLE" in text or "GENERATED" in text or " AS (" in text:
                 raise BagError(f"{file} has a {printable(kind)} {printable(name)!r} that no recorder makes")
         columns = "SELECT p.hidden FROM sqlite_master m, pragma_table_xinfo(m.name) p WHERE m.type = 'table'"
         if any(hidden for (hidden,) in database.execute(columns)):
-            raise BagError(f"{file} has a column that is computed: no recorder makes one")
+            raise BagError(f"{file} has a generated column that no recorder makes")
     finally:
         database.close()
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
-    """One run as its bag describes it.
+    """Run read from a bag.
 
     Attributes:
         run: road, seed, observations without images, commands, and outcome.
         simulator: name for `ds_sim.registry.make_simulator`; shipped, or confirmed by the user.
-        driver: who drove, or "".
-        namespace: of the simulator.
-        stamps: of the observations, ns.
+        driver: name of the driver, or "".
+        namespace: ROS namespace of the simulator.
+        stamps: stamp of each observation, ns.
     """
 
     run: RunRecord
@@ -222,35 +222,35 @@ def read_run(
     """Read the one run that a bag of this project holds.
 
     `rosbags-convert` and `ros2 bag convert` drop a bag's custom data. The road is then taken from its message;
-    simulator and seed are in no message and have to be given.
+    no message holds simulator and seed, so the caller has to give them.
 
     Args:
         bag: open bag.
-        simulator: named by the user: taken if the bag has lost its own, and trusted if it is the bag's own.
-        seed: taken if the bag has lost its own.
-        trusted: simulators of the user's own that the bag may name: their code runs when they are made.
+        simulator: simulator named by the user; replaces a lost one, and is trusted if the bag names the same.
+        seed: seed that replaces a lost one.
+        trusted: user-provided simulators that the bag may name; their code runs when they are created.
 
     Raises:
-        BagError: it holds no run or more than one, its parts do not fit together, or something is missing.
-        ds_sim.registry.UntrustedSimulatorError: it names a simulator that is not shipped and was not confirmed.
+        BagError: the bag holds no run or several, is not consistent, or lacks something.
+        ds_sim.registry.UntrustedSimulatorError: the bag names a simulator that is neither shipped nor confirmed.
     """
     states, drives = bag.of_type(STATE), bag.of_type(DRIVE)
     if len(states) != 1:
-        held = "no run" if not states else "several runs (`ds bag unpack` takes one out)"
-        raise BagError(f"{bag.path} holds {held} of this project: `ds bag info` lists its topics")
+        found = "no run" if not states else "several runs (`ds bag unpack` extracts one)"
+        raise BagError(f"{bag.path} holds {found} of this project: `ds bag info` lists its topics")
     facts = _completed(bag, simulator, seed)
     recorded = received_simulator(facts["simulator"], confirmed=[*trusted, *([simulator] if simulator else [])])
     observations: list[Observation] = []
     stamps: list[int] = []
-    given: dict[int, Command] = {}
+    commands: dict[int, Command] = {}
     try:
         run = RunRecord(road=_road(bag, facts), seed=_seed(facts["seed"]), message=facts.get("message", ""))
         for connection, _, raw in bag.messages([*states, *drives]):
             message = bag.message(connection, raw)
             stamp = stamp_of(message)
             if connection.msgtype == DRIVE:
-                given.setdefault(stamp, Command(message.steering, message.throttle))
-            elif not stamps or stamp > stamps[-1]:  # the first frame is sent again until it is answered
+                commands.setdefault(stamp, Command(message.steering, message.throttle))
+            elif not stamps or stamp > stamps[-1]:  # nodes resend the first frame until it is answered
                 observations.append(_observation(message))
                 stamps.append(stamp)
         outcome = facts.get("outcome", "RUNNING")
@@ -261,13 +261,13 @@ def read_run(
         raise _inconsistent(bag, printable(error)) from None
     if not observations:
         raise _inconsistent(bag, "no states")
-    if [seen.step for seen in observations] != list(range(len(observations))):
+    if [observation.step for observation in observations] != list(range(len(observations))):
         raise _inconsistent(bag, "gaps between its states")
     run.observations = observations
-    answered = [stamp for stamp in stamps if stamp in given]
+    answered = [stamp for stamp in stamps if stamp in commands]
     if answered != stamps[: len(answered)] or len(answered) < len(stamps) - 1:
         raise _inconsistent(bag, f"{len(stamps)} states, but commands for {len(answered)} of them")
-    run.commands = [given[stamp] for stamp in answered]
+    run.commands = [commands[stamp] for stamp in answered]
     if facts.get("steps", str(run.steps)) != str(run.steps):
         raise _inconsistent(bag, f"{run.steps} commands, but {printable(facts['steps'])} steps in its custom data")
     return RecordedRun(
@@ -284,7 +284,7 @@ def _inconsistent(bag: BagReader, reason: str) -> BagError:
 
 
 def _completed(bag: BagReader, simulator: str | None, seed: int | None) -> dict[str, str]:
-    """The bag's facts, with what the user gave in place of what is lost."""
+    """Return the facts of a bag, completed with what the user gives for lost ones."""
     facts = dict(bag.facts)
     if simulator and "simulator" not in facts:
         facts["simulator"] = simulator
@@ -295,24 +295,24 @@ def _completed(bag: BagReader, simulator: str | None, seed: int | None) -> dict[
         missing.append("road")
     if missing:
         options = {"simulator": "--sim NAME", "seed": "--seed N"}
-        give = " ".join(options[name] for name in missing if name in options)
-        remedy = "redrive the bag it was converted from" if "road" in missing else f"give {give}"
+        arguments = " ".join(options[name] for name in missing if name in options)
+        remedy = "redrive the bag it was converted from" if "road" in missing else f"give {arguments}"
         raise BagError(
-            f"{bag.path} does not say its {', '.join(missing)}: its custom data was lost, as in a conversion: {remedy}"
+            f"{bag.path} does not say its {', '.join(missing)}: custom data is lost, probably in a conversion: {remedy}"
         )
     return facts
 
 
 def _road(bag: BagReader, facts: dict[str, str]) -> Road:
-    """The road of the custom data, else of the first road message."""
+    """Read the road from the custom data, or else from the first road message."""
     if "road" in facts:
         try:
             return road_from_json(json.loads(facts["road"]))
         except RecursionError:
-            raise RoadError("a road that is nested too deeply") from None
+            raise RoadError("its road is nested too deeply") from None
     for connection, _, raw in bag.messages(bag.of_type(ROAD)):
         message = bag.message(connection, raw)
-        # Roads of version 0.1 have control points alone.
+        # Road messages of version 0.1 have control points only.
         return road_from_fields(
             [(point.x, point.y) for point in message.control_points],
             lane_width=float(getattr(message, "lane_width", 0.0)),
@@ -324,15 +324,15 @@ def _road(bag: BagReader, facts: dict[str, str]) -> Road:
 
 def _seed(text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) <= MAX_SEED):
-        raise ValueError(f"the seed {printable(text, 60)!r}, expected a whole number from 0 to {MAX_SEED}")
+        raise ValueError(f"seed {printable(text, 60)!r}, expected a whole number from 0 to {MAX_SEED}")
     return int(text)
 
 
 def stamp_of(message: Any) -> int:
-    """Time in a message's header, ns.
+    """Return the stamp in the header of a message, ns.
 
     Raises:
-        BagError: it has no header, or an impossible time.
+        BagError: the message has no header, or its stamp is outside the range of ROS time.
     """
     try:
         stamp = message.header.stamp
@@ -340,7 +340,7 @@ def stamp_of(message: Any) -> int:
     except (AttributeError, TypeError, ValueError, OverflowError):
         raise BagError("a message has no header with a stamp: it was not recorded from ROS") from None
     if not -MAX_TIME <= time < MAX_TIME:
-        raise BagError("a message has a stamp that is not a time of ROS: it was not recorded from ROS")
+        raise BagError("a message has a stamp outside the range of ROS time: it was not recorded from ROS")
     return time
 
 

@@ -1,4 +1,4 @@
-"""Makes a whole bag of what a killed writer left: every chunk that reached the disk is kept, in its order."""
+"""Recovers unfinished bags: keeps every chunk that a killed writer got to the disk, in order."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ UNFINISHED = "UNFINISHED"
 
 @dataclass(frozen=True, kw_only=True)
 class Recovered:
-    """A bag that was recovered.
+    """Result of a recovery.
 
     Attributes:
         source: file that was read.
-        folder: bag that was made.
-        messages: number of messages in it.
-        seconds: from the first message to the last.
+        folder: recovered bag.
+        messages: number of recovered messages.
+        seconds: time from the first message to the last.
         lost_bytes: bytes at the end of the file that could not be read.
     """
 
@@ -39,13 +39,13 @@ class Recovered:
 
 
 def unfinished_file(path: Path) -> Path:
-    """Find the MCAP file that a killed writer left of a bag.
+    """Find the MCAP file that a killed writer left behind.
 
     Args:
-        path: where the bag should have been, its hidden folder, a folder with an MCAP file, or that file.
+        path: intended path of the bag, its hidden folder, a folder with an MCAP file, or that file.
 
     Raises:
-        BagError: there is none, or the bag is whole.
+        BagError: there is no such file, or the bag is whole.
     """
     if path.is_file():
         return path
@@ -57,23 +57,23 @@ def unfinished_file(path: Path) -> Path:
     ):
         found = sorted(folder.glob("*.mcap"))
         if found and (folder / "metadata.yaml").exists():
-            raise BagError(f"{folder} is whole: `ds bag info {folder}` says what it holds")
+            raise BagError(f"{folder} is whole: `ds bag info {folder}` describes it")
         if found:
             return found[0]
     raise BagError(f"{path}: nothing to recover: expected an .mcap file in it, or in {partial_path(path)}")
 
 
 def recover(path: Path, out: Path | None = None) -> Recovered:
-    """Make a whole bag of what a killed writer left; the remains stay as they are.
+    """Make a whole bag from an unfinished one, which stays as it is.
 
-    Every record up to the first that makes no sense is kept, in its order.
+    Keeps every record up to the first damaged one, in order.
 
     Args:
-        path: see `unfinished_file`.
-        out: folder to make; None for a name beside the remains that ends with `_recovered`.
+        path: unfinished bag, see `unfinished_file`.
+        out: folder to create; None for a folder next to the unfinished bag whose name ends in `_recovered`.
 
     Raises:
-        BagError: nothing is there, nothing of it can be read, or `out` exists.
+        BagError: there is no unfinished bag, nothing in it can be read, or `out` exists.
     """
     source = regular_file(unfinished_file(path))
     if out is None:
@@ -89,14 +89,14 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     channels: dict[int, int] = {}
     writer: Rosbag2Writer | None = None
     ended: dict[str, str] = {}
-    count, first, last, understood = 0, 0, 0, 0
+    count, first, last, readable = 0, 0, 0, 0
     for record, position in _readable(source):
-        # What follows the footer is the end mark, which belongs to it.
-        understood = source.stat().st_size if isinstance(record, Footer) else position
+        # After the footer comes only the closing magic.
+        readable = source.stat().st_size if isinstance(record, Footer) else position
         if isinstance(record, Metadata) and record.name == ABOUT_RECORD:
             facts = dict(record.metadata)
         elif isinstance(record, Metadata) and record.name == "rosbag2":
-            # Everything was written, but the folder was not: the bag's own last words count.
+            # The file was finished but its folder was not: use the outcome that the file states.
             ended = _ending(record)
         elif isinstance(record, Schema):
             schemas[record.id] = record
@@ -113,20 +113,20 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
             last, count = max(last, record.log_time), count + 1
     if writer is None or not count:
         raise BagError(f"{source} holds no whole chunk: the writer was killed before its first flush")
-    lost = source.stat().st_size - understood
+    lost = source.stat().st_size - readable
     cut = {"outcome": UNFINISHED, "message": f"recovered: the last {lost} bytes could not be read"}
     writer.close(facts | (ended or cut))
     return Recovered(source=source, folder=out, messages=count, seconds=(last - first) / 1e9, lost_bytes=lost)
 
 
 def _readable(source: Path) -> Iterator[tuple[McapRecord, int]]:
-    """Records up to the first that makes no sense, and how far into the file they reach."""
+    """Yield the records up to the first damaged one, with the number of bytes read so far."""
     with contextlib.suppress(DamagedFileError):
         yield from records(source)
 
 
 def _ending(record: Metadata) -> dict[str, str]:
-    """Custom data that a finished writer repeats at the end of its file; empty if it makes no sense."""
+    """Return the custom data at the end of a finished file; empty if it is malformed."""
     try:
         information = load_yaml(record.metadata["serialized_metadata"], limits=MAX_METADATA)
         return custom_data(information)

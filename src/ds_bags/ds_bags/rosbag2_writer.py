@@ -1,8 +1,8 @@
-"""The rosbag2 format of ROS 2 Jazzy: a folder with one MCAP file and `metadata.yaml`, version 9.
+"""Writes rosbag2 folders as ROS 2 Jazzy does: one MCAP file and `metadata.yaml`, version 9.
 
-MCAP profile `ros2`, messages as `cdr`, schemas as `ros2msg` text; each channel carries its QoS and its type's hash, and
-a metadata record `rosbag2` repeats the folder's metadata, so that the file alone is enough for a reader. A record
-`digital_siblings` at the very beginning says what is being recorded, so that a killed writer leaves that too.
+MCAP profile `ros2`, messages as `cdr`, schemas as `ros2msg` text. Each channel carries its QoS and the hash of its
+type. A metadata record `rosbag2` repeats the folder's metadata, so readers need the file alone. A record
+`digital_siblings` at the beginning describes the recording, so it survives when the writer is killed.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from ds_bags.limits import MAX_TOPICS
 from ds_sim.bounded_yaml import load_yaml
 
 CHUNK_SIZE = 64 * 1024
-"""Bytes before compression; small, so that a writer that is killed loses next to nothing of what it was given."""
+"""Bytes of a chunk before compression; small, so a killed writer loses few messages."""
 ABOUT_RECORD = "digital_siblings"
-"""Name of the MCAP metadata record with the facts that are known when recording begins."""
+"""Name of the MCAP metadata record with the facts known at the start of the recording."""
 _NEVER = {"sec": 9223372036, "nsec": 854775807}
-"""An infinite duration as rmw writes it."""
+"""Infinite duration as rmw writes it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
-    """What a bag says about a topic.
+    """Topic of a bag.
 
     Attributes:
-        name: with its namespace.
-        message_type: such as `sensor_msgs/msg/Image`.
-        definition: text of the type and of every type in it.
+        name: topic name with its namespace.
+        message_type: type name such as `sensor_msgs/msg/Image`.
+        definition: text of the type and of every type nested in it.
         digest: RIHS01 hash of the type.
-        qos: profile of the publisher as YAML, a list of one.
-        encoding: of the definition, `ros2msg` or `ros2idl`.
+        qos: QoS profile of the publisher, a YAML list of one.
+        encoding: format of the definition, `ros2msg` or `ros2idl`.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Topic:
     encoding: str = "ros2msg"
 
 
-# The C library's dumper is eight times faster; a wheel without it has the other.
+# libyaml's dumper is eight times faster, but not every wheel includes it.
 _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -60,7 +60,7 @@ def _yaml(value: Any) -> str:
 
 @lru_cache
 def topic_of(typestore: Typestore, name: str, message_type: str, *, depth: int, latched: bool = False) -> Topic:
-    """A topic of reliable messages, of a type that a typestore knows."""
+    """Make a topic with reliable QoS for a type of the typestore."""
     definition, _ = typestore.generate_msgdef(message_type, ros_version=2)
     return Topic(
         name=name,
@@ -72,18 +72,18 @@ def topic_of(typestore: Typestore, name: str, message_type: str, *, depth: int, 
 
 
 class Rosbag2Writer:
-    """Writes one bag; close it to make it whole. What was flushed can be recovered from one that was not closed.
+    """Writes one bag. `close` completes it; without that, `ds_bags.recovery` restores what was flushed.
 
     Args:
-        folder: of the bag; must not exist.
-        about: facts that are known now; they are on the disk before the first message.
+        folder: folder of the bag, created here; must not exist.
+        about: facts known at the start; written to the file before the first message.
     """
 
     def __init__(self, folder: Path, about: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
         self._folder = folder
         self._file = (folder / f"{folder.name}.mcap").open("wb")
-        # A chunk ends in `write`, which also hands it to the operating system; never by the library's own count.
+        # `write` ends each chunk and flushes the file; the size limit keeps the library from ending chunks itself.
         self._mcap = Writer(self._file, chunk_size=2**62, compression=CompressionType.ZSTD)
         self._mcap.start(profile="ros2", library="digital-siblings")
         self._mcap.add_metadata(ABOUT_RECORD, dict(about))
@@ -94,10 +94,10 @@ class Rosbag2Writer:
         self._pending = 0
 
     def channel(self, topic: Topic) -> int:
-        """Declare a topic; its number is for `write`.
+        """Declare a topic and return its number for `write`.
 
         Raises:
-            BagError: the bag has more topics than any reader of this project accepts.
+            BagError: the bag would have more topics than this project's readers accept.
         """
         if len(self._channels) >= MAX_TOPICS:
             raise BagError(
@@ -124,33 +124,33 @@ class Rosbag2Writer:
         return number
 
     def write(self, channel: int, nanoseconds: int, data: bytes) -> None:
-        """Write one serialised message at a time."""
-        counted = self._channels[channel]
-        self._mcap.add_message(channel, nanoseconds, data, nanoseconds, counted["message_count"])
-        counted["message_count"] += 1
+        """Write one serialised message, logged and published at a time in ns."""
+        entry = self._channels[channel]
+        self._mcap.add_message(channel, nanoseconds, data, nanoseconds, entry["message_count"])
+        entry["message_count"] += 1
         self._first, self._last = min(self._first, nanoseconds), max(self._last, nanoseconds)
         self._pending += len(data)
         if self._pending >= CHUNK_SIZE:
             self.flush()
 
     def flush(self) -> None:
-        """Give everything so far to the operating system: a writer that is killed after this loses none of it."""
+        """Hand all messages so far to the operating system; they survive when the process is killed."""
         self._mcap.flush()
         self._pending = 0
 
     def note(self, name: str, facts: Mapping[str, str]) -> None:
-        """Write a metadata record behind what was written so far."""
+        """Append a metadata record after all messages so far."""
         self.flush()
         self._mcap.add_metadata(name, dict(facts))
 
     def close(self, custom_data: Mapping[str, str]) -> None:
-        """Write index and metadata.
+        """Write index and metadata, and close the file.
 
         Args:
-            custom_data: facts about the bag.
+            custom_data: facts about the bag, for its metadata.
         """
         information = self._information(dict(custom_data))
-        # Behind the last message, so that whoever finds this record in the remains of a file has all of them.
+        # After the last message: a file with this record is known to hold all messages.
         self.note("rosbag2", {"serialized_metadata": _yaml(information)})
         self._mcap.finish()
         self._file.close()
@@ -158,7 +158,7 @@ class Rosbag2Writer:
         (self._folder / "metadata.yaml").write_text(text)
 
     def abort(self) -> None:
-        """Leave the bag as it is."""
+        """Close the file without completing the bag."""
         self._file.close()
 
     def _information(self, custom_data: dict[str, str]) -> dict[str, Any]:
@@ -187,7 +187,7 @@ class Rosbag2Writer:
 
 
 def _qos(depth: int, latched: bool) -> dict[str, Any]:
-    """A reliable publisher's profile as rosbag2 of Jazzy writes it."""
+    """Make the QoS profile of a reliable publisher as rosbag2 of Jazzy writes it."""
     return {
         "history": "keep_last",
         "depth": depth,

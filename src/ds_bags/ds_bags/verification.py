@@ -1,6 +1,6 @@
 """Re-simulates a recorded run and compares it bit by bit: states, and images if the bag has them.
 
-`ds bag redrive` on the command line: the recorded simulator gets the recorded commands again, on the same road and from
+`ds bag redrive` on the command line: applies the recorded commands to the recorded simulator, on the same road and with
 the same seed. No driver takes part.
 """
 
@@ -27,11 +27,11 @@ class Verification:
     """Result of a re-simulation.
 
     Attributes:
-        simulator: that re-simulated the run.
-        frames: number of frames that came out the same.
-        images: number of images that were compared.
+        simulator: simulator that re-simulated the run.
+        frames: number of identical frames.
+        images: number of compared images.
         step: first step that differs, or None.
-        difference: at that step, in words.
+        difference: description of the difference at that step.
     """
 
     simulator: str
@@ -44,30 +44,30 @@ class Verification:
 def verify_bag(
     folder: Path, simulator: str | None = None, *, seed: int | None = None, trusted: Collection[str] = ()
 ) -> Verification:
-    """Re-simulate a bag's run and compare.
+    """Re-simulate the run of a bag and compare it with the recording.
 
     Args:
         folder: bag of this project.
-        simulator: another one than the recorded, named by the user.
-        seed: of the run, if the bag has lost it.
-        trusted: simulators of the user's own that the bag may name, see `read_run`.
+        simulator: simulator to use instead of the recorded one, named by the user.
+        seed: seed of the run, for a bag that has lost it.
+        trusted: user-provided simulators that the bag may name, see `read_run`.
 
     Raises:
         ds_bags.layout.BagError: the bag cannot be read, or holds no run.
         ds_sim.registry.UntrustedSimulatorError: the bag names a simulator that is not shipped.
-        ds_sim.registry.UnknownSimulatorError: the simulator cannot be made.
+        ds_sim.registry.UnknownSimulatorError: the simulator cannot be created.
     """
     with BagReader(folder) as bag:
         recorded = read_run(bag, simulator=simulator, seed=seed, trusted=trusted)
         chosen = simulator or recorded.simulator
-        # Another simulator shows another world: there the states alone can be the same.
+        # Another simulator renders other images: compare the states only.
         images = _images(bag, recorded) if chosen == recorded.simulator else iter(())
         frames, compared, step = 0, 0, 0
         try:
-            for step, seen in enumerate(resimulate(chosen, recorded.run)):
-                kept = next(images, None)
-                if kept is not None:
-                    if difference := _image_difference(bag, seen, kept):
+            for step, observation in enumerate(resimulate(chosen, recorded.run)):
+                recorded_image = next(images, None)
+                if recorded_image is not None:
+                    if difference := _image_difference(bag, observation, recorded_image):
                         raise ResimulationError(chosen, step, difference)
                     compared += 1
                 frames += 1
@@ -79,7 +79,7 @@ def verify_bag(
 
 
 def _images(bag: BagReader, recorded: RecordedRun) -> Iterator[Any]:
-    """Yield for each state its image, or None; images are read as they are needed."""
+    """Yield the image of each state, or None; reads images lazily."""
     cameras = [
         connection
         for connection in bag.connections
@@ -93,23 +93,25 @@ def _images(bag: BagReader, recorded: RecordedRun) -> Iterator[Any]:
         yield image if image is not None and stamp_of(image) == stamp else None
 
 
-def _image_difference(bag: BagReader, seen: Observation, kept: Any) -> str:
-    """Difference in words, or "" if the recorded image is the one that is seen now; a JPEG is compared with a new one.
+def _image_difference(bag: BagReader, observation: Observation, recorded: Any) -> str:
+    """Describe the difference between two images, or return "" if they are equal; JPEGs are compared as files.
 
     Raises:
         BagError: the recorded image is malformed.
     """
     try:
-        if hasattr(kept, "format"):
+        if hasattr(recorded, "format"):
             from ds_sim.camera.jpeg import encode
 
-            return "" if encode(seen.image) == kept.data.tobytes() else "where the image is another, by its JPEG"
-        shape = (kept.height, kept.width, 3)
-        if shape != seen.image.shape or kept.encoding != "rgb8":
-            return f"where the image is {printable(kept.width)} x {printable(kept.height)} {printable(kept.encoding)}"
-        apart = np.abs(kept.data.reshape(shape).astype(np.int16) - seen.image.astype(np.int16))
+            return "" if encode(observation.image) == recorded.data.tobytes() else "where the JPEG image differs"
+        shape = (recorded.height, recorded.width, 3)
+        if shape != observation.image.shape or recorded.encoding != "rgb8":
+            size = f"{printable(recorded.width)} x {printable(recorded.height)} px"
+            return f"where the recorded image has {size} and encoding {printable(recorded.encoding)}"
+        difference = np.abs(recorded.data.reshape(shape).astype(np.int16) - observation.image.astype(np.int16))
     except (AttributeError, TypeError, ValueError) as error:
         raise BagError(f"{bag.path} has a malformed image ({printable(error)}): copy the bag again") from None
-    if not apart.any():
+    if not difference.any():
         return ""
-    return f"where {int(apart.any(axis=2).sum())} pixels of the image differ, by up to {int(apart.max())} levels"
+    pixels = int(difference.any(axis=2).sum())
+    return f"where {pixels} pixels of the image differ, by up to {int(difference.max())} levels"

@@ -1,4 +1,4 @@
-"""Reads recorded drives for the fit: bags of this project and Donkey Car tubs (version 2), at 20 Hz in model metres."""
+"""Reads recorded drives for the fit, from bags of this project or Donkey Car tubs (version 2): 20 Hz, model metres."""
 
 from __future__ import annotations
 
@@ -23,15 +23,17 @@ Array = NDArray[np.float64]
 CHANNELS = ("x", "y", "yaw", "speed", "yaw_rate")
 """Fitted quantities: position (m) and heading (rad) of the car's centre, forward speed (m/s), yaw rate (rad/s)."""
 MAX_GAP = 0.25
-"""Largest time between two rows, s; chosen: five frames. A longer gap ends a drive: commands within it are unknown."""
+"""Largest time between two rows, s; chosen: five frames. A longer gap ends a drive, as its commands are unknown."""
 _MAX_JITTER = 0.002
-"""Rows whose spacing differs from a frame by less than this are not resampled, s; chosen: less than a substep."""
+"""Largest deviation of the row spacing from one frame that needs no resampling, s; chosen: less than a substep."""
 _MIN_COMPARED_SPEED, _MAX_SPEED_RATIO = 0.3, 1.5
-"""Speed (m/s) above which positions and speed must agree, and the factor within which they must. Chosen: above the
-noise of positions; a wheel sensor is off by less, wrong units by more (positions and speeds of the Donkey simulator
-have differed by a factor of 8)."""
+"""Speed (m/s) above which positions and speed must agree, and the largest ratio between them. Chosen: above the noise
+of positions; more than the error of a wheel sensor, less than that of wrong units (positions and speeds of the Donkey
+simulator have differed by a factor of 8)."""
 _STANDING_SPEED = 0.05
 """Speed below which a drive counts as started from rest, model m/s; chosen: above the noise of a speed sensor."""
+_BLOCK = 2**20
+"""Bytes of a file that are hashed at a time."""
 
 
 class LogError(ValueError):
@@ -43,9 +45,9 @@ class Drive:
     """Part of a log without gaps.
 
     Attributes:
-        commands: (n, 2) steering and throttle; row i is given at frame i and held until frame i + 1.
+        commands: (n, 2) steering and throttle; row i is applied at frame i and held until frame i + 1.
         measured: (n, 5) measurements, columns as `CHANNELS`, model metres; NaN where the log has no value.
-        from_rest: whether the car stood before the first row, with neutral commands.
+        from_rest: True if the car stood still with neutral commands before the first row.
     """
 
     commands: Array
@@ -60,7 +62,7 @@ class Log:
     Attributes:
         name: name of the file or folder.
         kind: `bag` or `tub`.
-        sha256: SHA-256 of the files that were read.
+        sha256: SHA-256 over the files that were read, one after the other.
         drives: parts without gaps.
     """
 
@@ -79,7 +81,7 @@ def read_log(path: Path) -> Log:
     """Read a folder with a rosbag2 bag of one run or with a Donkey Car tub.
 
     Raises:
-        LogError: the log cannot be used; one line says what is wrong and what to do.
+        LogError: the log cannot be used; the message is one line with the remedy.
     """
     if (path / "metadata.yaml").is_file():
         return _read_bag(path)
@@ -128,7 +130,7 @@ def _resampled(times: Array, commands: Array, measured: Array) -> Drive:
 
 def _read_bag(path: Path) -> Log:
     states: dict[int, tuple[float, ...]] = {}
-    given: dict[int, tuple[float, float]] = {}
+    commands_by_stamp: dict[int, tuple[float, float]] = {}
     try:
         with BagReader(path) as bag:
             simulator = bag.facts.get("simulator", "")
@@ -138,28 +140,33 @@ def _read_bag(path: Path) -> Log:
                 )
             files = bag.files
             wanted = [c for c in bag.connections if c.msgtype.rpartition("/")[2] in ("VehicleState", "DriveCommand")]
+            vehicles = sum(connection.msgtype.endswith("/VehicleState") for connection in wanted)
+            if vehicles > 1:
+                raise LogError(
+                    f"{path}: states of {vehicles} runs, which would be mixed: take them apart with `ds bag unpack`"
+                )
             for connection, _, raw in bag.messages(wanted):
                 message = bag.message(connection, raw)
                 stamp = stamp_of(message)
                 if connection.msgtype.endswith("/VehicleState"):
                     states[stamp] = tuple(float(getattr(message, name)) for name in CHANNELS)
                 else:
-                    given[stamp] = float(message.steering), float(message.throttle)
+                    commands_by_stamp[stamp] = float(message.steering), float(message.throttle)
     except BagError as error:
         raise LogError(str(error)) from None
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, LogError):
             raise
-        raise LogError(f"{path}: a message is not as recorded here ({printable(error)}): record it again") from None
-    stamps = sorted(states.keys() & given.keys())
+        raise LogError(f"{path}: a message has unexpected fields ({printable(error)}): record it again") from None
+    stamps = sorted(states.keys() & commands_by_stamp.keys())
     if len(stamps) < 2:
         raise LogError(
-            f"{path}: {len(states)} states and {len(given)} commands, of which {len(stamps)} have the same stamp: "
-            "give a bag that `ds drive --bag` or a campaign recorded"
+            f"{path}: {len(states)} states and {len(commands_by_stamp)} commands, with {len(stamps)} stamps in common: "
+            "give a bag recorded by `ds drive --bag` or a campaign"
         )
     measured = np.array([states[s] for s in stamps], dtype=np.float64)
     measured[:, [0, 1, 3]] /= SCALE
-    commands = np.array([given[s] for s in stamps], dtype=np.float64)
+    commands = np.array([commands_by_stamp[s] for s in stamps], dtype=np.float64)
     return Log(
         name=path.name,
         kind="bag",
@@ -177,18 +184,18 @@ def _read_tub(path: Path) -> Log:
     times = np.array([record.seconds for record in tub.records])
     columns = {
         "x": _column(rows, "pos/pos_x"),
-        # Unity's y is up and its axes are left-handed: seen from above, x is to the right and z ahead, so that a turn
-        # to the left is counter-clockwise, as in the road frame.
+        # Unity's axes are left-handed with y up. Seen from above, x points right and z ahead, so a left turn is
+        # counter-clockwise, as in the road frame.
         "y": _column(rows, "pos/pos_z"),
         "speed": _column(rows, "pos/speed", "enc/speed"),
     }
     if not (np.isfinite(columns["x"]) & np.isfinite(columns["y"])).any() and not np.isfinite(columns["speed"]).any():
         raise LogError(
-            f"{path}: a tub of commands without position or speed (pos/pos_x and pos/pos_z, pos/speed or enc/speed): "
-            "no motion can be fitted to it, record these too"
+            f"{path}: the tub has neither positions (pos/pos_x, pos/pos_z) nor speed (pos/speed, enc/speed): "
+            "no motion can be fitted, record them too"
         )
     if not np.isfinite(times).all():
-        raise LogError(f"{path}: _timestamp_ms of a row is not a number: remove that row")
+        raise LogError(f"{path}: _timestamp_ms of a record is not a number: remove that record")
     _check_units(path, times, columns)
     measured = np.full((len(rows), len(CHANNELS)), np.nan)
     for name, column in columns.items():
@@ -222,5 +229,7 @@ def _column(rows: Iterable[dict[str, Any]], *keys: str) -> Array:
 def _digest(files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     for file in files:
-        digest.update(file.read_bytes())
+        with file.open("rb") as stream:
+            while block := stream.read(_BLOCK):
+                digest.update(block)
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Parameter file of a fitted car: readable YAML, with which `donkey@FILE` drives."""
+"""Reads and writes the YAML parameter file of a fitted car, which the simulator `donkey@FILE` loads."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _UNITS = dict(zip(CHANNELS, ("m", "m", "rad", "m/s", "rad/s"), strict=True))
 
 
 class ParameterFileError(ValueError):
-    """File that holds no parameters of this car."""
+    """The file holds no parameters of this car."""
 
 
 def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
-    """Fit as JSON values: each parameter with its status and interval, the logs, and the residuals."""
+    """Convert a fit to JSON values: each parameter with its status and interval, the logs, and the residuals."""
     estimates = {estimate.name: estimate for estimate in fit.estimates}
     parameters: dict[str, dict[str, Any]] = {}
     for field in dataclasses.fields(DonkeyParameters):
@@ -55,7 +55,7 @@ def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
 
 
 def write_parameters(path: Path, document: dict[str, Any]) -> None:
-    """Write a document of `document_of`; SI units of the model car.
+    """Write a document of `document_of`, in SI units of the model car.
 
     Raises:
         OSError: the file cannot be written.

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ds_bags.rosbag2_writer import Rosbag2Writer
+from ds_bags.message_factory import typestore
+from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import rollout
@@ -199,6 +200,15 @@ def test_a_bag_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     writer.close({"simulator": "bullet"})
     with pytest.raises(LogError, match="a drive of bullet, which is not a 1:16 car"):
         read_log(tmp_path / "bag")
+
+
+def test_a_pack_of_several_runs_is_refused(tmp_path: Path) -> None:
+    writer = Rosbag2Writer(tmp_path / "pack", {})
+    for run in ("a", "b"):
+        writer.channel(topic_of(typestore(), f"/{run}/ds1/state", "ds_interfaces/msg/VehicleState", depth=1))
+    writer.close({})
+    with pytest.raises(LogError, match="states of 2 runs.*ds bag unpack"):
+        read_log(tmp_path / "pack")
 
 
 def test_drives_of_a_standing_car_are_refused() -> None:

@@ -1,1 +1,1 @@
-"""Bags on a live graph: images recorded from it, and bags published to it."""
+"""Records images from a live ROS graph, and publishes bags to it."""

@@ -1,4 +1,4 @@
-"""Records a run's images from the graph, for simulators that cannot be driven again in this process to see them."""
+"""Records the images of a run from the ROS graph, for simulators that this process cannot re-simulate."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation
 
 QUEUE = 50
-"""Messages that wait here for the disk; chosen: some seconds of a run."""
+"""Depth of the subscription queues, messages; chosen: 2.5 s of a run at 20 Hz."""
 _KINDS: dict[str, tuple[Any, str]] = {
     "state": (VehicleState, STATE),
     "drive": (DriveCommand, "ds_interfaces/msg/DriveCommand"),
@@ -36,13 +36,13 @@ _KINDS: dict[str, tuple[Any, str]] = {
 
 
 class ImageRecorder:
-    """Writes what comes from one simulator into a bag as it comes; use it around a run.
+    """Writes the messages of one simulator into a bag as they arrive. Use it as a context manager around a run.
 
     Args:
-        folder: of the bag; must not exist.
-        namespace: of the simulator.
-        facts: for the bag, such as `ds_bags.run_writer.facts_of` has them; a killed recorder leaves them too.
-        context: in whose domain the simulator is.
+        folder: folder of the bag; must not exist.
+        namespace: ROS namespace of the simulator.
+        facts: custom data of the bag, from `ds_bags.run_writer.facts_of`; a killed recorder leaves them too.
+        context: ROS context in the domain of the simulator.
     """
 
     def __init__(self, folder: Path, namespace: str, facts: dict[str, str], context: Context) -> None:
@@ -67,11 +67,11 @@ class ImageRecorder:
         self._spinner.start()
 
     def wait_for_camera(self, limit: float = 10.0) -> bool:
-        """Wait until the camera is found; False when the time is up."""
+        """Wait until the camera is discovered; return False after `limit` seconds."""
         return self._until(lambda: self._node.count_publishers(self._camera) > 0, limit)
 
     def wait_for_images(self, count: int, limit: float = 3.0) -> bool:
-        """Wait until so many images have come; False when the time is up."""
+        """Wait until `count` images have arrived; return False after `limit` seconds."""
         return self._until(lambda: self.images >= count, limit)
 
     def _until(self, done: Any, limit: float) -> bool:
@@ -83,11 +83,11 @@ class ImageRecorder:
         return True
 
     def _keep(self, channel: int, topic: str, raw: bytes) -> None:
-        # A header comes first in all of them, and its stamp first in it, behind four bytes of CDR.
+        # All three types begin with a header, and a header with its stamp, after four bytes of CDR encapsulation.
         seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
         stamp = seconds * 10**9 + nanoseconds
         if self._last.get(channel) == stamp:
-            return  # the first frame is sent again until it is answered
+            return  # simulators resend the first frame until it is answered
         self._last[channel] = stamp
         self._writer.write(channel, stamp, bytes(raw))
         self.images += topic == "camera/image_raw"
@@ -114,22 +114,22 @@ class ImageRecorder:
 
 
 def with_images(run: RunRecord, folder: Path) -> Iterator[Observation]:
-    """A run's observations with the images that a `ImageRecorder` kept; without one where it did not arrive."""
+    """Yield the observations of a run with the images of an `ImageRecorder`, empty where one did not arrive."""
     with BagReader(folder) as bag:
-        begin: int | None = None
-        # The stamps of a node do not begin at 0; a run's first state says where it begins.
+        start: int | None = None
+        # Stamps of a node do not begin at 0: take the start from the first state of the run.
         for connection, _, raw in bag.messages(bag.of_type(STATE)):
             state = bag.message(connection, raw)
             if state.step == 0:
-                begin = stamp_of(state)
+                start = stamp_of(state)
                 break
-        kept: Iterator[Any] = (bag.message(c, raw) for c, _, raw in bag.messages(bag.of_type(IMAGE)))
-        image = next(kept, None)
-        for seen in run.observations:
-            wanted = None if begin is None else begin + round(seen.time * 1e9)
+        images: Iterator[Any] = (bag.message(c, raw) for c, _, raw in bag.messages(bag.of_type(IMAGE)))
+        image = next(images, None)
+        for observation in run.observations:
+            wanted = None if start is None else start + round(observation.time * 1e9)
             while image is not None and wanted is not None and stamp_of(image) < wanted:
-                image = next(kept, None)
+                image = next(images, None)
             pixels = np.empty((0, 0, 3), np.uint8)
             if image is not None and stamp_of(image) == wanted and image.encoding == "rgb8":
                 pixels = image.data.reshape(image.height, image.width, 3)
-            yield replace(seen, image=pixels)
+            yield replace(observation, image=pixels)

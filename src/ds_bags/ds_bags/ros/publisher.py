@@ -1,4 +1,4 @@
-"""Publishes a bag's messages to the graph as they were recorded, in bytes, topics and QoS, and /clock with them."""
+"""Publishes the messages of a bag with their recorded bytes, topics and QoS, and its time on /clock."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from ds_bags.limits import printable
 from ds_sim.ros.runtime import init_ros
 
 QUEUE = 5000
-"""Messages that a publisher keeps for slow readers; chosen: more than a run has on any topic."""
+"""Queue depth for slow subscribers, messages; chosen: more than a run has on any topic."""
 IN_FLIGHT = 8 * 2**20
-"""Bytes on a topic after which a replay without pauses waits for its readers; chosen: some fifty images. Asking after
-every message would cost seconds: Fast DDS lets small ones be acknowledged only by its heartbeat, every 3 s."""
+"""Bytes on a topic after which a replay without pauses waits for its subscribers; chosen: some fifty images. Waiting
+after every message would cost seconds: Fast DDS acknowledges small ones only by its heartbeat, every 3 s."""
 GRACE = 0.2
-"""s between the first reader that is seen and the first message: readers of one node come one after the other."""
+"""s between the first discovered subscriber and the first message: a node's subscriptions appear one by one."""
 ARRIVAL = 5.0
-"""s that the last messages get to arrive."""
+"""s to wait for the acknowledgement of messages."""
 
 
 class GraphOutput:
@@ -39,7 +39,7 @@ class GraphOutput:
 
     Args:
         connections: topics to publish.
-        patient: wait for reliable readers before a queue overflows.
+        patient: wait for reliable subscribers before a queue overflows.
 
     Attributes:
         skipped: topic -> reason why it is not published.
@@ -67,7 +67,7 @@ class GraphOutput:
                 self.skipped[printable(connection.topic)] = reason
 
     def wait_for_readers(self, seconds: float) -> bool:
-        """Wait at most so long until somebody listens; whether somebody does."""
+        """Wait for a subscriber; return False if there is none after `seconds`."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             if any(publisher.get_subscription_count() for publisher in self._publishers.values()):
@@ -77,7 +77,7 @@ class GraphOutput:
         return False
 
     def publish(self, connection: Connection, raw: bytes) -> None:
-        """Send a message as it was recorded; nothing for a topic that is skipped."""
+        """Publish the recorded bytes of a message, unless its topic is skipped."""
         publisher = self._publishers.get(connection.id)
         if publisher is None:
             return
@@ -90,12 +90,12 @@ class GraphOutput:
         self._in_flight[connection.id] = count, size
 
     def clock(self, nanoseconds: int) -> None:
-        """Tell the time of the bag."""
+        """Publish the time of the bag, ns, on /clock."""
         message = Clock()
         message.clock.sec, message.clock.nanosec = nanoseconds // 10**9, nanoseconds % 10**9
         self._clock.publish(message)
 
-    def _arrived(self) -> None:
+    def _wait_for_acknowledgements(self) -> None:
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=ARRIVAL))
 
@@ -106,16 +106,16 @@ class GraphOutput:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is None:
-            self._arrived()
+            self._wait_for_acknowledgements()
         self._node.destroy_node()
         rclpy.try_shutdown()
 
 
 def _message_class(connection: Connection) -> tuple[Any, str]:
-    """Class of a topic's messages, or why there is none.
+    """Return the message class of a topic, or the reason why there is none.
 
-    A type comes from the bag, and importing a package runs its code: only packages of messages that are installed as
-    such in the ROS workspace are imported.
+    The bag names the type, and importing a package runs its code: only message packages installed in the ROS workspace
+    are imported.
     """
     package, _, kind = connection.msgtype.partition("/msg/")
     if not (package.isidentifier() and kind.isidentifier() and _is_interface(package, kind)):
@@ -126,18 +126,18 @@ def _message_class(connection: Connection) -> tuple[Any, str]:
         return None, f"{connection.msgtype} is not installed here"
     installed = _installed_digest(package, kind)
     if installed and connection.digest and installed != connection.digest:
-        return None, f"{connection.msgtype} is another version here than in the bag"
+        return None, f"{connection.msgtype} is installed in another version than the bag has"
     return found, ""
 
 
 def _is_interface(package: str, kind: str) -> bool:
-    """Whether a prefix of the workspace has the definition of a message."""
+    """Check that a prefix of the workspace defines a message."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     return any((Path(prefix) / "share" / package / "msg" / f"{kind}.msg").is_file() for prefix in prefixes if prefix)
 
 
 def _installed_digest(package: str, kind: str) -> str:
-    """RIHS01 hash of a type as it is installed, or "" if nothing tells it."""
+    """Return the RIHS01 hash of an installed type, or "" if it is unknown."""
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         file = Path(prefix) / "share" / package / "msg" / f"{kind}.json"
         if file.is_file():
@@ -148,7 +148,7 @@ def _installed_digest(package: str, kind: str) -> str:
 
 
 def _qos(connection: Connection) -> QoSProfile:
-    """As the recorded publisher offered it, with a queue that holds for a while."""
+    """Return the QoS that the recorded publisher offered, with a longer queue."""
     ext = connection.ext
     offered = (
         ext.offered_qos_profiles[0] if isinstance(ext, ConnectionExtRosbag2) and ext.offered_qos_profiles else None
@@ -163,5 +163,5 @@ def _qos(connection: Connection) -> QoSProfile:
 
 
 def _depth(offered: object) -> int:
-    """A queue's length as the bag has it, if it is one."""
+    """Return the recorded queue depth, or `QUEUE` if it is not a valid one."""
     return offered if type(offered) is int and 0 < offered <= QUEUE else QUEUE
