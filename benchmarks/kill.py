@@ -71,7 +71,11 @@ class Session:
     def __post_init__(self) -> None:
         config = self.folder.with_suffix(".yaml")
         config.write_text(CONFIG.format(driver=self.driver))
-        what = ["resume", str(self.folder)] if self.resume else ["run", str(config), "--out", str(self.folder)]
+        what = (
+            ["resume", str(self.folder), "--trust", self.driver]
+            if self.resume
+            else ["run", str(config), "--out", str(self.folder)]
+        )
         # Background jobs of a shell ignore SIGINT, and child processes inherit that.
         command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_orchestrator.cli.main"]
         command += ["campaign", *what, "--workers", str(self.workers)]
