@@ -134,7 +134,7 @@ def test_a_test_that_has_become_another_road_is_noticed(tmp_path: Path) -> None:
     db = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
     db.execute("UPDATE tests SET road_id='another' WHERE number=1")
     db.commit()
-    with pytest.raises(StoreError, match="test donkey-0-0001 is now another road"):
+    with pytest.raises(StoreError, match="test donkey-0-0001 has another road than"):
         run(tmp_path / "a", LocalExecutor(), config)
 
 

@@ -113,11 +113,11 @@ def folder_instead(folder: Path) -> None:
 SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
     "older": (lambda f: change(f, "PRAGMA user_version=1"), "an older version of ds (schema 1, expected 2)"),
     "newer": (lambda f: change(f, "PRAGMA user_version=99"), "a newer version of ds (schema 99, expected 2)"),
-    "foreign": (foreign, "is not a campaign's file"),
-    "a table is missing": (lambda f: change(f, "DROP TABLE given_up"), "is not a campaign's file"),
+    "foreign": (foreign, "is not a campaign's store"),
+    "a table is missing": (lambda f: change(f, "DROP TABLE given_up"), "is not a campaign's store"),
     "no database": (lambda f: (f / "campaign.sqlite").write_bytes(b"something else " * 1000), "is damaged"),
     "torn": (tear, "is damaged"),
-    "a folder": (folder_instead, "is a folder, expected a campaign's file"),
+    "a folder": (folder_instead, "is a folder, expected a campaign's store"),
 }
 
 
@@ -166,7 +166,7 @@ def test_a_folder_with_somebody_elses_files_is_refused(tmp_path: Path, config: P
     (tmp_path / "mine" / "maps" / "maps.json").write_text("[]")
     before = content(tmp_path)
     status, said = ds("campaign", "run", config, "--out", tmp_path / "mine")
-    assert status == 2 and "holds maps and no campaign" in said and content(tmp_path) == before
+    assert status == 2 and "holds maps but no campaign" in said and content(tmp_path) == before
     status, said = ds("campaign", "status", tmp_path / "mine")
     assert status == 2 and "no campaign in" in said
     status, said = ds("campaign", "run", config, "--out", config)
@@ -214,6 +214,6 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(
 
 def test_a_process_that_was_killed_before_it_wrote_anything_leaves_a_folder_to_begin_in(tmp_path: Path) -> None:
     (tmp_path / "campaign.sqlite").touch()
-    with pytest.raises(StoreError, match="stopped before it began"):
+    with pytest.raises(StoreError, match="stopped before it started"):
         Store(tmp_path / "campaign.sqlite")
     assert Store(tmp_path / "campaign.sqlite", config="{}").config == "{}"

@@ -96,7 +96,7 @@ def test_errors_that_are_none_are_refused(bad: list[float]) -> None:
 
 
 def test_a_network_that_never_comes_near_is_refused() -> None:
-    with pytest.raises(ErrorsError, match=r"no error up to 0\.6"):
+    with pytest.raises(ErrorsError, match=r"every error on one of the simulators is above 0\.6"):
         compare_errors({"a": np.full(9, 0.9)}, TWIN)
     with pytest.raises(ErrorsError, match="expected at least one sibling"):
         compare_errors({}, TWIN)

@@ -1,4 +1,4 @@
-"""A campaign: its configuration, its folder, and the stages that drive.
+"""Campaigns: configuration, folder, and the stages that drive.
 
 Public names are imported when they are first used; `__init__.pyi` lists them.
 """

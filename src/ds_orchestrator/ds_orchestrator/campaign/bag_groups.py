@@ -1,4 +1,4 @@
-"""Groups a campaign's bags by map cell or by search run, to be packed together."""
+"""Groups a campaign's bags by map cell or by search run for packing."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from ds_orchestrator.store.store import Execution
 
 By = Literal["cell", "run"]
 NO_CELL = "no_cell"
-"""Pack of the tests without a cell: those with a feature of the run that their own sibling has not driven yet."""
+"""Pack of tests without a cell: a feature needs a run on their own sibling, which is missing."""
 
 
 def missing_bags(campaign: Path, executions: Sequence[Execution]) -> list[str]:
-    """Bags that were recorded and are no longer there, relative to the campaign folder."""
+    """List recorded bags that no longer exist, relative to the campaign folder."""
     named = (execution.bag for execution in executions if execution.bag)
     return sorted(bag for bag in named if not (campaign / bag / "metadata.yaml").is_file())
 
 
 def missing_line(missing: Sequence[str]) -> str:
-    """One line on missing bags."""
+    """Describe missing bags in one line."""
     return f"{len(missing)} recorded bag{'s are' if len(missing) != 1 else ' is'} missing, {missing[0]} the first"
 
 
 def groups_of(campaign: Path, by: By, *, say: Callable[[str], None] = lambda line: None) -> dict[str, list[Path]]:
-    """Group the bags that a campaign's folder holds.
+    """Group the bags in a campaign folder.
 
     Args:
         campaign: campaign folder.

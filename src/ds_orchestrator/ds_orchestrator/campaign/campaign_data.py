@@ -1,4 +1,4 @@
-"""A campaign read once from its store, for everything that looks at its results."""
+"""Campaign read once from its store; maps, evaluation and report all use this copy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CampaignData:
         errors: attempts that ended in an error: test, simulator, attempt, outcome, message.
         given_up: tests whose search continued without their outcome.
         searches: runs of a search: sibling, run, method, seed.
-        results: result -> number of executions that it was made from.
+        results: result -> number of executions from which it was computed.
     """
 
     config: CampaignConfig
@@ -44,7 +44,7 @@ class CampaignData:
 
     @cached_property
     def cells(self) -> dict[str, Cell]:
-        """Cell of every test that has one, over all features of the campaign."""
+        """Test -> cell over all features of the campaign, for tests that have one."""
         config = self.config
         return cells_of(
             self.tests, self.executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible

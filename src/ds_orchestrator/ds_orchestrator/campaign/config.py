@@ -21,10 +21,10 @@ Record = Literal["none", "telemetry", "compressed", "raw"]
 MOST_WORKERS = 64
 """Chosen: each worker is four processes or more."""
 MOST_NAMES = 20
-"""Siblings or operators; chosen: each pair of siblings has a map of its own."""
+"""Siblings or operators; chosen: each pair of siblings adds a map."""
 
 RENAMED_KEYS = {"published": "maxitwo_compatible", "operators.quality": "operators.quality_loss"}
-"""Key of an earlier version, which is still accepted, and its present name."""
+"""Key of an earlier version, still accepted -> present name."""
 
 
 class ConfigError(ValueError):
@@ -47,12 +47,12 @@ class SearchConfig(_Strict):
     Attributes:
         method: `deephyperion` as in the paper, `deephyperion_cs` with its successor's selection by contribution score,
             or `random`, the baseline.
-        population: random roads at the start.
-        iterations: roads after those.
+        population: random roads in the initial population.
+        iterations: roads after the initial population.
         runs: searches on each sibling, each with its own seed.
         min_angle: degrees, smallest maximum angle of random roads.
         max_angle: degrees, largest maximum angle of random roads.
-        extent: m, largest move of a control point.
+        extent: m, largest displacement of a control point.
     """
 
     method: str = "deephyperion"
@@ -108,7 +108,7 @@ class OperatorsConfig(_Strict):
 
 
 class CampaignConfig(_Strict):
-    """Whole campaign.
+    """Configuration of a campaign.
 
     Attributes:
         siblings: names of the simulators that act as digital siblings, in order DS1, DS2, ...
@@ -122,7 +122,7 @@ class CampaignConfig(_Strict):
         migration: `all` drives every executed test on the other siblings and the twin, `elites` only the elites of
             each search run.
         operators: merge operators.
-        seed: seed from which every other seed follows.
+        seed: seed from which every other seed is derived.
         workers: ROS graphs that drive in parallel; results do not depend on it, so a resumed campaign may change it.
         retries: further attempts after a run that ended in an error.
         command_timeout: wall-clock time that a simulator waits for its driver, s.
@@ -242,7 +242,7 @@ def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) 
 
 
 def parse_config(raw: object, source: str, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:
-    """Validate a configuration that is parsed already; see `read_config`.
+    """Validate a parsed configuration; see `read_config`.
 
     Args:
         raw: value of the YAML or JSON document.
@@ -256,7 +256,7 @@ def parse_config(raw: object, source: str, *, hint: Callable[[str], None] = lamb
 
 
 def _with_new_names(raw: object, source: str, hint: Callable[[str], None]) -> object:
-    """Copy of a configuration in which renamed keys have their present names."""
+    """Copy a configuration, replacing renamed keys by their present names."""
     if not isinstance(raw, dict):
         return raw
     renamed = dict(raw)

@@ -1,4 +1,4 @@
-"""Describes what is wrong with a configuration: the key, its value, and what is allowed."""
+"""Error messages for invalid configurations: key, value, and what is allowed."""
 
 from __future__ import annotations
 
@@ -26,13 +26,18 @@ _EXPECTED: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 }
 """pydantic's kind of error -> what was expected."""
 MOST = 10
-"""Problems in one message; chosen: as many as anybody fixes at a time."""
+"""Problems in one message; chosen: as many as are fixed in one go."""
 _LONGEST = 60
 """Characters of a value or a key in a message."""
 
 
 def problems(error: ValidationError, model: type[BaseModel]) -> str:
-    """One line on the problems of a configuration of that model, the first `MOST` in words."""
+    """Describe validation errors in one line, the first `MOST` in words.
+
+    Args:
+        error: validation error of pydantic.
+        model: model that was validated, for the names of its keys.
+    """
     found = error.errors(include_url=False)
     more = [f"and {len(found) - MOST} more"] if len(found) > MOST else []
     return "; ".join([*(_problem(dict(one), model) for one in found[:MOST]), *more])
@@ -52,7 +57,7 @@ def _problem(error: Mapping[str, Any], model: type[BaseModel]) -> str:
 
 
 def _shown(value: object) -> str:
-    """A value as YAML writes it, short."""
+    """Format a value as YAML, shortened."""
     if value is None:
         return "nothing there"
     if isinstance(value, dict | list) and (len(value) > 3 or not value):

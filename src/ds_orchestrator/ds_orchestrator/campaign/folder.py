@@ -14,15 +14,15 @@ from ds_orchestrator.store.store import Store, StoreError
 
 
 class LockError(RuntimeError):
-    """Folder that another process uses."""
+    """Campaign folder that another process uses, or that cannot be written."""
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder; the kernel releases it when this process ends.
+    """Lock a folder; the kernel releases the lock when this process ends.
 
     Raises:
-        LockError: another process holds it, or nothing can be written there.
+        LockError: another process holds the lock, or the folder cannot be written.
     """
     try:
         file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
@@ -41,7 +41,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 STAGES = ("maps", "evaluation", "report")
-"""Results that follow from the executions, in order."""
+"""Stages that compute results from the executions, in order."""
 WRITTEN = ("bags", "logs", "maps", "evaluation", "report.html")
 """Entries that a campaign writes into its folder beside the store."""
 
@@ -50,7 +50,7 @@ def open_store(folder: Path) -> Store:
     """Open the store of an existing campaign.
 
     Raises:
-        StoreError: there is none.
+        StoreError: the folder holds no campaign.
     """
     if not folder.is_dir():
         raise StoreError(f"no folder {folder}: run a campaign there first")
@@ -68,18 +68,18 @@ def prepare_folder(folder: Path) -> None:
     except FileExistsError:
         raise StoreError(f"{folder} is a file, expected a folder: choose another --out") from None
     except OSError as error:
-        raise StoreError(f"{folder} cannot be made ({error.strerror}): choose another --out") from None
+        raise StoreError(f"{folder} cannot be created ({error.strerror}): choose another --out") from None
     foreign = [name for name in WRITTEN if (folder / name).exists()]
     if foreign and not (folder / "campaign.sqlite").exists():
-        raise StoreError(f"{folder} holds {foreign[0]} and no campaign, it would be written over: choose another --out")
+        raise StoreError(f"{folder} holds {foreign[0]} but no campaign: choose another --out, or remove {foreign[0]}")
     refuse_foreign_files(folder)
 
 
 def refuse_foreign_files(folder: Path) -> None:
-    """Refuse a folder in which writing would follow a link to somewhere else, or wait for a FIFO.
+    """Refuse a folder in which a write would leave the folder through a link, or block on a FIFO.
 
     Raises:
-        StoreError: something where a campaign writes is a link that leaves the folder, or no file and no folder.
+        StoreError: an entry is a link that leaves the folder, or is neither a file nor a folder.
     """
     home = folder.resolve()
     places = [folder / name for name in ("campaign.sqlite", ".lock", *WRITTEN)]
@@ -92,9 +92,9 @@ def refuse_foreign_files(folder: Path) -> None:
 
 
 def store_of(folder: Path, config: CampaignConfig) -> Store:
-    """Open the store of a campaign that begins or resumes with this configuration.
+    """Open the store of a campaign that starts or resumes with a configuration.
 
-    A configuration that an earlier version wrote is rewritten with the present names of its keys.
+    Keys that an earlier version wrote are rewritten with their present names.
 
     Raises:
         StoreError: the folder holds a campaign with another configuration, or cannot be used.
@@ -112,7 +112,7 @@ def _with_present_keys(identity: str) -> str:
     try:
         return _parsed(identity).identity()
     except ConfigError:
-        return identity  # it cannot be equal to a valid one; the store says in what they differ
+        return identity  # differs from every valid one; the store reports the differences
 
 
 def config_of(store: Store) -> CampaignConfig:

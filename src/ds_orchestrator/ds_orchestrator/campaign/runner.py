@@ -1,7 +1,7 @@
-"""The method, end to end: search on every sibling, migration to the others, all tests on the twin (paper 3, figure 1).
+"""Runs the method: search on every sibling, migration to the others, all tests on the twin (paper 3, figure 1).
 
-What is done stands in the store, and a search is replayed from it: its random choices depend on the seed and on the
-fitness of earlier tests alone. So a stopped campaign goes on where it was, and no finished test runs again.
+Finished executions are in the store, and a search is replayed from them: its random choices depend only on the seed
+and on the fitness of earlier tests. A stopped campaign therefore resumes without repeating a finished test.
 """
 
 from __future__ import annotations
@@ -30,59 +30,66 @@ from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
 
 PATIENCE = 5
-"""Tests in a row without an outcome, each tried again as configured, after which a simulator counts as broken; chosen:
-two or three can be bad luck."""
+"""Consecutive tests without an outcome, after all retries, from which a simulator counts as broken; chosen: two or
+three may be coincidence."""
 
 
 class Executor(Protocol):
-    """Drives a road on a simulator, wherever that runs."""
+    """Drives roads on simulators, in this process or in others."""
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         """Drive to an outcome; errors are outcomes too. Called from one thread per simulator and worker."""
         ...
 
     def stop(self) -> None:
-        """Let every run under way end now, as CANCELLED."""
+        """End every active run now, as CANCELLED."""
         ...
 
 
 class Stopped(Exception):
-    """The campaign was asked to stop."""
+    """Campaign that was stopped by request."""
 
 
 class CampaignError(RuntimeError):
-    """A campaign that cannot go on as things are."""
+    """Campaign that cannot continue because a simulator is broken."""
 
 
 class Listener(Protocol):
-    """Is told what happens; called from several threads."""
+    """Callbacks on a campaign's progress; called from several threads."""
 
     def stage(self, name: str) -> None:
-        """A stage begins."""
+        """Handle the start of a stage."""
         ...
 
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
-        """How many executions there are on each simulator, in the search and after it, done ones included."""
+        """Handle the expected executions: per stage, simulator -> their number, finished ones included."""
         ...
 
     def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
-        """An execution is done; None if it ended in an error for good; not fresh if it stood in the store."""
+        """Handle the end of an execution.
+
+        Args:
+            test: test that was driven.
+            simulator: name of the simulator.
+            execution: outcome, or None if every attempt ended in an error.
+            fresh: False if the execution was read from the store.
+        """
         ...
 
 
 class Campaign:
     """Runs a campaign's stages; safe to stop at any moment.
 
-    Runs of the search on one sibling do not know of each other, nor do the executions of the later stages, so that
-    `config.workers` of them go on at the same time on every simulator, and the results do not depend on their number.
+    Search runs on one sibling are independent of each other, and so are the executions of the later stages. Up to
+    `config.workers` of them run in parallel on every simulator; results do not depend on their number.
 
     Args:
-        config: what to do.
-        folder: of the campaign, for bags.
-        store: what was done before, and where the rest goes.
-        executor: drives.
-        listener: is told what happens.
-        namespaces: of the simulators, for the bags' topics.
+        config: configuration of the campaign.
+        folder: campaign folder, for bags.
+        store: store of the campaign; finished executions are read from it, new ones added.
+        executor: drives the roads.
+        listener: receives progress.
+        namespaces: simulator name -> ROS namespace, for the bags' topics.
     """
 
     def __init__(
@@ -107,15 +114,15 @@ class Campaign:
         self.failed_executions = 0
 
     def stop(self) -> None:
-        """Let no further test begin."""
+        """Start no further test."""
         self._stop.set()
 
     def run(self) -> None:
         """Run every stage that drives.
 
         Raises:
-            Stopped: `stop` was called; what was finished stands in the store.
-            CampaignError: a simulator gave no outcome for `PATIENCE` tests in a row; the same command goes on there.
+            Stopped: `stop` was called; finished executions are in the store.
+            CampaignError: a simulator gave no outcome for `PATIENCE` tests in a row; the same command resumes there.
         """
         config = self._config
         own = config.search.runs * config.settings.budget
@@ -136,15 +143,15 @@ class Campaign:
         tests = self._store.tests()
         chosen = self._migrated(tests)
         foreign = {name: [test for test in chosen if test.sibling != name] for name in config.simulators}
-        self._listener.expect([search, {name: len(theirs) for name, theirs in foreign.items()}])
+        self._listener.expect([search, {name: len(migrated) for name, migrated in foreign.items()}])
         self._listener.stage("migration and twin" if config.twin else "migration")
-        # Every test on the siblings that did not make it (paper 3.4), all of them on the twin (paper 3.6).
+        # Every test runs on the siblings that did not generate it (paper 3.4), all of them on the twin (paper 3.6).
         self._in_parallel(
-            {name: [partial(self._execute, test, name) for test in theirs] for name, theirs in foreign.items()}
+            {name: [partial(self._execute, test, name) for test in migrated] for name, migrated in foreign.items()}
         )
 
     def _migrated(self, tests: Sequence[Test]) -> Sequence[Test]:
-        """The tests that leave the sibling on which they were found."""
+        """Select the tests that migrate from the sibling whose search generated them."""
         if not self._config.elites_only:
             return tests
         executions = self._store.executions()
@@ -154,7 +161,7 @@ class Campaign:
         return [test for test in tests if test.test_id in elites]
 
     def _in_parallel(self, work: Mapping[str, Sequence[Callable[[], object]]]) -> None:
-        """As many threads per simulator as there are workers; the first error stops the others, amid a run too."""
+        """Run work on one thread per simulator and worker; the first error stops all threads, even during a run."""
         queues: list[SimpleQueue[Callable[[], object]]] = []
         for units in work.values():
             queues.append(SimpleQueue())
@@ -181,10 +188,10 @@ class Campaign:
             unit()
 
     def _search(self, sibling: str, run: int) -> None:
-        """One run of the search on one sibling, with what the store knows already.
+        """Run or replay one search run on one sibling, taking known outcomes from the store.
 
-        A search that went on without a test's outcome does so again, even if the test has one by now: the roads that
-        followed are in the store.
+        A search that continued without a test's outcome ignores it on replay, even if the test has one by now: the
+        roads that followed are in the store.
         """
         config = self._config
         seed = _seed(config.seed, "search", sibling, run)
@@ -206,7 +213,7 @@ class Campaign:
                 search.tell(execution.fitness, failed=execution.outcome.is_failure, cell=cell)
 
     def _execute(self, test: Test, simulator: str) -> Execution | None:
-        """One test on one simulator: from the store, or driven, with a bounded number of attempts at errors."""
+        """Return a test's execution on one simulator from the store, or drive it, repeating errors `retries` times."""
         known = self._store.execution(test.test_id, simulator)
         if known is not None:
             self._listener.finished(test, simulator, known, fresh=False)
@@ -229,21 +236,21 @@ class Campaign:
         return None
 
     def _count_unlucky(self, test: Test, simulator: str, run: RunRecord) -> None:
-        """Stop where it is no longer this test's bad luck."""
+        """Count a test without an outcome; raise CampaignError after `PATIENCE` of them in a row."""
         with self._lock:
             self.failed_executions += 1
             if test.sibling == simulator and test.test_id in self._given_up:
-                return  # the search has gone on without it in an earlier session
+                return  # the search continued without it in an earlier session
             self._unlucky[simulator] += 1
             if self._unlucky[simulator] < PATIENCE:
                 return
         raise CampaignError(
             f"{simulator} gave no outcome for {PATIENCE} tests in a row ({run.outcome.name}: {run.message}): see the "
-            "folder logs, mend it, and give the same command again"
+            "folder logs, fix the cause, and run the same command again"
         )
 
     def _take_back(self, sibling: str) -> None:
-        """Leave the tests with which the runs of a search ended without any outcome as if never tried."""
+        """Forget the trailing tests of each search run that have no outcome, so that they are tried again."""
         done = {e.test_id for e in self._store.executions() if e.simulator == sibling}
         runs: dict[int, list[str]] = {}
         for test in self._store.tests():
@@ -270,7 +277,7 @@ class Campaign:
 
 
 def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") -> Execution:
-    """A run as the store keeps it."""
+    """Convert a run to the form in which the store keeps it."""
     return Execution(
         test_id=test_id,
         simulator=simulator,
@@ -288,7 +295,7 @@ def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") ->
 
 
 def trajectory_sha256(run: RunRecord) -> str:
-    """Digest of a run; see `ds_orchestrator.store.rows.trajectory_sha256`."""
+    """Compute the digest of a run; see `ds_orchestrator.store.rows.trajectory_sha256`."""
     return rows.trajectory_sha256(_trajectory_of(run))
 
 
@@ -301,6 +308,6 @@ def _trajectory_of(run: RunRecord) -> NDArray[np.float64]:
 
 
 def _seed(*parts: int | str) -> int:
-    """A seed that depends on all its parts and on nothing else; 32 bits, so that every interface carries it."""
+    """Derive a seed from its parts; 32 bits, so that every interface can carry it."""
     text = "/".join(map(str, parts)).encode()
     return int.from_bytes(hashlib.sha256(text).digest()[:4], "little")

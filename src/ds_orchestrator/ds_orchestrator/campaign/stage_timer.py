@@ -1,4 +1,4 @@
-"""How long the stages of a campaign took by the wall clock, over all sessions: told to people, it decides nothing."""
+"""Wall-clock time of a campaign's stages over all sessions; reported only, no result depends on it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _PREFIX = "seconds "
 
 
 class StageTimer:
-    """Hands everything on to another listener, and adds up in the store how long each stage takes.
+    """Listener that adds up the duration of each stage in the store and forwards every call.
 
     Args:
-        listener: is told everything.
-        store: keeps the seconds.
-        clock: seconds since some moment.
+        listener: receives every call.
+        store: store of the campaign, in which the seconds are kept.
+        clock: monotonic clock, s.
     """
 
     def __init__(self, listener: Listener, store: Store, clock: Callable[[], float] = time.monotonic) -> None:
@@ -34,7 +34,7 @@ class StageTimer:
         self._listener.stage(name)
 
     def end(self) -> None:
-        """The stage under way ends; without one nothing happens."""
+        """End the current stage, if there is one."""
         if self._name:
             self._store.add_seconds(self._name, self._clock() - self._began)
         self._name = ""
@@ -49,6 +49,6 @@ class StageTimer:
 
 
 def seconds_of(notes: Mapping[str, str]) -> dict[str, float]:
-    """Stage -> seconds, from what a store notes; longest first."""
+    """Read stage -> seconds from a store's notes; longest first."""
     found = {key.removeprefix(_PREFIX): float(value) for key, value in notes.items() if key.startswith(_PREFIX)}
     return dict(sorted(found.items(), key=lambda item: -item[1]))

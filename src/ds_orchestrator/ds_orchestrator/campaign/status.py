@@ -1,4 +1,4 @@
-"""How far a campaign is, stage by stage."""
+"""Progress of a campaign, stage by stage."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ds_orchestrator.store.store import Execution
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One line of a campaign's state.
+    """Progress of one stage.
 
     Attributes:
         name: `search bullet, run 0`, `migration bullet to softbody`, `twin donkey, tests of bullet`, `maps`, ...
         done: executions with a verdict, or 1 for a result that is up to date.
-        expected: how many there will be; None as long as it is not known.
-        failures: how many of those executions the driver failed; None for a result.
+        expected: total when the stage is done; None while it is not known.
+        failures: number of executions in which the driver failed; None for a result.
     """
 
     name: str
@@ -47,8 +47,8 @@ def stages_of(data: CampaignData) -> list[Stage]:
     stages = []
     for sibling in config.siblings:
         for run in range(config.search.runs):
-            mine = groups.get((sibling, run, sibling), [])
-            stages.append(_stage(f"search {sibling}, run {run}", mine, budget))
+            found = groups.get((sibling, run, sibling), [])
+            stages.append(_stage(f"search {sibling}, run {run}", found, budget))
     searched = len(tests) == budget * config.search.runs * len(config.siblings)
     migrated = {test.test_id for test in tests}
     if config.elites_only:
@@ -58,19 +58,19 @@ def stages_of(data: CampaignData) -> list[Stage]:
         for origin in config.siblings:
             if origin != target:
                 runs = range(config.search.runs)
-                mine = [e for run in runs for e in groups.get((origin, run, target), [])]
+                found = [e for run in runs for e in groups.get((origin, run, target), [])]
                 role = "twin" if target == config.twin else "migration"
                 expected = sum(of_test[test_id].sibling == origin for test_id in migrated) if searched else None
-                stages.append(_stage(f"{role}: {origin} to {target}", mine, expected))
+                stages.append(_stage(f"{role}: {origin} to {target}", found, expected))
     count = len(data.executions)
     return [*stages, *(Stage(name=name, done=int(data.results.get(name) == count), expected=1) for name in STAGES)]
 
 
 def is_driven(data: CampaignData) -> bool:
-    """Whether every test of a campaign has its outcome everywhere, so that no graph is needed to go on with it."""
+    """Check whether every driving stage is done, so that resuming the campaign needs no graph."""
     return all(stage.state == "done" for stage in stages_of(data) if stage.failures is not None)
 
 
 def _stage(name: str, executions: Iterable[Execution], expected: int | None) -> Stage:
-    mine = list(executions)
-    return Stage(name=name, done=len(mine), expected=expected, failures=sum(e.outcome.is_failure for e in mine))
+    found = list(executions)
+    return Stage(name=name, done=len(found), expected=expected, failures=sum(e.outcome.is_failure for e in found))

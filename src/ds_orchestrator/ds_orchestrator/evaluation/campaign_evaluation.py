@@ -1,4 +1,4 @@
-"""Evaluates a campaign: its maps, their comparison with the twin, and the tables of the comparison."""
+"""Evaluates a campaign: maps, comparison with the twin, and tables of the comparison."""
 
 from __future__ import annotations
 
@@ -28,13 +28,18 @@ from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.map_id import MapId, map_ids
 
 CORRELATIONS = Path("maps/correlations.json")
-"""The comparison with the twin, relative to the campaign folder."""
+"""File with the comparison with the twin, relative to the campaign folder."""
 _RENAMED_VALUES = {"quality": "quality_loss"}
-"""Values of earlier versions' files, and their present names."""
+"""Value in files of earlier versions -> present name."""
 
 
 def maps_of(data: CampaignData, *, features: Sequence[str] | None = None) -> dict[MapId, FeatureMap]:
-    """Build every map of a campaign, finished or not; over other features than its own if wanted."""
+    """Build every map of a campaign, finished or not.
+
+    Args:
+        data: contents of the campaign's store.
+        features: names of the axes; the configured ones if None.
+    """
     config = data.config
     plan = config.map_plan(data.given_up)
     if features is not None:
@@ -48,7 +53,7 @@ def correlations_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) ->
 
 
 def paired_differences_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> list[PairedDifference]:
-    """Compute what merging adds to each sibling; empty without a twin."""
+    """Compute the paired differences between the merged map and each sibling's; empty without a twin."""
     return paired_differences(maps, config.siblings, config.twin) if config.twin else []
 
 
@@ -59,7 +64,7 @@ def write_correlations(folder: Path, correlations: Sequence[Correlation]) -> Non
 
 
 def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]:
-    """Read what `write_correlations` of this version or an earlier one wrote."""
+    """Read correlations that this version or an earlier one wrote."""
     by_name = {map_id.name: map_id for map_id in map_ids(config.siblings, config.twin)}
     known = {field.name for field in fields(Correlation)}
     rows: list[dict[str, Any]] = json.loads((folder / CORRELATIONS).read_text())
@@ -72,7 +77,7 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
 
 
 def network_of(config: CampaignConfig) -> Network | None:
-    """Find under which heading the paper has this network, or None if it does not test it."""
+    """Find the paper's heading for the configured network; None if the paper does not test it."""
     architecture = architecture_of(config.driver)
     return (architecture, "real" if config.sim2real else "sim") if architecture in NETWORKS else None
 

@@ -1,7 +1,7 @@
 """Comparison of the siblings' maps with the twin's failures (paper 3.6, 4.3.2: RQ2 and RQ3).
 
 The main numbers are the paper's: Pearson's r and AUC-PRC over the cells that both maps fill. Where the authors' package
-computes something else, or where its computation can be questioned, `robustness_checks` has both.
+computes something else, or its computation can be questioned, `robustness_checks` computes both.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.map_id import MapId
 
 QUESTIONS: tuple[Literal["probability", "quality_loss"], ...] = ("probability", "quality_loss")
-"""RQ2 compares failure probabilities, RQ3 quality losses with them."""
+"""RQ2 and RQ3: values of the siblings' maps that are compared with the twin's failure probability."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Correlation:
-    """One map against the twin's failures, over the cells that both fill.
+    """Comparison of one map with the twin's failures, over the cells that both fill.
 
     Attributes:
         map: the siblings' map.
         value: value of that map: `probability` (RQ2) or `quality_loss` (RQ3).
         cells: number of cells compared.
-        r: Pearson correlation with the twin's failure probability, or None where it is not defined.
+        r: Pearson correlation with the twin's failure probability, or None if undefined.
         p: its two-sided p-value, or None.
         reason: why there is no r.
-        r_interval: 95 % bootstrap interval of r over cells; resamples in which r is not defined are left out. None
-            where the cells cannot carry one.
-        auc: AUC-PRC as average precision of the map's value as a prediction that the twin fails in a cell at all.
+        r_interval: 95 % bootstrap interval of r over cells; resamples in which r is undefined are left out. None if
+            there are too few cells.
+        auc: AUC-PRC, the average precision with which the map's value predicts that the twin fails in a cell.
         auc_interval: 95 % bootstrap interval of the AUC-PRC over cells, or None as for r.
         auc_reason: why there is no AUC-PRC.
         baseline: share of cells in which the twin fails: the AUC-PRC of a map without information.
@@ -66,7 +66,7 @@ class Correlation:
 
     @property
     def caution(self) -> str:
-        """Why the numbers cannot carry a conclusion, or ""; see `ds_orchestrator.evaluation.statistics.caution_of`."""
+        """Reason why the numbers allow no conclusion, or ""; see `ds_orchestrator.evaluation.statistics.caution_of`."""
         return "" if self.failing is None else caution_of(self.cells, self.failing)
 
     def document(self) -> dict[str, Any]:
@@ -78,16 +78,16 @@ class Correlation:
 
 @dataclass(frozen=True, kw_only=True)
 class PairedDifference:
-    """How much better the merged map predicts the twin's failures than one sibling's, over the cells of all three.
+    """Difference between merged map and one sibling's in predicting the twin's failures, over the cells of all three.
 
-    Both maps see the same cells in every resample, so an interval here is narrower than two intervals side by side.
+    Every resample has the same cells for both maps, so the interval is narrower than two separate ones suggest.
 
     Attributes:
         over: the sibling's union map.
-        value: of both maps.
+        value: compared value of both maps.
         cells: number of cells compared.
-        r: Pearson correlation of the merged map minus that of the sibling's, or None where one is not defined.
-        r_interval: its 95 % bootstrap interval over cells, or None where the cells cannot carry one.
+        r: Pearson correlation of the merged map minus that of the sibling's, or None if one is undefined.
+        r_interval: its 95 % bootstrap interval over cells, or None if there are too few cells.
         auc: AUC-PRC of the merged map minus that of the sibling's, or None.
         auc_interval: its 95 % bootstrap interval over cells, or None as for r.
         failing: number of the compared cells in which the twin fails, or None if not known.
@@ -104,13 +104,13 @@ class PairedDifference:
 
 
 def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resamples: int = 0) -> Correlation:
-    """Compare one map with the twin's; see `Correlation`.
+    """Correlate one map with the twin's; see `Correlation`.
 
     Args:
         feature_map: map of the siblings.
         twin: map of the twin.
         value: `probability` or `quality_loss`.
-        resamples: of the bootstrap; 0 leaves the intervals out.
+        resamples: resamples of the bootstrap; 0 computes no intervals.
     """
     predicted, truth = _paired(feature_map, twin, value)
     failing = int((truth > 0).sum())
@@ -139,7 +139,12 @@ def evaluate(
 ) -> list[Correlation]:
     """Compare each sibling's union map and the merged map with the twin, by failure probability and by quality loss.
 
-    `resamples` is for the bootstrap intervals, which take most of the time: `RESAMPLES` is enough, 0 leaves them out.
+    Args:
+        maps: maps of the campaign.
+        siblings: names of the siblings, in order.
+        twin: name of the twin.
+        resamples: resamples of the bootstrap, which takes most of the time: `RESAMPLES` is enough, 0 computes no
+            intervals.
     """
     compared = [maps[map_id] for map_id in (*map(MapId.union, siblings), MapId.merged())]
     truth = maps[MapId.twin(twin)]
@@ -151,7 +156,7 @@ def paired_differences(
 ) -> list[PairedDifference]:
     """Compare the merged map with each sibling's, by both values; empty with a single sibling."""
     merged, truth = maps[MapId.merged()], maps[MapId.twin(twin)]
-    more_r, more_auc = _more(_resampled_r), _more(_resampled_auc)
+    difference_r, difference_auc = _difference(_resampled_r), _difference(_resampled_auc)
     found = []
     for value, sibling in product(QUESTIONS, siblings if len(siblings) > 1 else ()):
         union = maps[MapId.union(sibling)]
@@ -160,13 +165,13 @@ def paired_differences(
         drawn = 0 if caution_of(len(against), failing) else resamples
         known: dict[str, Any] = {}
         if all(_pearson(one, against, value)[0] is not None for one in (merged_values, values)):
-            known |= {"r": more_r(*samples), "r_interval": _interval(samples, more_r, drawn)}
+            known |= {"r": difference_r(*samples), "r_interval": _interval(samples, difference_r, drawn)}
         if _decided(against):
-            known |= {"auc": more_auc(*samples), "auc_interval": _interval(samples, more_auc, drawn)}
+            known |= {"auc": difference_auc(*samples), "auc_interval": _interval(samples, difference_auc, drawn)}
         found.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **known))
     return found
 
 
-def _more(statistic: Callable[[Array, Array], float]) -> Callable[[Array, Array, Array], float]:
-    """Make the difference of a statistic between the first map and the second."""
+def _difference(statistic: Callable[[Array, Array], float]) -> Callable[[Array, Array, Array], float]:
+    """Create the difference of a statistic between two maps, the first minus the second."""
     return lambda first, second, truth: statistic(first, truth) - statistic(second, truth)

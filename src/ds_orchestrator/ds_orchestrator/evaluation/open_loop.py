@@ -1,4 +1,4 @@
-"""Open-loop evaluation: a driver answers recorded images one by one, without driving (paper 4.3.1, RQ1)."""
+"""Open-loop evaluation: a driver predicts the steering for recorded images, without driving (paper 4.3.1, RQ1)."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ds_driver.networks.preprocessing import Crop
 
 Array = NDArray[np.float64]
 Answer = Callable[[RecordedFrame, Crop], float | None]
-"""From a frame with an image to a steering from -1 full left to +1 full right; None if no answer came."""
+"""Computes steering, -1 full left to +1 full right, from a frame with an image; None if the driver does not answer."""
 WORST = 6
-"""Images with the largest errors that are kept for a picture; chosen: as many as fit beside each other."""
+"""Images with the largest errors to keep for a picture; chosen: as many as fit side by side."""
 REPORT_EVERY = 500
-"""Images between two lines of progress; chosen: some seconds."""
+"""Images between two progress reports; chosen: a few seconds."""
 APART = 10
-"""Images between two of these at least; chosen: half a second, so that they show different places."""
+"""Smallest number of images between two of the worst; chosen: half a second, so that they show different places."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,15 +29,15 @@ class Answers:
     """A driver's steering on one recording, or on one simulator's images of a data set.
 
     Attributes:
-        name: of the recording or simulator.
-        group: that it is pooled with.
-        index: (n,) of the images; unreadable ones are left out.
-        seconds: (n,) since the first image; NaN in a data set.
-        recorded: (n,) steering to compare with; NaN where there is none.
-        answered: (n,) the driver's steering, not clipped, as in the authors' package; NaN where no answer came.
+        name: name of the recording or simulator.
+        group: name of the group with which it is pooled.
+        index: (n,) indices of the images; unreadable ones are left out.
+        seconds: (n,) s since the first image; NaN in a data set.
+        recorded: (n,) recorded steering; NaN if there is none.
+        answered: (n,) the driver's steering, not clipped, as in the authors' package; NaN without an answer.
         images: number of images in the recording.
-        trouble: a line for each image that cannot be read.
-        worst: frames with the largest errors, the largest first, with the driver's steering.
+        trouble: one line for each image that cannot be read.
+        worst: frames with the largest errors, largest first, each with the driver's steering.
     """
 
     name: str
@@ -52,13 +52,13 @@ class Answers:
 
     @property
     def errors(self) -> Array:
-        """(m,) answered minus recorded steering where there are both: positive is too far to the right."""
+        """(m,) answered minus recorded steering of images with both; positive is too far right."""
         both = self.answered - self.recorded
         return both[np.isfinite(both)]
 
     @property
     def absolute_errors(self) -> Array:
-        """(m,) sizes of the errors."""
+        """(m,) absolute errors."""
         return np.abs(self.errors)
 
 
@@ -67,12 +67,12 @@ class ErrorsError(ValueError):
 
 
 def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> Answers:
-    """Show a driver every image of a recording.
+    """Evaluate a driver on every image of a recording.
 
     Args:
-        recording: what is shown.
-        answer: the driver.
-        limit: only so many images.
+        recording: recording with images.
+        answer: driver.
+        limit: largest number of images; all if None.
 
     Raises:
         ds_bags.layout.BagError: the recording is damaged, or has no images.
@@ -109,7 +109,7 @@ def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | Non
 def _with(
     worst: list[tuple[RecordedFrame, float]], new: tuple[RecordedFrame, float]
 ) -> list[tuple[RecordedFrame, float]]:
-    """The worst images, those of one place represented by the worst of them."""
+    """Add an image to the worst ones if it belongs there; of neighbouring images only the worst is kept."""
     near = [pair for pair in worst if abs(pair[0].index - new[0].index) < APART]
     if any(_by_error(pair) <= _by_error(new) for pair in near):
         return worst
@@ -126,7 +126,7 @@ def _by_error(pair: tuple[RecordedFrame, float]) -> float:
 
 
 def write_answers(path: Path, answers: Iterable[Answers]) -> None:
-    """One row per image as CSV; a cell is empty where there is no value."""
+    """Write one CSV row per image; missing values are empty."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("group", "recording", "image", "seconds", "recorded", "answered", "error"))
@@ -147,17 +147,17 @@ def predict(
     images: int | None = None,
     trusted: Collection[str] = (),
 ) -> dict[str, Answers]:
-    """Run a network over a data set, one image at a time as when it drives.
+    """Run a network over a data set, one image at a time as in closed loop.
 
     Args:
         data: folder of the data set; see `ds_driver.data.dataset`.
-        network: any name that `ds_driver.networks.network_driver.NetworkDriver` takes.
-        progress: called with the images done, their total, and the simulator.
-        images: most images of each simulator, evenly spread over its drives; all if None.
-        trusted: simulators of the user's own that the data set may name.
+        network: any name that `ds_driver.networks.network_driver.NetworkDriver` accepts.
+        progress: called with the number of images done, their total, and the simulator.
+        images: largest number of images per simulator, evenly spread over its drives; all if None.
+        trusted: user-defined simulators whose code may run.
 
     Returns:
-        Simulator -> the answers to its images, in the order of the data set; `recorded` is the autopilot's steering.
+        Simulator -> answers to its images, in the order of the data set; `recorded` is the autopilot's steering.
 
     Raises:
         ErrorsError: the autopilot is not a network.
@@ -171,7 +171,7 @@ def predict(
     from ds_driver.networks.pilot import Frame
 
     if network == AUTOPILOT:
-        raise ErrorsError("the autopilot made the labels: name a network, such as dave2")
+        raise ErrorsError("the autopilot recorded the steering to compare with: name a network, such as dave2")
     pilot = load_pilot(network)
     groups: dict[str, list[Sample]] = {}
     for sample in read_samples(data):
@@ -202,14 +202,14 @@ def predict(
 
 
 def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
-    """Choose so many of a list, evenly spread."""
+    """Select at most `images` elements of a list, evenly spread."""
     if len(group) <= images:
         return group
     return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]
 
 
 def architecture_of(network: str) -> str:
-    """Read the architecture of a shipped network or a weights file, "" if it has none."""
+    """Read the architecture of a shipped network or a weights file; "" if it has none."""
     from ds_driver.networks.backends import split_backend
     from ds_driver.networks.weights import architecture_in, shipped_networks
 

@@ -1,6 +1,6 @@
-"""The paper's results, to stand beside ours: its tables of RQ1, RQ2 and RQ3 (4.4) and of the networks (4.2.2).
+"""Results of the paper, for comparison: its tables of RQ1, RQ2 and RQ3 (4.4) and of the networks (4.2.2).
 
-Keys: network, image kind (`sim` for plain simulator images, `real` for translated ones), and who is compared with the
+Keys: network; image kind (`sim` for plain simulator images, `real` for translated ones); and what is compared with the
 twin: `DS1` (BeamNG), `DS2` (Udacity) or `DSS`, both together.
 """
 
@@ -18,7 +18,7 @@ class PaperRow:
 
     Attributes:
         r: Pearson correlation with the twin's failure probability.
-        p: its p-value; the paper gives most of them as a power of ten.
+        p: p-value of r; the paper gives most as powers of ten.
         auc: AUC-PRC.
     """
 
@@ -33,8 +33,8 @@ class PaperErrors:
 
     Attributes:
         distance: Wasserstein distance of the error densities.
-        p: of the Wilcoxon test.
-        powerful: marked in the paper as of a power above 0.8.
+        p: p-value of the Wilcoxon test.
+        powerful: whether the paper marks its power as above 0.8.
     """
 
     distance: float

@@ -1,4 +1,4 @@
-"""Tables of the paper's evaluation (4.4) with a campaign's numbers, the paper's beside them."""
+"""Tables of the paper's evaluation (4.4) with the numbers of a campaign, next to the paper's."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ NETWORKS = ("dave2", "chauffeur", "epoch")
 
 
 def role_of(simulator: str, siblings: Sequence[str]) -> str:
-    """Name the role of a simulator in the paper's tables: `DS1`, `DS2`, ... for siblings, `DSS` for their merge."""
+    """Name a simulator's role in the paper's tables: `DS1`, `DS2`, ... for siblings, `DSS` for their merge."""
     return f"DS{siblings.index(simulator) + 1}" if simulator in siblings else "DSS"
 
 
 def cautions(correlations: Sequence[Correlation]) -> list[str]:
-    """Collect why the numbers cannot carry a conclusion, each reason once; empty if they can."""
+    """Collect the reasons why the numbers allow no conclusion, each once; empty if they allow one."""
     return list(dict.fromkeys(c.caution for c in correlations if c.caution))
 
 
@@ -52,9 +52,9 @@ def correlation_tables(
 
     Args:
         correlations: as `ds_orchestrator.evaluation.correlation.evaluate` returns them.
-        siblings: names, in order.
-        twin: its name.
-        network: whose numbers in the paper are shown beside the campaign's, or None.
+        siblings: names of the siblings, in order.
+        twin: name of the twin.
+        network: network in the paper whose numbers are shown for comparison, or None.
     """
     tables = []
     for value, (name, title) in _TITLES.items():
@@ -92,7 +92,7 @@ def correlation_tables(
 
 
 def paired_difference_table(paired_differences: Sequence[PairedDifference], siblings: Sequence[str]) -> Table:
-    """Tabulate what merging adds to each sibling alone: the paper's claim, with an interval."""
+    """Tabulate the differences between the merged map and each sibling's: the paper's claim, with an interval."""
     columns = [
         Column("question"),
         Column("DSS minus"),
@@ -121,7 +121,7 @@ def robustness_table(robustness_checks: Sequence[RobustnessCheck], reasons: Sequ
 
     Args:
         robustness_checks: as `ds_orchestrator.evaluation.robustness_checks.check_robustness` returns them.
-        reasons: why the numbers cannot carry a conclusion.
+        reasons: reasons why the numbers allow no conclusion.
     """
     columns = [
         Column("how"),
@@ -159,10 +159,10 @@ def error_tables(
     Args:
         comparisons: as `ds_orchestrator.evaluation.steering_error_stats.compare_errors` returns them.
         robustness_checks: as `ds_orchestrator.evaluation.steering_error_stats.check_error_robustness` returns them.
-        errors: simulator -> absolute steering errors, the twin's too.
-        siblings: names, in order.
-        twin: its name.
-        network: whose numbers in the paper are shown beside the campaign's, or None.
+        errors: simulator -> absolute steering errors, including the twin's.
+        siblings: names of the siblings, in order.
+        twin: name of the twin.
+        network: network in the paper whose numbers are shown for comparison, or None.
     """
     of_paper = paper_numbers.RQ1.get(network or ("", "sim"), {})
     rows: list[list[Value]] = []
@@ -218,7 +218,7 @@ def error_tables(
 
 
 def _without_paper(table: Table, columns: int) -> Table:
-    """Leave the paper's columns out where it has no such network."""
+    """Drop the paper's columns if all are empty, because the paper does not test this network."""
     if any(value is not None for row in table.rows for value in row[-columns:]):
         return table
     rows = [row[:-columns] for row in table.rows]

@@ -1,4 +1,4 @@
-"""RQ2 and RQ3 computed in other ways: those of the authors' package and other reasonable ones."""
+"""Robustness checks of RQ2 and RQ3: the same comparisons as the authors' package or other methods compute them."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.maps.merge_operators import OPERATORS
 
 EMPTY = -2.0
-"""Filler that maxitwo puts into empty cells before it correlates over all of them."""
+"""Value that maxitwo puts into empty cells before it correlates over all cells."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobustnessCheck:
-    """The same comparison computed in another way.
+    """Comparison of two maps computed in another way.
 
     Attributes:
-        what: how it differs from the main number.
-        map: the first map.
-        against: the map that it is compared with.
-        value: of the first map.
+        what: difference from the main number.
+        map: first map.
+        against: map with which it is compared.
+        value: compared value of the first map.
         cells: number of cells compared.
         r: Pearson correlation, or None.
         p: its two-sided p-value, or None.
@@ -53,25 +53,25 @@ class RobustnessCheck:
 
 
 def check_robustness(maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str) -> list[RobustnessCheck]:
-    """Compute RQ2 and RQ3 in other ways, those of the authors' package first (its compute_mapelites_correlation)."""
+    """Compute RQ2 and RQ3 in other ways, the authors' package first (its compute_mapelites_correlation)."""
     unions = [maps[MapId.union(sibling)] for sibling in siblings]
     compared, truth = [*unions, maps[MapId.merged()]], maps[MapId.twin(twin)]
     found = []
     for value, m in product(QUESTIONS, compared):
         found.append(_check("all cells of the bounds, empty ones as -2 (maxitwo)", *_filled(m, truth, value)))
     for value, m in product(QUESTIONS, compared):
-        ours, against = _paired(m, truth, value)
-        both = (ours > 0) & (against > 0)
-        found.append(_check("only cells above 0 in both (maxitwo)", m, truth, value, ours[both], against[both]))
+        values, against = _paired(m, truth, value)
+        both = (values > 0) & (against > 0)
+        found.append(_check("only cells above 0 in both (maxitwo)", m, truth, value, values[both], against[both]))
     for value, m in product(QUESTIONS, compared):
         found.append(_check("AUC of ROC (maxitwo)", m, truth, value, *_paired(m, truth, value), curve=_roc))
     for value, m in product(QUESTIONS, compared):
         what = "AUC-PRC by trapezoids"
         found.append(_check(what, m, truth, value, *_paired(m, truth, value), curve=_trapezoids))
     for m in compared:
-        ours, against = _paired(m, truth, "pooled_quality_loss")
+        values, against = _paired(m, truth, "pooled_quality_loss")
         what = "quality as mean over a union's tests (maxitwo)"
-        found.append(_check(what, m, truth, "quality_loss", ours, against, curve=_ap))
+        found.append(_check(what, m, truth, "quality_loss", values, against, curve=_ap))
     for value, sibling in product(QUESTIONS, siblings):
         m, against_own = maps[MapId.search(sibling)], maps[MapId.migration(sibling, twin)]
         what = "a sibling's own search, without migration (maxitwo)"
@@ -87,13 +87,13 @@ def check_robustness(maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], 
 
 
 def _filled(m: FeatureMap, truth: FeatureMap, value: str) -> tuple[FeatureMap, FeatureMap, str, Array, Array]:
-    """Fill both maps over their common bounds, with `EMPTY` where nothing is known."""
+    """Fill both maps over their common bounds, with `EMPTY` in cells without tests."""
     filled = set(m.cells) | set(truth.cells)
     axes = [range(min(axis), max(axis) + 1) for axis in zip(*filled, strict=True)]
     cells = list(product(*axes)) if filled else []
-    ours = [EMPTY if cell not in m.cells else float(getattr(m.cells[cell], value)) for cell in cells]
+    values = [EMPTY if cell not in m.cells else float(getattr(m.cells[cell], value)) for cell in cells]
     against = [EMPTY if cell not in truth.cells else truth.cells[cell].probability for cell in cells]
-    return m, truth, value, np.array(ours, np.float64), np.array(against, np.float64)
+    return m, truth, value, np.array(values, np.float64), np.array(against, np.float64)
 
 
 def _check(
@@ -101,12 +101,12 @@ def _check(
     m: FeatureMap,
     against: FeatureMap,
     value: str,
-    ours: Array,
+    predicted: Array,
     truth: Array,
     *,
     curve: Callable[[Array, Array], float] | None = None,
 ) -> RobustnessCheck:
-    r, p, _ = _pearson(ours, truth, value)
-    auc = curve(ours, truth) if curve is not None and _decided(truth) else None
-    found = {"cells": len(ours), "r": r, "p": p, "auc": auc}
+    r, p, _ = _pearson(predicted, truth, value)
+    auc = curve(predicted, truth) if curve is not None and _decided(truth) else None
+    found = {"cells": len(predicted), "r": r, "p": p, "auc": auc}
     return RobustnessCheck(what=what, map=m.id, against=against.id, value=value, **found)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""How differently simulators behave under the same driver on the same roads: complementary, not copies (paper 3.2)."""
+"""Measures how differently simulators behave with the same driver on the same roads (complementarity, paper 3.2)."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from ds_sim.session import RunRecord
 from ds_sim.simulator import HALF_LANE, Outcome
 
 GRID = 0.5
-"""Metres of arc length between two places at which lateral positions are compared; chosen: two camera frames' way."""
+"""Arc length between two places at which lateral positions are compared, m; chosen: the distance of two frames."""
 APART = 0.5
-"""Metres between lateral positions that count as apart; chosen: a quarter of half a lane."""
+"""Distance from which two lateral positions count as apart, m; chosen: a quarter of half a lane."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairComparison:
-    """Two simulators on the same roads.
+    """Comparison of two simulators on the same roads.
 
     Attributes:
-        first: name.
-        second: name.
-        roads: on which both runs ended with a verdict.
-        both_fail: roads on which both runs failed.
-        only_first_fails: roads.
-        only_second_fails: roads.
-        both_complete: roads.
-        kappa: Cohen's kappa of the verdicts with its 95 % interval; None where it is not defined.
-        kappa_interval: of kappa, asymptotic (statsmodels), within -1 and 1.
+        first: name of the first simulator.
+        second: name of the second simulator.
+        roads: number of roads on which both runs ended with a verdict.
+        both_fail: number of roads on which both runs failed.
+        only_first_fails: number of roads on which only the first run failed.
+        only_second_fails: number of roads on which only the second run failed.
+        both_complete: number of roads on which neither run failed.
+        kappa: Cohen's kappa of the verdicts; None if undefined.
+        kappa_interval: asymptotic 95 % interval of kappa (statsmodels), clipped to [-1, 1].
         reason: why there is no kappa, or "".
-        median_apart: m, median over all places of the distance between the lateral positions.
-        apart_95: m, 95th percentile of the same.
-        most_apart: m, largest.
-        share_apart: share of places where they are more than `APART` apart.
-        correlation: Pearson r of the lateral positions over all places, None where one is constant.
+        median_apart: median distance between the lateral positions over all places, m.
+        apart_95: 95th percentile of that distance, m.
+        most_apart: largest distance, m.
+        share_apart: share of places at which they are more than `APART` apart.
+        correlation: Pearson r of the lateral positions over all places; None if one is constant.
     """
 
     first: str
@@ -67,13 +67,13 @@ def compare(runs: Mapping[str, Sequence[RunRecord]]) -> list[PairComparison]:
         runs: simulator -> its runs, the same roads in the same order for all.
 
     Returns:
-        One comparison per pair, in the order of the mapping. Runs that ended in an error say nothing and are left out.
+        One comparison per pair, in the order of the mapping. Runs that ended in an error are left out.
     """
     return [_pair(a, b, list(zip(runs[a], runs[b], strict=True))) for a, b in combinations(runs, 2)]
 
 
 def summary(runs: Sequence[RunRecord]) -> dict[str, Any]:
-    """Outcomes and driving quality of one simulator, as JSON values."""
+    """Summarise outcomes and driving quality of one simulator, as JSON values."""
     judged = [run for run in runs if run.outcome.is_verdict]
     return {
         "roads": len(judged),
@@ -85,7 +85,7 @@ def summary(runs: Sequence[RunRecord]) -> dict[str, Any]:
 
 
 def most_different(runs: Mapping[str, Sequence[RunRecord]], count: int) -> list[int]:
-    """Indices of the roads on which two simulators get farthest apart, the farthest first."""
+    """Find the indices of the roads on which two simulators get farthest apart, the farthest first."""
     total = len(next(iter(runs.values())))
     widest = [
         max((float(gap.max()) for a, b in combinations(runs, 2) if len(gap := gaps(runs[a][i], runs[b][i]))), default=0)
@@ -95,18 +95,18 @@ def most_different(runs: Mapping[str, Sequence[RunRecord]], count: int) -> list[
 
 
 def gaps(one: RunRecord, other: RunRecord) -> NDArray[np.float64]:
-    """Distance between the lateral positions of two runs, m, at every `GRID` of arc length that both covered."""
+    """Compute the distance between the lateral positions of two runs, m, every `GRID` m that both covered."""
     first, second = _lateral(one, other)
     return np.abs(first - second)
 
 
 def _lateral(one: RunRecord, other: RunRecord) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lateral positions of two runs at the same places."""
+    """Interpolate the lateral positions of two runs at the same places."""
     profiles = []
     for run in (one, other):
         arc = np.maximum.accumulate([o.lane.arc_length for o in run.observations])
         lateral = np.array([o.lane.lateral_position for o in run.observations])
-        # Beyond the lane's edge a run is lost: how far it flies says nothing of where it failed.
+        # Clip at the lane's edge: how far a car goes after leaving the lane does not tell where it failed.
         profiles.append((arc, np.clip(lateral, -HALF_LANE, HALF_LANE)))
     end = min((float(arc[-1]) for arc, _ in profiles if len(arc)), default=0.0)
     places = np.arange(GRID, end, GRID)
@@ -147,7 +147,7 @@ def _pair(first: str, second: str, pairs: list[tuple[RunRecord, RunRecord]]) -> 
 
 
 def _kappa(first: str, second: str, table: NDArray[np.int_]) -> tuple[float | None, tuple[float, float] | None, str]:
-    """Cohen's kappa of a table of verdicts (rows: first, columns: second), its interval, or why there is none."""
+    """Compute Cohen's kappa of a table of verdicts (rows: first, columns: second) and its interval, or the reason."""
     if table.sum() == 0:
         return None, None, "no road was driven to a verdict on both"
     for name, counts in ((first, table.sum(axis=1)), (second, table.sum(axis=0))):

@@ -16,25 +16,25 @@ from ds_orchestrator.search.features import Cell
 Array = NDArray[np.float64]
 
 RESAMPLES = 1000
-"""Resamples of a bootstrap; chosen: ends of an interval are right to about a tenth of its width, in a second."""
+"""Resamples of a bootstrap; chosen: ends of an interval are accurate to about a tenth of its width, in 1 s."""
 
 _NO_WIDTH = 1e-9
-"""Width below which an interval is a single point; chosen: far above rounding errors, far below three digits."""
+"""Width below which an interval is a single point; chosen: far above rounding errors, far below the digits shown."""
 
 FEWEST_CELLS = 3
-"""With two, every r is 1 or -1."""
+"""Cells needed for r; with two, every r is 1 or -1."""
 
 FEWEST_OF_EACH_KIND = 10
 """Cells in which the twin fails, and cells in which it does not, that a conclusion needs.
 
-Ten events per predictor: with fewer, estimates are biased and intervals do not hold what they promise (Peduzzi,
+Ten events per predictor: with fewer, estimates are biased and intervals do not reach their nominal coverage (Peduzzi,
 Concato, Kemper, Holford, Feinstein, J. Clin. Epidemiol. 1996, 49(12), for logistic regression on one outcome). A map
-predicts one outcome, whether the twin fails in a cell, and the rarer outcome is the event.
+predicts one outcome, whether the twin fails in a cell; the rarer outcome is the event.
 """
 
 
 def caution_of(cells: int, failing: int) -> str:
-    """Say why a comparison of maps cannot carry a conclusion; "" if it can.
+    """Explain why a comparison of maps allows no conclusion; "" if it allows one.
 
     Args:
         cells: number of cells compared.
@@ -55,90 +55,90 @@ def _values(m: FeatureMap, cells: Sequence[Cell], value: str) -> Array:
 
 def _paired(m: FeatureMap, truth: FeatureMap, value: str = "probability") -> tuple[Array, Array]:
     """Collect a value of one map and the failure probability of another over the cells that both fill."""
-    ours, against = _over_shared_cells([m], truth, value)
-    return ours, against
+    predicted, against = _over_shared_cells([m], truth, value)
+    return predicted, against
 
 
 def _over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str) -> tuple[Array, ...]:
-    """Collect a value of several maps, and last the failure probability of another, over the cells that all fill."""
+    """Collect a value of several maps, then the failure probability of another, over the cells that all fill."""
     cells = sorted(set(truth.cells).intersection(*(m.cells for m in maps)))
-    ours, against = [_values(m, cells, value) for m in maps], _values(truth, cells, "probability")
-    known = ~np.isnan(ours).any(axis=0)
-    return tuple(values[known] for values in (*ours, against))
+    predicted, against = [_values(m, cells, value) for m in maps], _values(truth, cells, "probability")
+    known = ~np.isnan(predicted).any(axis=0)
+    return tuple(values[known] for values in (*predicted, against))
 
 
-def _pearson(ours: Array, truth: Array, value: str) -> tuple[float | None, float | None, str]:
-    """Compute r and p, or say why there is none."""
+def _pearson(predicted: Array, truth: Array, value: str) -> tuple[float | None, float | None, str]:
+    """Compute r and p, or the reason why they are undefined."""
     reason = ""
-    if len(ours) < FEWEST_CELLS:
-        reason = f"{len(ours)} cells in common, expected {FEWEST_CELLS} or more"
+    if len(predicted) < FEWEST_CELLS:
+        reason = f"{len(predicted)} cells in common, expected {FEWEST_CELLS} or more"
     elif np.ptp(truth) == 0:
         reason = f"the twin's failure probability is {truth[0]:g} in every cell"
-    elif np.ptp(ours) == 0:
-        reason = f"the map's {value.replace('_', ' ')} is {ours[0]:g} in every cell"
+    elif np.ptp(predicted) == 0:
+        reason = f"the map's {value.replace('_', ' ')} is {predicted[0]:g} in every cell"
     if reason:
         return None, None, reason
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NearConstantInputWarning)
-        result = pearsonr(ours, truth)
+        result = pearsonr(predicted, truth)
     return float(result.statistic), float(result.pvalue), ""
 
 
 def _decided(truth: Array) -> bool:
-    """Whether some cells fail and some do not (paper 4.3.2: a cell fails when its probability is above 0)."""
+    """Check whether some cells fail and some do not (paper 4.3.2: a cell fails if its probability is above 0)."""
     return bool((truth > 0).any() and not (truth > 0).all())
 
 
-def _average_precision(ours: Array, truth: Array) -> tuple[float | None, str]:
-    """Compute the AUC-PRC, or say why there is none."""
+def _average_precision(predicted: Array, truth: Array) -> tuple[float | None, str]:
+    """Compute the AUC-PRC, or the reason why it is undefined."""
     if _decided(truth):
-        return _ap(ours, truth), ""
+        return _ap(predicted, truth), ""
     if not len(truth):
         return None, "no cells in common"
     return None, f"the twin fails in {'every cell' if (truth > 0).all() else 'no cell'}"
 
 
-# scikit-learn is imported where it is used: it takes a second, and most verbs do not need it.
-def _ap(ours: Array, truth: Array) -> float:
+# scikit-learn is imported in the functions that use it: the import takes 1 s, and most commands do not need it.
+def _ap(predicted: Array, truth: Array) -> float:
     from sklearn.metrics import average_precision_score
 
-    return float(average_precision_score(truth > 0, ours))
+    return float(average_precision_score(truth > 0, predicted))
 
 
-def _roc(ours: Array, truth: Array) -> float:
+def _roc(predicted: Array, truth: Array) -> float:
     from sklearn.metrics import roc_auc_score
 
-    return float(roc_auc_score(truth > 0, ours))
+    return float(roc_auc_score(truth > 0, predicted))
 
 
-def _trapezoids(ours: Array, truth: Array) -> float:
+def _trapezoids(predicted: Array, truth: Array) -> float:
     from sklearn.metrics import auc, precision_recall_curve
 
-    precision, recall, _ = precision_recall_curve(truth > 0, ours)
+    precision, recall, _ = precision_recall_curve(truth > 0, predicted)
     return float(auc(recall, precision))
 
 
-def _resampled_r(ours: Array, truth: Array) -> float:
-    return float(pearsonr(ours, truth).statistic)  # NaN where one of them is constant
+def _resampled_r(predicted: Array, truth: Array) -> float:
+    return float(pearsonr(predicted, truth).statistic)  # NaN if one of them is constant
 
 
-def _resampled_auc(ours: Array, truth: Array) -> float:
-    return _ap(ours, truth) if _decided(truth) else float("nan")
+def _resampled_auc(predicted: Array, truth: Array) -> float:
+    return _ap(predicted, truth) if _decided(truth) else float("nan")
 
 
 def _interval(
     samples: tuple[Array, ...], statistic: Callable[..., float], resamples: int
 ) -> tuple[float, float] | None:
-    """Estimate a percentile interval by a bootstrap over cells; the same values give the same interval.
+    """Estimate a percentile interval by a bootstrap over cells; equal values give equal intervals.
 
-    None without resamples, and where the statistic hardly varies over them at the end of its range (r or AUC-PRC of 1):
-    such an interval has no width because the sample is degenerate, not because the estimate is precise.
+    None without resamples, and if the statistic is 1 (or -1) in all of them: such an interval has no width because the
+    sample is degenerate, not because the estimate is precise.
     """
     if not resamples:
         return None
     from sklearn import config_context
 
-    # The values were checked already, and checking them takes most of the time.
+    # The values are checked already; checking them in every resample would take most of the time.
     with warnings.catch_warnings(), config_context(assume_finite=True, skip_parameter_validation=True):
         warnings.simplefilter("ignore", ConstantInputWarning)
         warnings.simplefilter("ignore", NearConstantInputWarning)

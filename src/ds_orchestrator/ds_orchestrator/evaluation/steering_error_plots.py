@@ -1,4 +1,4 @@
-"""Draws steering errors: their density per group, steering over time, and the images with the largest errors."""
+"""Draws steering errors: density per group, steering over time, and the images with the largest errors."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
 COLOURS: tuple[Rgb, ...] = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (150, 110, 0), (70, 70, 70))
-"""Okabe and Ito's, which do not need red and green told apart; further groups begin again."""
+"""Okabe and Ito's palette, safe for red-green colour blindness; repeats for further groups."""
 SHOWN = 4
-"""Recordings whose steering is drawn over time at most; chosen: what fits on a screen."""
+"""Largest number of recordings drawn over time; chosen: fits on a screen."""
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM = 1140, 78, 24, 42, 52
 _INK: Rgb = (40, 40, 40)
 _FAINT: Rgb = (225, 225, 225)
@@ -29,12 +29,12 @@ _THUMB = (190, 95)
 
 
 def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
-    """Write a PNG.
+    """Write a picture of steering errors as PNG.
 
     Args:
-        title: shown above everything.
-        answers: of every recording.
-        path: of the file.
+        title: heading of the picture.
+        answers: answers to every recording.
+        path: path of the PNG file.
     """
     parts = [_heading(title)]
     errors = pooled_errors(answers)
@@ -54,7 +54,7 @@ def _heading(title: str) -> Picture:
 
 def _densities(errors: dict[str, Array]) -> Picture:
     together = np.concatenate(list(errors.values()))
-    # All but one in two hundred; those beyond are in the table's largest error.
+    # Shows 99.5 % of the errors; the table has the largest one.
     reach = float(np.clip(1.2 * np.quantile(np.abs(together), 0.995), 0.1, 2.0))
     curves = {group: density(values) for group, values in errors.items()}
     highest = max(float(curve.max()) for curve in curves.values())
@@ -75,7 +75,7 @@ def _densities(errors: dict[str, Array]) -> Picture:
 
 
 def _over_time(answers: Answers) -> Picture:
-    """By the number of the image: the clock of a recording is not always that of the drive."""
+    """Draw steering over the image number, since a recording's clock may differ from the drive's."""
     number = answers.index.astype(np.float64)
     title = answers.name if answers.name == answers.group else f"{answers.name} ({answers.group})"
     chart = _Chart(title, "image", (float(number[0]), float(number[-1])), (-1.05, 1.05), 230)
@@ -88,7 +88,7 @@ def _over_time(answers: Answers) -> Picture:
 
 
 def _worst(answers: Answers) -> Picture:
-    """The images with the largest errors, both steerings as a needle at the bottom: black recorded, red answered."""
+    """Draw the images with the largest errors, with both steerings as needles: black recorded, red answered."""
     picture = np.full((_THUMB[1] + 62, _WIDTH, 3), 255, np.uint8)
     _write(picture, f"Largest errors in {answers.name}: black recorded, red answered", (_LEFT, 20), 0.5)
     for place, (frame, value) in enumerate(answers.worst):
@@ -111,7 +111,7 @@ def _worst(answers: Answers) -> Picture:
 
 
 class _Chart:
-    """A panel with axes."""
+    """Panel with axes."""
 
     def __init__(self, title: str, unit: str, x: tuple[float, float], y: tuple[float, float], height: int) -> None:
         self.image = np.full((height, _WIDTH, 3), 255, np.uint8)
@@ -135,14 +135,14 @@ class _Chart:
         return np.round((self._corner + part * self._size) * (1 << _SHIFT)).astype(np.int32)
 
     def line(self, x: Array, y: Array, colour: Rgb, width: int) -> None:
-        """A line through points; NaN breaks it, what is beyond the axes lies on the border."""
+        """Draw a line through points; NaN interrupts it, points beyond the axes are clipped to the border."""
         for block in np.split(np.arange(len(y)), np.flatnonzero(np.diff(np.isfinite(y))) + 1):
             if len(block) > 1 and np.isfinite(y[block[0]]):
                 points = self._pixels(x[block], y[block])
                 cv2.polylines(self.image, [points], False, colour, width, cv2.LINE_AA, _SHIFT)
 
     def note(self, text: str, number: int, colour: Rgb, *, across: bool = False) -> None:
-        """A line of the legend."""
+        """Write a line of the legend."""
         x = _WIDTH - _RIGHT - 220 + 110 * number if across else _LEFT + 14
         y = 24 if across else _TOP + 20 + 20 * number
         cv2.line(self.image, (x, y - 5), (x + 18, y - 5), colour, 3)
@@ -150,7 +150,7 @@ class _Chart:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round values between two, four to nine of them."""
+    """Choose four to nine round values between two limits."""
     rough = (high - low) / 6
     power = 10.0 ** np.floor(np.log10(rough))
     step = float(min(power * np.array([1.0, 2.0, 5.0, 10.0]), key=lambda s: abs(np.log(s / rough))))

@@ -1,9 +1,9 @@
-"""Statistics of steering errors without driving: sizes and densities, and how alike two groups are (paper 4.3.1, RQ1).
+"""Statistics of steering errors in open loop: sizes, densities, and similarity of two groups (paper 4.3.1, RQ1).
 
-`summarise`, `density` and `distances` describe any recordings. `compare_errors` is the paper's RQ1 with the numbers of
-the authors' package (its compute_offline_metrics); `check_error_robustness` varies the choices that are open to
-question: errors above 0.6 are dropped, the Wilcoxon test compares 15 pairs of densities whatever the number of images,
-and the power analysis counts every image twice.
+`summarise`, `density` and `distances` describe any recordings. `compare_errors` computes the paper's RQ1 as the
+authors' package does (its compute_offline_metrics); `check_error_robustness` varies its debatable choices: errors above
+0.6 are dropped, the Wilcoxon test compares 15 pairs of densities whatever the number of images, and the power analysis
+counts every image twice.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from ds_orchestrator.evaluation.open_loop import Answers, ErrorsError
 
 Array = NDArray[np.float64]
 MERGED = "merged"
-"""The siblings' errors one after the other (paper 4.3.1: their combination)."""
+"""Name of all siblings' errors concatenated (paper 4.3.1: their combination)."""
 RANGE, BINS = 0.6, 15
 """Errors up to 0.6 in bins of 0.04 (maxitwo)."""
 ALPHA, POWER = 0.05, 0.8
-"""Threshold of significance, and the power that is enough (paper 4.3.1)."""
+"""Significance level and sufficient power (paper 4.3.1)."""
 EDGES = np.linspace(-2.0, 2.0, 201)
-"""Edges of the bins of `density`: every possible error in steps of 0.02; chosen: a hundredth of the steering range."""
+"""Bin edges of `density`: every possible error in steps of 0.02; chosen: a hundredth of the steering range."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorSummary:
-    """One group of recordings.
+    """Summary of the steering errors of a group of recordings.
 
     Attributes:
-        group: its name.
-        images: that were shown.
-        answered: of them that were answered.
-        compared: of them that have a steering to compare with.
-        mean: of the errors, positive to the right; None without errors, as the next four.
-        mean_absolute: mean size.
-        root_mean_square: of the errors.
-        median_absolute: median size.
-        largest: size of the largest.
+        group: name of the group.
+        images: number of images shown.
+        answered: number of images answered.
+        compared: number of answered images with recorded steering.
+        mean: mean error, positive to the right; None without errors, as are the following.
+        mean_absolute: mean absolute error.
+        root_mean_square: root mean square error.
+        median_absolute: median absolute error.
+        largest: largest absolute error.
         outputs_apart: Wasserstein distance between answered and recorded steering as distributions.
     """
 
@@ -70,7 +70,7 @@ def pooled_errors(answers: Sequence[Answers]) -> dict[str, Array]:
 
 
 def summarise(answers: Sequence[Answers]) -> list[ErrorSummary]:
-    """Summarise each group, in the order of their first recordings."""
+    """Summarise each group, in the order of its first recording."""
     return [
         _summary(group, [a for a in answers if a.group == group]) for group in dict.fromkeys(a.group for a in answers)
     ]
@@ -98,7 +98,7 @@ def _summary(group: str, answers: Sequence[Answers]) -> ErrorSummary:
 
 
 def density(errors: Array) -> Array:
-    """Compute the (200,) density of the errors between `EDGES`, of area 1 (paper 4.3.1)."""
+    """Compute the (200,) density of the errors over the bins of `EDGES`, with area 1 (paper 4.3.1)."""
     return np.asarray(np.histogram(errors, EDGES, density=True)[0], np.float64)
 
 
@@ -109,19 +109,19 @@ def distances(errors: Mapping[str, Array]) -> list[tuple[str, str, float]]:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorComparison:
-    """Errors on one sibling, or on all of them, against those on the twin.
+    """Comparison of the errors on one sibling, or on all siblings, with those on the twin.
 
     Attributes:
-        name: of the sibling, or `MERGED`.
-        images: number of its errors.
-        mean_squared: mean of its squared errors.
-        beyond: share of its errors above `RANGE`, which the densities do not show.
-        distance: Wasserstein distance of the densities, each at its bin's right end (maxitwo).
-        p: of Wilcoxon's signed-rank test on the pairs of densities, two-sided; None where they are all equal.
-        effect: Cohen's d of the errors, pooled; None where no error differs from another.
-        power: of a two-sample t test on the errors, with the authors' number of them: both sets' for each; None where
-            there is no effect.
-        enough: errors in each set for a power of 0.8, or None where there is no effect.
+        name: name of the sibling, or `MERGED`.
+        images: number of errors.
+        mean_squared: mean squared error.
+        beyond: share of errors above `RANGE`, which the densities leave out.
+        distance: Wasserstein distance of the densities, each at its bin's right edge (maxitwo).
+        p: two-sided p-value of Wilcoxon's signed-rank test on the pairs of densities; None if all pairs are equal.
+        effect: Cohen's d with pooled standard deviation; None if all errors are equal.
+        power: power of a two-sample t test on the errors; as in the authors' package, each sample has the size of both
+            together. None without an effect.
+        enough: errors in each sample for a power of 0.8; None without an effect.
     """
 
     name: str
@@ -136,7 +136,7 @@ class ErrorComparison:
 
     @property
     def alike(self) -> bool | None:
-        """Whether the paper would call the two indistinguishable: p above 0.05, and a power that is enough."""
+        """Whether the two are indistinguishable by the paper's rule: p above 0.05, and sufficient power."""
         if self.p is None or self.power is None:
             return None
         return self.p > ALPHA and self.power >= POWER
@@ -144,14 +144,14 @@ class ErrorComparison:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorRobustnessCheck:
-    """The same comparison computed in another way.
+    """Comparison of errors computed in another way.
 
     Attributes:
-        what: how it differs.
-        name: of the sibling, or `MERGED`.
+        what: difference from the main numbers.
+        name: name of the sibling, or `MERGED`.
         distance: Wasserstein distance, or None.
-        p: of the test that `what` names, or None.
-        power: or None.
+        p: p-value of the test that `what` names, or None.
+        power: power of the t test, or None.
     """
 
     what: str
@@ -162,7 +162,7 @@ class ErrorRobustnessCheck:
 
 
 def densities(errors: Array) -> Array:
-    """Compute the density of the errors in 15 bins from 0 to 0.6, of area 1 over the errors in that range (maxitwo)."""
+    """Compute the density of the errors in 15 bins from 0 to 0.6, with area 1 over the errors up to 0.6 (maxitwo)."""
     counts = np.histogram(errors, BINS, (0.0, RANGE))[0]
     return counts / max(counts.sum(), 1) / (RANGE / BINS)
 
@@ -176,11 +176,11 @@ def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComp
     """Compare each sibling's errors, and those of all siblings together, with the twin's.
 
     Args:
-        siblings: name -> (n,) absolute steering errors.
-        twin: (m,) the same.
+        siblings: name -> (n,) absolute steering errors on a sibling.
+        twin: (m,) absolute steering errors on the twin.
 
     Raises:
-        ErrorsError: no errors, or not finite ones from 0 on.
+        ErrorsError: there are no errors, or some are negative or not finite.
     """
     return [_compare(name, errors, _checked("the twin", twin)) for name, errors in _with_merged(siblings).items()]
 
@@ -191,10 +191,10 @@ def check_error_robustness(siblings: Mapping[str, Array], twin: Array) -> list[E
     groups = _with_merged(siblings)
     found = []
     for name, errors in groups.items():
-        ours, theirs = shares(errors), shares(twin)
-        distance = _binned_distance(ours, theirs)
+        binned, twin_binned = shares(errors), shares(twin)
+        distance = _binned_distance(binned, twin_binned)
         what = "share of all errors per bin (paper 4.3.1)"
-        found.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=_wilcoxon(ours, theirs)))
+        found.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=_wilcoxon(binned, twin_binned)))
     for name, errors in groups.items():
         distance = float(wasserstein_distance(errors, twin))
         p = float(ks_2samp(errors, twin).pvalue)
@@ -207,7 +207,7 @@ def check_error_robustness(siblings: Mapping[str, Array], twin: Array) -> list[E
 
 
 def cohens_d(one: Array, other: Array) -> float | None:
-    """Divide the difference of the means by the pooled standard deviation (Cohen 1988); None where no value varies."""
+    """Divide the difference of the means by the pooled standard deviation (Cohen 1988); None if that is 0."""
     n, m = len(one), len(other)
     if n + m < 3:
         return None
@@ -229,43 +229,43 @@ def _with_merged(siblings: Mapping[str, Array]) -> dict[str, Array]:
 def _checked(name: str, errors: Sequence[float] | Array) -> Array:
     values = np.asarray(errors, np.float64)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all() or (values < 0).any():
-        raise ErrorsError(f"errors of {name}: expected one or more finite numbers from 0 on")
+        raise ErrorsError(f"errors of {name}: expected at least one, all finite and not negative")
     return values
 
 
 def _compare(name: str, errors: Array, twin: Array) -> ErrorComparison:
-    ours, theirs = densities(errors), densities(twin)
+    binned, twin_binned = densities(errors), densities(twin)
     effect = cohens_d(errors, twin)
     return ErrorComparison(
         name=name,
         images=len(errors),
         mean_squared=float(np.mean(errors**2)),
         beyond=float(np.mean(errors > RANGE)),
-        distance=_binned_distance(ours, theirs),
-        p=_wilcoxon(ours, theirs),
+        distance=_binned_distance(binned, twin_binned),
+        p=_wilcoxon(binned, twin_binned),
         effect=effect,
         power=_power(effect, len(errors) + len(twin), 1.0),
         enough=_enough(effect),
     )
 
 
-def _binned_distance(ours: Array, theirs: Array) -> float:
-    """Wasserstein distance of weights at the right ends of the bins."""
-    if not ours.sum() or not theirs.sum():
-        raise ErrorsError(f"no error up to {RANGE} on one of the simulators: the network does not steer at all")
+def _binned_distance(one: Array, other: Array) -> float:
+    """Compute the Wasserstein distance of weights at the right edges of the bins."""
+    if not one.sum() or not other.sum():
+        raise ErrorsError(f"every error on one of the simulators is above {RANGE}: expected a network that can steer")
     ends = np.linspace(0.0, RANGE, BINS + 1)[1:]
-    return float(wasserstein_distance(ends, ends, ours, theirs))
+    return float(wasserstein_distance(ends, ends, one, other))
 
 
-def _wilcoxon(ours: Array, theirs: Array) -> float | None:
-    if np.array_equal(ours, theirs):
+def _wilcoxon(one: Array, other: Array) -> float | None:
+    if np.array_equal(one, other):
         return None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # SciPy warns where most pairs are equal; p is right nevertheless
-        return float(wilcoxon(ours, theirs).pvalue)
+        warnings.simplefilter("ignore")  # SciPy warns if most pairs are equal; p is correct nevertheless
+        return float(wilcoxon(one, other).pvalue)
 
 
-# statsmodels is imported where it is used: it takes a second, and most verbs do not need it.
+# statsmodels is imported in the functions that use it: the import takes 1 s, and most commands do not need it.
 def _power(effect: float | None, count: int, ratio: float) -> float | None:
     from statsmodels.stats.power import TTestIndPower
 
@@ -281,7 +281,7 @@ def _enough(effect: float | None) -> float | None:
     if not effect:
         return None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # statsmodels warns where it does not converge; that is None here
+        warnings.simplefilter("ignore")  # statsmodels warns if it does not converge; the result is None then
         try:
             count = float(np.squeeze(tt_ind_solve_power(effect_size=abs(effect), alpha=ALPHA, power=POWER, ratio=1.0)))
         except (ValueError, RuntimeError):

@@ -1,4 +1,4 @@
-"""Tables of results: for a terminal, as CSV with every digit, and as LaTeX for a paper."""
+"""Tables of results: on a terminal, as CSV with every digit, and as LaTeX for a paper."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from rich.console import Console
 from rich.text import Text
 
 Value = str | float | int | tuple[float, float] | None
-"""None where there is no number; a pair is an interval."""
+"""None is a missing number, a pair an interval."""
 Style = Literal["text", "count", "number", "small", "p"]
-"""small: five digits after the point."""
+"""number: three digits after the point; small: five."""
 WIDTH = 130
-"""Characters of a table in a file; chosen: the widest one of ours fits."""
+"""Characters of a table that is not shown on a terminal; chosen: the widest one fits."""
 _SMALLEST_P = 1e-300
-"""Below this a p-value is not told from 0, which no p-value is: SciPy underflows soon after."""
+"""Smaller p-values are shown as below this: SciPy underflows to 0 soon after, which no p-value is."""
 _DIGITS = {"number": 3, "small": 5}
 _TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}"}
 _TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
 
 
 class TablesError(ValueError):
-    """Kept tables that cannot be read."""
+    """Stored tables that cannot be read."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its heading, and how its values are shown."""
+    """Column of a table: heading and style of its values."""
 
     name: str
     style: Style = "text"
@@ -42,14 +42,14 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table.
+    """Table of results.
 
     Attributes:
-        name: of its files, without suffix.
-        title: in words.
-        columns: headings.
-        rows: one value per column.
-        notes: sentences below it.
+        name: stem of the file names.
+        title: heading.
+        columns: columns, from left to right.
+        rows: rows, each with one value per column.
+        notes: sentences below the table.
     """
 
     name: str
@@ -59,11 +59,11 @@ class Table:
     notes: Sequence[str] = field(default=())
 
     def texts(self) -> list[list[str]]:
-        """Rows as a person reads them."""
+        """Format the rows for reading."""
         return [[shown(v, c.style) for v, c in zip(row, self.columns, strict=True)] for row in self.rows]
 
     def document(self) -> dict[str, Any]:
-        """The table as JSON values."""
+        """Convert to JSON values."""
         names = [c.name for c in self.columns]
         rows = [
             dict(zip(names, (list(v) if isinstance(v, tuple) else v for v in row), strict=True)) for row in self.rows
@@ -71,7 +71,7 @@ class Table:
         return {"name": self.name, "title": self.title, "rows": rows, "notes": list(self.notes)}
 
     def csv(self) -> str:
-        """Comma-separated values; an interval takes two columns, what does not exist is empty."""
+        """Format as comma-separated values; an interval takes two columns, a missing value is empty."""
         wide = [any(isinstance(row[k], tuple) for row in self.rows) for k in range(len(self.columns))]
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
@@ -88,7 +88,7 @@ class Table:
         return out.getvalue()
 
     def latex(self) -> str:
-        """A `table` with `tabular`; needs the package booktabs."""
+        """Format as LaTeX `table` with `tabular`; needs the package booktabs."""
         lines = [
             r"\begin{table}[ht]",
             r"\centering",
@@ -110,7 +110,7 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def show(self, console: Console) -> None:
-        """Print it; what is not shown on a terminal may be wider than one."""
+        """Print the table; at least `WIDTH` characters wide if not on a terminal."""
         table = rich.table.Table(title=self.title, title_justify="left", caption="\n".join(self.notes) or None)
         table.box, table.caption_justify, table.padding = rich.box.SIMPLE_HEAD, "left", (0, 0)
         for column in self.columns:
@@ -125,7 +125,7 @@ class Table:
 
 
 def shown(value: Value, style: Style) -> str:
-    """A value as a person reads it; empty where there is none."""
+    """Format a value for reading; "" if it is missing."""
     if value is None:
         return ""
     if isinstance(value, str):
@@ -140,7 +140,7 @@ def shown(value: Value, style: Style) -> str:
 
 
 def tex(text: str) -> str:
-    """Text with LaTeX's special characters written out."""
+    """Escape LaTeX's special characters."""
     return "".join(_TEX.get(c, c) for c in text)
 
 
@@ -161,7 +161,7 @@ def _tex_value(value: Value, style: Style) -> str:
 
 
 def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
-    """Write `<name>.csv` and `<name>.tex` of every table; the folder is made if needed."""
+    """Write `<name>.csv` and `<name>.tex` of every table into a folder, created if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for table in tables:
@@ -172,17 +172,17 @@ def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
 
 
 def keep_tables(tables: Sequence[Table], path: Path) -> None:
-    """Write tables so that `read_tables` gives them back; the folder is made if needed."""
+    """Write tables for `read_tables`; the folder is created if missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = [{**asdict(table), "rows": [list(row) for row in table.rows]} for table in tables]
     path.write_text(json.dumps(rows, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_tables(path: Path) -> list[Table]:
-    """What `keep_tables` wrote, empty where there is no such file.
+    """Read what `keep_tables` wrote; empty if there is no such file.
 
     Raises:
-        TablesError: the file is not one of ours.
+        TablesError: the file does not hold tables.
     """
     try:
         return [
@@ -202,5 +202,5 @@ def read_tables(path: Path) -> list[Table]:
 
 
 def document_of(tables: Sequence[Table]) -> Mapping[str, Any]:
-    """Tables by name as JSON values."""
+    """Convert tables to JSON values, by name."""
     return {table.name: table.document() for table in tables}

@@ -1,4 +1,4 @@
-"""Drives roads through a graph of ROS nodes, with a limit on every wait."""
+"""Drives roads through a graph of ROS nodes; every wait has a limit."""
 
 from __future__ import annotations
 
@@ -33,37 +33,37 @@ from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, Outcome, Reason
 
 SERVICE_TIME = 20.0
-"""Seconds that a simulator gets to answer a service or a goal."""
+"""Limit for a simulator's answer to a service or a goal, s."""
 ATTEMPTS = 10
-"""Calls of a service within that time: one that goes to a process that just died is never answered."""
+"""Calls of a service within that time: a call to a process that just died is never answered."""
 START_TIME = 90.0
-"""Seconds that a graph gets to come up, importing its libraries on a busy machine included."""
+"""Limit for the start of a graph, s; includes importing libraries on a busy machine."""
 BUSY_TIME = 25.0
-"""Seconds for which a goal waits for another client's run; ROS forgets a client that was killed after 20 s."""
+"""Limit for another client's run to end, s; ROS discovery drops a killed client after 20 s."""
 QUIET, UNANSWERED = 2.0, 3
-"""Seconds without a sign of life after which a simulator of somebody else's process is asked for one, and how many such
-questions in a row may stay unanswered; chosen: a dead node is reported in ten seconds, a loaded one answers in that."""
-QUESTION_TIME = 2.5
-"""Seconds for the answer to such a question."""
+"""Silence, s, after which a simulator that this process did not start is queried, and the number of unanswered queries
+in a row after which it counts as dead; chosen: a dead node is reported in 10 s, within which a loaded one answers."""
+QUERY_TIME = 2.5
+"""Limit for the answer to such a query, s."""
 Watch = Callable[[int, float, float], None]
-"""Called during a run with the frames so far, the driven part of the road in [0, 1], and the lateral position, m."""
+"""Called during a run with the number of frames, the driven part of the road in [0, 1], and the lateral position, m."""
 _NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 _NUMBERS = itertools.count()
 
 
 class GraphError(RuntimeError):
-    """A graph that does not come up."""
+    """Graph that does not start, or holds unexpected simulators."""
 
 
 class GraphExecutor:
     """Drives roads through the graph; satisfies `ds_orchestrator.campaign.runner.Executor`.
 
     Args:
-        namespaces: simulator name -> its namespace.
+        namespaces: simulator name -> namespace.
         domain: ROS domain; None for the environment's.
-        command_timeout: s that a simulator waits for its driver.
-        supervisor: of the graph's processes if this process started them; a dead one is started again before the next
-            run. None for nodes that somebody else started.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
+        supervisor: supervisor of the graph's processes if this process started them; dead ones are restarted before
+            the next run. None to use running nodes.
         report: called with one line when a run has to wait for another client.
     """
 
@@ -84,10 +84,10 @@ class GraphExecutor:
         self._driver_renewed, self._driver_starts = -math.inf, False
         self._start_time = START_TIME
         self._stopped, self._closing = threading.Event(), threading.Event()
-        # A context of its own, because several graphs, each in its domain, may be driven by one process.
+        # A separate context, because one process may drive several graphs, each in its own domain.
         self._context = Context()
         init_ros(context=self._context, domain_id=domain)
-        # Several clients may drive one simulator in turns: each finds the others by their names.
+        # Several clients may take turns on one simulator and find each other by these names.
         self._node = Node(f"orchestrator_{os.getpid()}_{next(_NUMBERS)}", context=self._context)
         self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -97,14 +97,18 @@ class GraphExecutor:
 
     @property
     def context(self) -> Context:
-        """Context in the graph's domain, for further nodes of this process."""
+        """ROS context in the graph's domain, for further nodes of this process."""
         return self._context
 
     def wait_until_ready(self, limit: float = START_TIME, *, only: str | None = None) -> None:
         """Wait until every simulator, or only one, answers and has a driver.
 
+        Args:
+            limit: longest wait, s.
+            only: name of the only simulator to wait for; all if None.
+
         Raises:
-            GraphError: the time is up; says what is missing.
+            GraphError: the limit has passed; the message says what is missing.
             ds_orchestrator.graph.supervisor.ProcessError: a process of the supervisor ended.
         """
         if only is None:
@@ -131,10 +135,10 @@ class GraphExecutor:
                 raise GraphError(f"{namespace} is {found}, expected {expected}: start it under another namespace")
 
     def info(self, simulator: str) -> GetSimulatorInfo.Response:
-        """Description of a simulator, as its node gives it.
+        """Ask a simulator's node for its description.
 
         Raises:
-            GraphError: it does not answer.
+            GraphError: the node does not answer.
         """
         response = self._ask(self._simulators[simulator].info, GetSimulatorInfo.Request())
         if response is None:
@@ -142,12 +146,12 @@ class GraphExecutor:
         return response
 
     def execute(self, simulator: str, road: Road, seed: int, watch: Watch | None = None) -> RunRecord:
-        """Drive a road on a simulator; always ends, and never raises for what goes wrong in another process.
+        """Drive a road on a simulator; always returns, and never raises for an error in another process.
 
         Args:
-            simulator: name.
-            road: to drive.
-            seed: of the run.
+            simulator: name of the simulator.
+            road: road to drive.
+            seed: seed of the run.
             watch: called from another thread with the simulator's feedback.
         """
         self._simulators[simulator].watch = watch
@@ -165,48 +169,48 @@ class GraphExecutor:
         return record
 
     def stop(self) -> None:
-        """Let every wait return now; runs under way end as CANCELLED."""
+        """End every wait now; active runs end as CANCELLED."""
         self._stopped.set()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the node and its clients."""
         self.stop()
         self._closing.set()
         self._spinner.join(2.0)
-        # A context that is only shut down stays visible in its domain for as long as this process lives.
+        # Without destroying its node, a context stays visible in its domain until this process ends.
         for simulator in self._simulators.values():
             simulator.drive.destroy()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
     def _processes(self, simulator: str) -> set[str]:
-        """Processes of the supervisor that a run on a simulator needs."""
+        """Names of the processes that a run on a simulator needs."""
         return {simulator_process_name(self._namespaces[simulator]), DRIVER_PROCESS}
 
     def _restart(self, simulator: str) -> None:
-        """Start the supervisor's process of a simulator that no longer answers again."""
+        """Restart a simulator's process, if the supervisor runs it."""
         if self._supervisor is not None and not self._stopped.is_set():
             with self._revival:
                 self._supervisor.restart(simulator_process_name(self._namespaces[simulator]))
 
     def _revive(self) -> None:
-        """Start every process of the supervisor that has ended again."""
+        """Restart every process of the supervisor that has ended."""
         if self._supervisor is not None:
             with self._revival:
                 if DRIVER_PROCESS in self._supervisor.revive():
                     self._driver_renewed, self._driver_starts = time.monotonic(), True
 
     def _waits_for_driver(self, began: float, record: RunRecord) -> bool:
-        """True while the supervisor's new driver starts; the graph may still count the publisher of the old one."""
+        """Check whether a restarted driver is still starting; discovery may still list the old one's publisher."""
         patient = self._driver_starts and began - self._driver_renewed < START_TIME and not self._stopped.is_set()
         # A run from before the new driver, or one that the new driver answered in any way, keeps its outcome.
         answered = bool(record.commands) or record.reason is Reason.COMMAND_REFUSED
         return patient and self._driver_renewed < began and not answered
 
     def _renew_driver(self, began: float, record: RunRecord) -> None:
-        """Start the supervisor's driver again if it hangs; one that sends invalid commands does not hang.
+        """Restart the supervisor's driver if it hangs; one that sends invalid commands does not hang.
 
-        It drives the other simulators too, whose runs fall silent with the old process: they must not start a third.
+        It drives the other simulators too, whose runs lose the old process as well: they must not restart it again.
         """
         if self._supervisor is None or self._stopped.is_set() or DRIVER_PROCESS not in self._supervisor.names:
             return
@@ -224,7 +228,7 @@ class GraphExecutor:
             self.wait_until_ready(self._start_time, only=name)
         except (GraphError, RuntimeError) as error:
             return Outcome.SIM_ERROR, str(error)
-        # A goal must not be sent twice, but a service may be asked until a simulator that has just started answers.
+        # A goal must not be sent twice, but a service may be called until a simulator that has just started answers.
         if self._ask(simulator.info, GetSimulatorInfo.Request()) is None:
             self._restart(name)
             return Outcome.SIM_ERROR, f"get_info was not answered within {SERVICE_TIME:.0f} s"
@@ -237,12 +241,12 @@ class GraphExecutor:
         return Outcome(result.outcome.value), result.message
 
     def _drive(self, name: str, record: RunRecord) -> DriveRoad.Result | str:
-        """Send a goal and wait for its result; what went wrong, in one line, if there is none.
+        """Send a goal and return its result, or one line on the error.
 
-        A simulator that drives for another client is waited for; a run whose client has died is ended.
+        Waits for a simulator that drives for another client, and ends a run that lost its client.
         """
         simulator = self._simulators[name]
-        deadline, told = time.monotonic() + BUSY_TIME, False
+        deadline, reported = time.monotonic() + BUSY_TIME, False
         while True:
             result = self._drive_once(name, record)
             if isinstance(result, str) or result.reason.value != Reason.BUSY:
@@ -250,8 +254,8 @@ class GraphExecutor:
             others = simulator.other_clients()
             if not others:
                 self._ask(simulator.reset, Trigger.Request())
-            elif not told:
-                told = True
+            elif not reported:
+                reported = True
                 self._report(f"{simulator.namespace} drives for {', '.join(others)}: waiting {BUSY_TIME:.0f} s at most")
             if time.monotonic() > deadline or self._stopped.wait(0.5 if others else 0.2):
                 return result
@@ -259,11 +263,11 @@ class GraphExecutor:
     def _drive_once(self, name: str, record: RunRecord) -> DriveRoad.Result | str:
         simulator = self._simulators[name]
         simulator.alive = time.monotonic()
-        # Road and seed travel with the goal: another client's load_road cannot come in between.
+        # The goal carries road and seed, so that another client's load_road cannot interfere.
         goal = DriveRoad.Goal(
             road=messages.road_to_message(record.road), seed=record.seed, command_timeout=self._timeout
         )
-        handle = self._call(lambda: simulator.drive.send_goal_async(goal, simulator.heard), SERVICE_TIME)
+        handle = self._call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
         if handle is None:
             self._restart(name)
             return f"the goal was not answered within {SERVICE_TIME:.0f} s"
@@ -282,12 +286,12 @@ class GraphExecutor:
         return "the simulator fell silent during the run"
 
     def _await_result(self, name: str, handle: Any) -> Any:
-        """Result of a goal, or None when the simulator has shown no sign of life for too long."""
+        """Wait for the result of a goal; None if the simulator has shown no sign of life for too long."""
         future = self._wait(self._executor.create_task(handle.get_result_async), SERVICE_TIME)
         if future is None:
             return None
         simulator = self._simulators[name]
-        # A slow driver may use its whole time for every frame between two feedback messages.
+        # A slow driver may use the whole timeout for every frame between two feedback messages.
         silence = messages.FEEDBACK_EVERY * self._timeout + SERVICE_TIME
         while not future.done():
             if self._stopped.is_set() or time.monotonic() - simulator.alive > silence:
@@ -300,13 +304,13 @@ class GraphExecutor:
         return future.result()
 
     def _answers(self, simulator: _Simulator) -> bool:
-        """False if a simulator whose process is not ours shows no sign of life and answers no question."""
+        """Check whether a simulator that this process did not start gives feedback or answers a query."""
         if time.monotonic() - max(simulator.alive, simulator.answered) < QUIET:
             return True
         request = GetSimulatorInfo.Request()
         for _ in range(UNANSWERED):
             asked = time.monotonic()
-            if self._call(lambda: simulator.info.call_async(request), QUESTION_TIME) is not None:
+            if self._call(lambda: simulator.info.call_async(request), QUERY_TIME) is not None:
                 simulator.answered = time.monotonic()
                 return True
             if self._stopped.is_set() or simulator.alive > asked:
@@ -314,7 +318,7 @@ class GraphExecutor:
         return False
 
     def _ask(self, client: Any, request: Any) -> Any:
-        """The answer of a service that may be asked again, or None."""
+        """Call a service, repeatedly if needed; None without an answer."""
         for _ in range(ATTEMPTS):
             answer = self._call(lambda: client.call_async(request), SERVICE_TIME / ATTEMPTS)
             if answer is not None or self._stopped.is_set():
@@ -322,17 +326,17 @@ class GraphExecutor:
         return None
 
     def _call(self, begin: Callable[[], Future], limit: float) -> Any:
-        """The answer to a request, or None when the time is up or we were stopped.
+        """Send a request and wait for the answer; None after the limit or when stopped.
 
-        It is sent by the spinner's thread: rclpy's action client has no lock, and an answer that comes before the
-        request is noted down is thrown away.
+        The spinner's thread sends it: rclpy's action client has no lock, and drops an answer that arrives before the
+        request is registered.
         """
         deadline = time.monotonic() + limit
         begun = self._wait(self._executor.create_task(begin), limit)
         return None if begun is None else self._wait(begun, max(0.0, deadline - time.monotonic()))
 
     def _wait(self, future: Future, limit: float) -> Any:
-        """A future's result, or None when the time is up or we were stopped."""
+        """Wait for a future's result; None after the limit or when stopped."""
         ready = threading.Event()
         future.add_done_callback(lambda _future: ready.set())
         deadline = time.monotonic() + limit
@@ -350,7 +354,7 @@ class GraphExecutor:
 
 
 class _Simulator:
-    """The clients of one simulator's node."""
+    """Clients of one simulator's node."""
 
     def __init__(self, node: Node, namespace: str) -> None:
         self._node = node
@@ -359,26 +363,26 @@ class _Simulator:
         self.reset = node.create_client(Trigger, f"{namespace}/reset")
         self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
         self.alive = 0.0
-        """When the last feedback came."""
+        """Monotonic time of the last feedback, s."""
         self.answered = 0.0
-        """When the last question during a run was answered."""
+        """Monotonic time of the last answer to a query during a run, s."""
         self.watch: Watch | None = None
 
-    def heard(self, message: Any) -> None:
-        """Note a sign of life, and hand the feedback on."""
+    def on_feedback(self, message: Any) -> None:
+        """Record a sign of life, and pass the feedback on."""
         self.alive = time.monotonic()
         if self.watch is not None:
             feedback = message.feedback
             self.watch(feedback.step, feedback.progress, feedback.lateral_position)
 
     def other_clients(self) -> list[str]:
-        """Nodes other than this one that have a client of the simulator's action."""
+        """Names of other nodes with a client of the simulator's action."""
         own = self._node.get_fully_qualified_name()
         found = self._node.get_subscriptions_info_by_topic(f"{self.namespace}/{FEEDBACK}")
         return [name for name in names_of(found) if name != own]
 
     def missing(self) -> str:
-        """What is missing for a run, in one line, or ""."""
+        """Describe in one line what is missing for a run; "" if nothing is."""
         if not (self.info.service_is_ready() and self.drive.server_is_ready()):
             return f"there is no simulator in {self.namespace}"
         if not self._node.count_publishers(f"{self.namespace}/drive"):

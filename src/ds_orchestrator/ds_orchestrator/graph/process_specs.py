@@ -1,4 +1,4 @@
-"""Processes of a graph: one node for each simulator under its own namespace, and one driver for all of them."""
+"""Processes of a graph: one node per simulator in its own namespace, and one driver for all of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ds_orchestrator.graph.supervisor import ProcessSpec
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
-    """Simulator name -> namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
+    """Map simulator name -> namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
     spaces = {name: f"/ds{index}" for index, name in enumerate(siblings, start=1)}
     if twin:
         spaces[twin] = "/twin"
@@ -20,12 +20,12 @@ DRIVER_PROCESS = "driver"
 
 
 def simulator_process_name(namespace: str) -> str:
-    """Name of the process of the simulator in a namespace, and of its log."""
+    """Name the process, and its log, of the simulator in a namespace."""
     return f"simulator_{namespace.strip('/').replace('/', '_')}"
 
 
 def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
-    """One process per simulator."""
+    """Specify one process per simulator."""
     return [
         ProcessSpec(
             name=simulator_process_name(namespace),
@@ -38,7 +38,7 @@ def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> l
 
 
 def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
-    """One driver for all simulators; it asks each of them for its crop, or for the gains of its vehicle."""
+    """Specify the driver of all simulators; it asks each for its crop, or for the gains of its vehicle."""
     parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
     if driver == AUTOPILOT:
         return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.autopilot_node", parameters=parameters)

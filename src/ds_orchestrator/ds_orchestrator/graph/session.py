@@ -1,4 +1,4 @@
-"""Brings a graph up, gives it to whoever drives with it, and takes it down again whatever happens."""
+"""Context managers that start graphs and always stop them."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ def running_graph(
     wait: float = START_TIME,
     report: Callable[[str], None] = lambda line: None,
 ) -> Iterator[GraphExecutor]:
-    """A graph that is ready to drive.
+    """Start a graph, yield it when it is ready to drive, and stop it.
 
     Args:
         namespaces: simulator name -> namespace.
         driver: `autopilot`, a shipped network, or a weights file.
-        command_timeout: s that a simulator waits for its driver.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
         logs: folder for the processes' logs.
-        attach: start nothing, use the nodes that run already in this environment's ROS domain.
-        wait: s that the nodes get to come up.
+        attach: start nothing; use running nodes in the environment's ROS domain.
+        wait: limit for the start of the nodes, s.
         report: called with one line when a run has to wait for another client.
 
     Raises:
-        ds_orchestrator.graph.executor.GraphError: it does not come up.
+        ds_orchestrator.graph.executor.GraphError: the graph does not start.
         ds_orchestrator.graph.supervisor.ProcessError: one of its processes ended.
     """
     with ExitStack() as stack:
-        deaf = IgnoreSignals()
-        stack.push(deaf.__exit__)
+        signals_ignored = IgnoreSignals()
+        stack.push(signals_ignored.__exit__)
         supervisor = None
         domain = None
         if not attach:
             remove_leftovers()
-            held = RosDomain()
-            stack.callback(held.close)
-            domain = held.number
+            reserved = RosDomain()
+            stack.callback(reserved.close)
+            domain = reserved.number
             specs = [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
@@ -58,7 +58,7 @@ def running_graph(
             namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor, report=report
         )
         stack.callback(executor.close)
-        stack.callback(deaf.__enter__)
+        stack.callback(signals_ignored.__enter__)
         executor.wait_until_ready(wait)
         executor.check_simulators()
         yield executor
@@ -68,11 +68,18 @@ def running_graph(
 def running_workers(
     count: int, namespaces: dict[str, str], driver: str, *, command_timeout: float, logs: Path
 ) -> Iterator[WorkerPool]:
-    """So many graphs that are ready to drive; each keeps its logs in a folder `worker_<number>`, from 1.
+    """Start several graphs, yield them when they are ready to drive, and stop them.
+
+    Args:
+        count: number of graphs.
+        namespaces: simulator name -> namespace.
+        driver: `autopilot`, a shipped network, or a weights file.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
+        logs: folder for logs; each graph writes into a subfolder `worker_<number>`, from 1.
 
     Raises:
-        ds_orchestrator.graph.executor.GraphError: one does not come up.
-        ds_orchestrator.graph.supervisor.ProcessError: a process of one ended.
+        ds_orchestrator.graph.executor.GraphError: a graph does not start.
+        ds_orchestrator.graph.supervisor.ProcessError: a process of a graph ended.
     """
     with ExitStack() as stack:
         graphs = [

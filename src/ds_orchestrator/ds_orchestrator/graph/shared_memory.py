@@ -1,4 +1,4 @@
-"""Removes the shared-memory files of Fast DDS that killed processes leave in /dev/shm."""
+"""Removes the shared-memory files that killed processes of Fast DDS leave in /dev/shm."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 OLDER_THAN = 10.0
-"""s; a younger file may belong to a process that has made it and not mapped it yet."""
+"""s; a younger file may belong to a process that has created it but not mapped it yet."""
 _PREFIXES = ("fastrtps_", "sem.fastrtps_")
 
 
 def remove_leftovers(folder: Path = FOLDER, *, older_than: float = OLDER_THAN) -> int:
-    """Remove the files of which no process maps, opens or locks any part.
+    """Remove segments and ports that no process maps, opens or locks.
 
-    A segment and a port each consist of several files (`fastrtps_ID`, `fastrtps_ID_el`, `sem.fastrtps_ID_mutex`), which
-    stay or go together. Only files of this user are touched.
+    Each consists of several files (`fastrtps_ID`, `fastrtps_ID_el`, `sem.fastrtps_ID_mutex`), which are kept or removed
+    together. Only files of this user are touched.
 
     Args:
-        folder: where the shared memory lies.
-        older_than: age in s below which a file is left alone.
+        folder: folder of the shared-memory files.
+        older_than: age in s below which a file is kept.
 
     Returns:
         Number of removed files.
@@ -46,7 +46,7 @@ def remove_leftovers(folder: Path = FOLDER, *, older_than: float = OLDER_THAN) -
 
 
 def _group(name: str) -> str:
-    """Segment or port to which a file belongs."""
+    """Name the segment or port to which a file belongs."""
     name = name.removeprefix("sem.").removeprefix("fastrtps_")
     return name.partition("_")[0]
 
@@ -60,7 +60,7 @@ def _is_own_and_old(path: Path, older_than: float) -> bool:
 
 
 def _used_files(folder: Path) -> set[str]:
-    """Names of the files in a folder that a visible process maps or has open."""
+    """List the files of a folder that a visible process maps or has open."""
     prefix = f"{folder}/"
     used: set[str] = set()
     for process in Path("/proc").glob("[0-9]*"):
@@ -69,13 +69,13 @@ def _used_files(folder: Path) -> set[str]:
             used.update(line.partition(prefix)[2] for line in lines if prefix in line)
             targets = [os.readlink(link) for link in (process / "fd").iterdir()]
             used.update(target.removeprefix(prefix) for target in targets if target.startswith(prefix))
-        except OSError:  # it has ended, or is another user's, whose use of a file its lock shows
+        except OSError:  # the process has ended, or is another user's, whose files are locked while in use
             continue
     return used
 
 
 def _is_locked(path: Path) -> bool:
-    """True if a process, also one in another container, holds a lock on a file."""
+    """Check whether a process holds a lock on a file, even one in another container."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
     except OSError:

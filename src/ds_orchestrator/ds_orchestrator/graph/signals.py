@@ -1,4 +1,4 @@
-"""How a command is told to stop: Ctrl-C, SIGTERM and a closed terminal all interrupt it in the same way."""
+"""Signal handling of commands: Ctrl-C, SIGTERM and a closed terminal all raise KeyboardInterrupt."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_heard = [signal.SIGINT]
+_received = [signal.SIGINT]
 
 
 def listen() -> None:
-    """Let the signals raise KeyboardInterrupt in the main thread; one that is ignored stays so, as nohup wants it."""
+    """Let the signals raise KeyboardInterrupt in the main thread; an ignored one stays ignored, as nohup requires."""
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
 
 
 def exit_status() -> int:
-    """Of a command that was stopped, as shells have it: 130 for Ctrl-C, 143 for SIGTERM."""
-    return 128 + _heard[-1]
+    """Exit status of an interrupted command by the shells' convention: 130 for Ctrl-C, 143 for SIGTERM."""
+    return 128 + _received[-1]
 
 
 def _interrupt(number: int, _: FrameType | None) -> NoReturn:
-    _heard.append(signal.Signals(number))
+    _received.append(signal.Signals(number))
     raise KeyboardInterrupt
 
 
 class IgnoreSignals:
-    """Within it nothing interrupts, however often Ctrl-C is pressed: for cleaning up."""
+    """Context in which SIGINT, SIGTERM and SIGHUP are ignored, for cleaning up."""
 
     def __init__(self) -> None:
         self._before: dict[signal.Signals, Any] = {}

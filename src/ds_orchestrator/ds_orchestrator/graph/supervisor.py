@@ -1,4 +1,4 @@
-"""Starts the processes of a graph, watches them, starts a dead one again, and leaves none behind."""
+"""Starts the processes of a graph, watches them, restarts dead ones, and leaves none behind."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from pathlib import Path
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 STOP_TIME = 3.0
-"""Seconds that a process gets to obey SIGINT, then SIGTERM, before it is killed."""
+"""Limit for a process to obey SIGINT, then SIGTERM, before it is killed, s."""
 
 
 class ProcessError(RuntimeError):
-    """A process that ended when it should not."""
+    """Process that ended unexpectedly."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessSpec:
-    """One node in a process of its own.
+    """Process with one node.
 
     Attributes:
-        name: for messages and for the log's name.
-        module: Python module that is run.
+        name: name in messages, and of the log.
+        module: Python module to run.
         namespace: ROS namespace.
         parameters: ROS parameters; lists are written as YAML lists.
-        remappings: topic or service -> its name in the graph.
+        remappings: topic or service -> name in the graph.
     """
 
     name: str
@@ -43,7 +43,7 @@ class ProcessSpec:
     remappings: dict[str, str] = field(default_factory=dict)
 
     def command(self) -> list[str]:
-        """The command line."""
+        """Build the command line."""
         arguments = [sys.executable, "-m", self.module, "--ros-args", "-r", f"__ns:={self.namespace}"]
         for name, other in self.remappings.items():
             arguments += ["-r", f"{name}:={other}"]
@@ -53,12 +53,12 @@ class ProcessSpec:
 
 
 class Supervisor:
-    """Runs processes for as long as it is open.
+    """Runs processes until it is closed.
 
     Args:
-        specs: what to run.
-        domain: ROS domain of all of them.
-        logs: folder for one log per process.
+        specs: processes to run.
+        domain: ROS domain of all processes.
+        logs: folder for one log per process, created if missing.
     """
 
     def __init__(self, specs: Sequence[ProcessSpec], *, domain: int, logs: Path) -> None:
@@ -72,14 +72,14 @@ class Supervisor:
             "RCUTILS_COLORIZED_OUTPUT": "0",
         }
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        # Children die with the thread that made them (see _die_with_parent), so one thread makes all and stays.
+        # Children die with the thread that created them (see _die_with_parent), so one lasting thread creates all.
         self._spawner = ThreadPoolExecutor(1, thread_name_prefix="spawner")
         for name in self._specs:
             self._start(name)
 
     @property
     def names(self) -> list[str]:
-        """Of the processes."""
+        """Names of the processes."""
         return list(self._specs)
 
     def dead(self) -> list[str]:
@@ -87,29 +87,33 @@ class Supervisor:
         return [name for name, process in self._processes.items() if process.poll() is not None]
 
     def check(self, names: Collection[str]) -> None:
-        """Raises ProcessError if one of these processes ended, with the last line of its log."""
+        """Check that none of these processes has ended.
+
+        Raises:
+            ProcessError: one has ended; the message has the last line of its log.
+        """
         for name in set(self.dead()) & set(names):
             status = self._processes[name].returncode
             if status == -signal.SIGKILL:
-                raise ProcessError(f"{name} was killed while it was awaited: give the same command again")
+                raise ProcessError(f"{name} was killed before it was ready: give the same command again")
             raise ProcessError(f"{name} ended with status {status}: {self.last_line(name)}")
 
     def revive(self) -> list[str]:
-        """Start every dead process again; their names."""
+        """Restart every dead process, and return their names."""
         names = self.dead()
         for name in names:
             self._start(name)
         return names
 
     def restart(self, name: str) -> None:
-        """Kill a process that no longer answers, and start it again."""
+        """Kill a process that no longer answers, and restart it."""
         process = self._processes[name]
         process.kill()
         process.wait()
         self._start(name)
 
     def last_line(self, name: str) -> str:
-        """The last line that a process wrote."""
+        """Read the last line that a process wrote."""
         lines = self._log(name).read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else "(it wrote nothing)"
 
@@ -139,7 +143,7 @@ class Supervisor:
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     env=self._environment,
-                    start_new_session=True,  # a Ctrl-C in the terminal goes to us alone; we tell the children
+                    start_new_session=True,  # Ctrl-C in the terminal reaches this process alone, which stops the others
                     preexec_fn=partial(_die_with_parent, os.getpid()),
                 )
 
@@ -147,9 +151,9 @@ class Supervisor:
 
 
 def _die_with_parent(parent: int) -> None:
-    """Let the kernel end this process when its parent is gone, even by SIGKILL."""
+    """Let the kernel end this process when its parent ends, even by SIGKILL."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it was gone before the kernel was told
+    if os.getppid() != parent:  # the parent ended before prctl took effect
         os._exit(128 + signal.SIGTERM)
 
 

@@ -1,4 +1,4 @@
-"""Several graphs at once, each with its own processes and ROS domain, behind the face of one."""
+"""Distributes runs over several graphs, each with its own processes and ROS domain."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from ds_sim.session import RunRecord
 
 
 class WorkerPool:
-    """Hands each run to a worker whose simulator of that name is free.
+    """Gives each run to a worker with a free simulator of that name.
 
-    Satisfies `ds_orchestrator.campaign.runner.Executor`.
-
-    A run depends on road, seed and commands alone, so it does not matter which worker drives it.
+    Satisfies `ds_orchestrator.campaign.runner.Executor`. A run depends on road, seed and commands alone, so any worker
+    may drive it.
 
     Args:
-        workers: executors that each have every simulator.
-        simulators: names.
+        workers: executors, each with every simulator.
+        simulators: names of the simulators.
     """
 
     def __init__(self, workers: Sequence[Executor], simulators: Sequence[str]) -> None:
@@ -30,7 +29,7 @@ class WorkerPool:
                 free.put(worker)
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
-        """Drive a road, as soon as a worker is free."""
+        """Drive a road as soon as a worker is free."""
         worker = self._free[simulator].get()
         try:
             return worker.execute(simulator, road, seed)
@@ -38,6 +37,6 @@ class WorkerPool:
             self._free[simulator].put(worker)
 
     def stop(self) -> None:
-        """Let every run under way end now, as CANCELLED."""
+        """End every active run now, as CANCELLED."""
         for worker in self._workers:
             worker.stop()

@@ -1,4 +1,4 @@
-"""Feature maps: pooled, united and merged (paper 3.3 to 3.5).
+"""Feature maps: pooling, union and merge (paper 3.3 to 3.5).
 
 Public names are imported when they are first used; `__init__.pyi` lists them.
 """

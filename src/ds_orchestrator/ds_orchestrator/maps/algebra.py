@@ -19,7 +19,14 @@ def pool(
     *,
     features: tuple[str, ...] = DEFAULT_FEATURES,
 ) -> FeatureMap:
-    """Pool executed tests by cell; over several runs of a search this is their combined map (paper 3.3)."""
+    """Pool executions by cell; pooling several search runs gives their combined map (paper 3.3).
+
+    Args:
+        map_id: identity of the map.
+        runs: cell and execution of each test.
+        normalise: scales maximum lateral positions to [0, 1].
+        features: names of the axes.
+    """
     groups: dict[Cell, list[Execution]] = {}
     for cell, execution in runs:
         groups.setdefault(cell, []).append(execution)
@@ -42,8 +49,8 @@ def pool(
 def union(map_id: MapId, maps: Sequence[FeatureMap], *, pooled_quality_loss: bool = False) -> FeatureMap:
     """Unite maps of different tests on the same simulator (paper 3.4).
 
-    Failures and tests are summed over the maps. Quality loss is the mean of the maps' values, so that a map of one test
-    weighs as much as one of ten; a map that leaves the cell empty does not count as 0.
+    Failures and tests are summed over the maps. Quality loss is the mean of the maps' values, so that a map with one
+    test weighs as much as a map with ten; a map in which the cell is empty is left out of the mean.
 
     Args:
         map_id: identity of the union.
@@ -78,10 +85,10 @@ def union(map_id: MapId, maps: Sequence[FeatureMap], *, pooled_quality_loss: boo
 def merge(
     map_id: MapId, maps: Sequence[FeatureMap], *, probability: str = "product", quality_loss: str = "minimum"
 ) -> FeatureMap:
-    """Merge the union maps of all siblings: only agreement counts (paper 3.5).
+    """Merge the union maps of all siblings, keeping cells on which they agree (paper 3.5).
 
-    A cell that one of the maps leaves empty stays empty, since that sibling may not agree. The merge of one map is that
-    map.
+    A cell that is empty in one of the maps is empty in the result, since that sibling may disagree. A single map is
+    returned unchanged.
 
     Args:
         map_id: identity of the merged map.

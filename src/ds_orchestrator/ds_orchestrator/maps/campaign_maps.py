@@ -38,7 +38,7 @@ class MapPlan:
 
 
 def normaliser(executions: Iterable[Execution]) -> Normalise:
-    """Scale maximum lateral positions to [0, 1] by their range over every simulator of the campaign (paper 4.2.5)."""
+    """Create a function that scales maximum lateral positions to [0, 1] by their range over all simulators (4.2.5)."""
     values = [execution.max_lateral_position for execution in executions]
     low, high = min(values, default=0.0), max(values, default=0.0)
     if high == low:
@@ -53,13 +53,13 @@ def cells_of(
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
 ) -> dict[str, Cell]:
-    """Map every test that has a cell to it; see `ds_orchestrator.search.features`."""
-    at_home = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
+    """Map test -> cell, for every test that has one; see `ds_orchestrator.search.features`."""
+    verdicts = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     cells = {}
     for test in tests:
         cell = cell_of(
             test.road,
-            at_home.get((test.test_id, test.sibling)),
+            verdicts.get((test.test_id, test.sibling)),
             features=features,
             maxitwo_compatible=maxitwo_compatible,
         )
@@ -75,12 +75,19 @@ def elites_of(
     *,
     ignored: Collection[str] = (),
 ) -> set[str]:
-    """Find the elite of every cell of every run of a search: the tests that the run ends with."""
-    at_home = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
+    """Find the tests that are elites at the end of each search run.
+
+    Args:
+        tests: tests of the campaign.
+        executions: their executions.
+        cells: test -> cell.
+        ignored: tests whose search continued without their outcome.
+    """
+    verdicts = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     archives: dict[tuple[str, int], Archive] = {}
     elites: dict[tuple[str, int], dict[Cell, str]] = {}
     for test in sorted(tests, key=lambda t: (t.sibling, t.run, t.number)):
-        execution = at_home.get((test.test_id, test.sibling))
+        execution = verdicts.get((test.test_id, test.sibling))
         if execution is None or test.test_id in ignored or test.test_id not in cells:
             continue
         run, cell = (test.sibling, test.run), cells[test.test_id]
@@ -99,7 +106,7 @@ def build_maps(
 ) -> dict[MapId, FeatureMap]:
     """Build every map of a campaign; see `MapId` for the kinds.
 
-    Executions without a verdict enter no map, nor do tests without a cell.
+    Executions without a verdict and tests without a cell enter no map.
     """
     verdicts = [e for e in executions if e.outcome.is_verdict]
     cells = cells_of(tests, verdicts, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible)

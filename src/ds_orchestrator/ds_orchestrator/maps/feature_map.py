@@ -1,4 +1,4 @@
-"""Feature maps: tests pooled per cell, united over their origins, merged over siblings (paper 3.3 to 3.5)."""
+"""Feature maps and their cells (paper 3.3 to 3.5)."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, feature_of
 
 @dataclass(frozen=True, kw_only=True)
 class MapCell:
-    """One filled cell of a feature map; a cell without tests is absent, which is not the same as 0.
+    """Filled cell of a feature map; a cell without tests is absent, which differs from 0.
 
     Attributes:
-        tests: tests pooled in it; in a merged map, those of the sibling with the fewest.
-        failures: how many of them failed; None in a merged map, whose probability is computed from the siblings'.
-        probability: of failure, in [0, 1].
-        quality_loss: lack of driving quality, in [0, 1]: mean of the tests' maximum lateral positions, normalised over
-            the campaign (paper 4.2.5); in a union the mean of its maps' values (paper 3.4); the higher the worse.
-        pooled_quality_loss: the same as the mean over all tests of the cell, as in maxitwo; None where it is not known.
-        interval: 95 % interval of the probability, or None where the counts behind it are not known.
+        tests: number of pooled tests; in a merged map, the smallest number of any sibling.
+        failures: number of failed tests; None in a merged map, whose probability is computed from the siblings'.
+        probability: failure probability, in [0, 1].
+        quality_loss: loss of driving quality, in [0, 1], higher is worse: mean of the tests' maximum lateral positions,
+            normalised over the campaign (paper 4.2.5); in a union, the mean of its maps' values (paper 3.4).
+        pooled_quality_loss: the same as the mean over all tests of the cell, as in maxitwo; None if not known.
+        interval: 95 % interval of the probability, or None if the counts are not known.
     """
 
     tests: int
@@ -33,13 +33,13 @@ class MapCell:
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureMap:
-    """Cells by one bin per feature.
+    """Grid of cells, one axis per feature.
 
     Attributes:
-        id: which tests it holds, on which simulator.
+        id: identity: which tests on which simulator.
         cells: filled cells.
         features: names of the axes; see `ds_orchestrator.search.features`.
-        detail: which slice of a map of three features it is, such as `direction coverage, % 10`; "" for a whole map.
+        detail: slice of a map of three features, such as `direction coverage, % 10`; "" for a whole map.
     """
 
     id: MapId
@@ -49,12 +49,12 @@ class FeatureMap:
 
     @property
     def title(self) -> str:
-        """Heading of its picture."""
+        """Heading of the map's picture."""
         return ", ".join(filter(None, (self.id.title, self.detail)))
 
 
 def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
-    """Slice a map of three features into maps of its first two, one per bin of the third; any other map stays whole."""
+    """Slice a map of three features into maps of the first two, one per bin of the third; keep other maps whole."""
     if len(feature_map.features) < 3:
         return [feature_map]
     first, second, third = feature_map.features
@@ -74,7 +74,7 @@ def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
 
 
 def to_json(maps: Mapping[MapId, FeatureMap]) -> dict[str, object]:
-    """Convert maps to plain JSON values by their names; the same maps give the same text."""
+    """Convert maps to JSON values by name; equal maps give equal text."""
     return {
         map_id.name: {
             "features": list(feature_map.features),

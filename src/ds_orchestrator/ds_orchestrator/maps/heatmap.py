@@ -1,4 +1,4 @@
-"""Feature maps as pictures, in the style of the paper's figures: green without failures, red where every test fails."""
+"""Draws feature maps in the style of the paper's figures: green without failures, red where every test fails."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ VALUE_TITLES: dict[Value, str] = {
     "quality_loss": "lack of driving quality",
 }
 _FILE_ENDINGS: dict[Value, str] = {"probability": "probability", "quality_loss": "quality"}
-"""Of the PNG files; older campaigns have these names too."""
+"""End of the PNG files' names; the same as in earlier versions."""
 COLOURS: tuple[Rgb, Rgb, Rgb] = ((120, 198, 121), (254, 224, 130), (178, 24, 43))
-"""At 0, 0.5 and 1: green to red (paper 4.4.2); the red end is the darker one, so the order survives in greys too."""
+"""Colours at 0, 0.5 and 1: green to red (paper 4.4.2); the red end is darker, so that the order survives in grey."""
 EMPTY: Rgb = (240, 240, 240)
 _HATCH: Rgb = (205, 205, 205)
 _INK: Rgb = (30, 30, 30)
@@ -41,7 +41,7 @@ _BAR_WIDTH, _BAR_HEIGHT = 16, 160
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """The part of the feature space that a picture shows, ends included.
+    """Part of the feature space that a picture shows, ends included.
 
     Attributes:
         turns: smallest and largest turns count.
@@ -58,41 +58,40 @@ class Bounds:
 
     @property
     def rows(self) -> range:
-        """Curvature bins from top to bottom: the sharpest bend is at the top."""
+        """Curvature bins from top to bottom, the tightest bend first."""
         return range(self.curvature[1], self.curvature[0] - 1, -1)
 
 
 def bounds_of(maps: Iterable[FeatureMap]) -> Bounds:
-    """The smallest bounds that hold every filled cell of all maps, so that their pictures compare cell by cell."""
+    """Compute the smallest bounds with every filled cell of all maps, so that pictures are comparable cell by cell."""
     cells = {cell for feature_map in maps for cell in feature_map.cells} or {(0, 0)}
     turns, curvature = [cell[0] for cell in cells], [cell[1] for cell in cells]
     return Bounds(turns=(min(turns), max(turns)), curvature=(min(curvature), max(curvature)))
 
 
 def colour_of(value: float) -> Rgb:
-    """RGB of a value in [0, 1], linear between `COLOURS`; values outside take the end's colour."""
+    """Compute the RGB of a value in [0, 1], linear between `COLOURS`; values outside are clipped."""
     mixed = [np.interp(value, (0.0, 0.5, 1.0), [colour[k] for colour in COLOURS]) for k in range(3)]
     return (round(mixed[0]), round(mixed[1]), round(mixed[2]))
 
 
 def ink_on(colour: Rgb) -> Rgb:
-    """Dark or pale, whichever reads better on a colour (contrast ratio of WCAG 2)."""
+    """Choose dark or pale text, whichever has the higher contrast to a colour (contrast ratio of WCAG 2)."""
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
     luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    # Both contrasts are equal where (luminance + 0.05)^2 = 1.05 x 0.063, the latter being dark ink's.
+    # Both contrasts are equal where (luminance + 0.05)^2 = 1.05 x 0.063; 0.063 belongs to the dark ink.
     return _INK if luminance > 0.207 else _PALE
 
 
 def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArray[np.uint8]:
     """Draw one value of a feature map.
 
-    Every filled cell shows its value and, small, its number of tests; a cell without tests is hatched, since nothing
-    is known about it.
+    Every filled cell shows its value and its number of tests; cells without tests are hatched.
 
     Args:
-        feature_map: to draw, of two features.
-        value: `probability` (of failure) or `quality_loss` (lack of it).
-        bounds: part of the feature space to show; the same for all maps that are to be compared.
+        feature_map: map of two features.
+        value: value to draw, `probability` or `quality_loss`.
+        bounds: part of the feature space to show; use the same for all maps to compare.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
@@ -126,12 +125,12 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
 def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
     """Write every map of a campaign as `<name>_probability.png` and `<name>_quality.png`, and `overview.png`.
 
-    The overview shows the siblings' unions, their merge and the twin side by side: failure probability above, lack of
-    quality below. All pictures share their bounds.
+    The overview shows the siblings' unions, their merge and the twin side by side: failure probability above, loss of
+    quality below. All pictures share the same bounds.
 
     Args:
         maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
-        folder: of the pictures, created if missing; existing ones are replaced.
+        folder: folder for the pictures, created if missing; existing pictures are replaced.
     """
     folder.mkdir(parents=True, exist_ok=True)
     bounds = bounds_of(maps.values())
@@ -153,7 +152,7 @@ def _save(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 def _draw_cell(image: NDArray[np.uint8], corner: tuple[int, int], cell: MapCell | None, value: Value) -> None:
-    """A coloured cell with its numbers, or a hatched one."""
+    """Draw a coloured cell with its numbers, or a hatched one if it is empty."""
     left, top = corner
     patch = image[top : top + _CELL_HEIGHT, left : left + _CELL_WIDTH]
     if cell is None:
@@ -172,7 +171,7 @@ def _draw_cell(image: NDArray[np.uint8], corner: tuple[int, int], cell: MapCell 
 
 
 def _draw_colour_bar(image: NDArray[np.uint8], corner: tuple[int, int]) -> None:
-    """Colours from 1 at the top to 0 at the bottom, and what an empty cell looks like."""
+    """Draw the colours from 1 at the top to 0 at the bottom, and a sample of an empty cell."""
     left, top = corner
     for row in range(_BAR_HEIGHT):
         image[top + row, left : left + _BAR_WIDTH] = colour_of(1.0 - row / (_BAR_HEIGHT - 1))
@@ -203,14 +202,14 @@ def _write(
     anchor: Literal["start", "middle", "end"] = "start",
     thickness: int = 1,
 ) -> None:
-    """Text whose start, middle or end stands at a pixel of its baseline."""
+    """Write text with its start, middle or end at a pixel of the baseline."""
     width = _text_width(text, scale, thickness)
     left = at[0] - {"start": 0, "middle": width // 2, "end": width}[anchor]
     cv2.putText(image, text, (left, at[1]), _FONT, scale, ink, thickness, cv2.LINE_AA)
 
 
 def _write_upwards(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
-    """Text turned by a quarter, its middle beside a pixel."""
+    """Write text rotated by 90 degrees, centred beside a pixel."""
     strip = np.full((18, _text_width(text, 0.45) + 4, 3), 255, np.uint8)
     _write(strip, text, (2, 13), 0.45)
     turned = cv2.rotate(strip, cv2.ROTATE_90_COUNTERCLOCKWISE)

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["search", "migration", "union", "merged", "twin"]
-"""search: a sibling's own tests; migration: one sibling's tests elsewhere; union: all tests on a sibling; merged: the
-siblings' unions merged; twin: all tests on the twin."""
+"""search: a sibling's tests on itself; migration: one sibling's tests on another simulator; union: all tests on a
+sibling; merged: the siblings' unions merged; twin: all tests on the twin."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapId:
-    """Identity of one feature map; use the constructors, which set what each kind needs.
+    """Identity of one feature map; use the constructors, which set the attributes of each kind.
 
     Attributes:
         kind: which tests on which simulator.
-        simulator: on which the tests were driven; "" for a merged map.
-        origin: sibling whose search made the tests; "" where tests of all siblings are in the map.
-        operator: that merged the siblings; "" for the campaign's own choice and for maps that are not merged.
+        simulator: simulator on which the tests were driven; "" for a merged map.
+        origin: sibling whose search generated the tests; "" if the map holds tests of all siblings.
+        operator: operator that merged the siblings; "" for the configured ones and for maps that are not merged.
     """
 
     kind: Kind
@@ -44,7 +44,7 @@ class MapId:
 
     @classmethod
     def merged(cls, operator: str = "") -> MapId:
-        """Unions of all siblings merged (paper 3.5), by the campaign's operators if none is named."""
+        """Unions of all siblings merged (paper 3.5), by the configured operators if none is named."""
         return cls(kind="merged", operator=operator)
 
     @classmethod
@@ -71,9 +71,9 @@ def map_ids(siblings: Sequence[str], twin: str | None, operators: Sequence[str] 
     """Identities of every map of a campaign, in the order in which they are written.
 
     Args:
-        siblings: names, in order.
-        twin: its name, or None.
-        operators: further operators, each of which makes a merged map.
+        siblings: names of the siblings, in order.
+        twin: name of the twin, or None.
+        operators: further operators, each of which adds a merged map.
     """
     targets = [*siblings, *([twin] if twin else [])]
     return [
@@ -87,5 +87,5 @@ def map_ids(siblings: Sequence[str], twin: str | None, operators: Sequence[str] 
 
 
 def compared_ids(ids: Iterable[MapId]) -> list[MapId]:
-    """Select the maps that stand side by side: unions, their merge by the campaign's own operators, the twin."""
+    """Select the maps to show side by side: unions, their merge by the configured operators, the twin."""
     return [map_id for map_id in ids if map_id.kind in ("union", "twin") or map_id == MapId.merged()]

@@ -1,4 +1,4 @@
-"""Operators that merge one cell of several siblings' maps into one value, and intervals of the result."""
+"""Operators that merge a cell of several siblings' maps into one value, and intervals of the result."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 LEVEL = 0.95
-"""Probability that an interval holds the true value (chosen: the usual one, and the paper's alpha of 0.05)."""
+"""Coverage of intervals; chosen: the usual one, matching the paper's alpha of 0.05."""
 DRAWS = 20_000
-"""Draws from the posterior; chosen: ends of an interval are right to about 0.005, in a millisecond."""
+"""Draws from the posterior; chosen: ends of an interval are accurate to about 0.005, in 1 ms."""
 _PRIOR = 0.5
-"""Both parameters of the Beta distribution that is Jeffreys' prior of a probability."""
+"""Both parameters of Jeffreys' prior of a probability, a Beta distribution."""
 
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class MergeOperator:
-    """Rule that makes one value of several siblings' values of a cell.
+    """Rule that merges several siblings' values of a cell into one.
 
     Attributes:
-        combine: from values (siblings, ...) and weights (siblings,), their numbers of tests, to values (...).
-        seed: of the draws behind `merged_interval`; a constant of the operator, so that adding or reordering operators
-            changes no interval.
+        combine: computes values (...) from values (siblings, ...) and weights (siblings,), the numbers of tests.
+        seed: seed of the draws of `merged_interval`; a constant of the operator, so that adding or reordering
+            operators changes no interval.
     """
 
     combine: Callable[[Values, Values], Values]
@@ -45,19 +45,19 @@ def minimum(values: Values, weights: Values) -> Values:
 
 
 def maximum(values: Values, weights: Values) -> Values:
-    """Take the largest value (paper 3.5, for measures that are high where driving is good): one sibling is enough."""
+    """Take the largest value (paper 3.5, for measures that are high where driving is good): one sibling suffices."""
     return np.asarray(np.max(values, axis=0))
 
 
 def mean(values: Values, weights: Values) -> Values:
-    """Average with equal weights: not in the paper's 3.5, but the default of the authors' package."""
+    """Average with equal weights: not in paper 3.5, but the default of the authors' package."""
     return np.asarray(np.mean(values, axis=0))
 
 
 def weighted_mean(values: Values, weights: Values) -> Values:
-    """Average weighted by the siblings' numbers of tests: not in the paper's 3.5, an option of the authors' package.
+    """Average weighted by the siblings' numbers of tests: not in paper 3.5, an option of the authors' package.
 
-    Where all siblings ran all tests, as after the union of paper 3.4, it equals the mean.
+    Equals the mean if all siblings ran all tests, as after the union of paper 3.4.
     """
     return np.asarray(np.average(values, axis=0, weights=weights))
 
@@ -69,7 +69,7 @@ OPERATORS: Mapping[str, MergeOperator] = {
     "mean": MergeOperator(combine=mean, seed=3),
     "weighted_mean": MergeOperator(combine=weighted_mean, seed=4),
 }
-"""Every operator by its name in a configuration. A new operator takes a seed that no other has."""
+"""Operators by their name in a configuration. A new operator needs a seed that no other has."""
 
 
 def apply(operator: str, values: Sequence[float], tests: Sequence[int]) -> float:
@@ -81,8 +81,8 @@ def apply(operator: str, values: Sequence[float], tests: Sequence[int]) -> float
 def jeffreys_interval(failures: int, tests: int) -> tuple[float, float]:
     """Estimate a 95 % interval of a failure probability: equal tails of its Beta posterior under Jeffreys' prior.
 
-    Without failures the lower end is 0, without successes the upper one is 1, so that the interval holds the observed
-    share (Brown, Cai, DasGupta, Statistical Science 2001, section 4.1.2).
+    Without failures the lower end is 0, without successes the upper end is 1, so that the interval contains the
+    observed share (Brown, Cai, DasGupta, Statistical Science 2001, section 4.1.2).
     """
     tail = (1.0 - LEVEL) / 2.0
     posterior = failures + _PRIOR, tests - failures + _PRIOR
@@ -100,8 +100,8 @@ def merged_interval(operator: str, counts: Sequence[tuple[int, int]]) -> tuple[f
         counts: failures and tests of every sibling; their order does not matter.
 
     Returns:
-        Equal tails of the operator's values over independent draws from the siblings' posteriors; an end on which all
-        siblings agree without exception is 0 or 1, as in `jeffreys_interval`. The same counts give the same interval.
+        Equal tails of the operator's values over independent draws from the siblings' posteriors; if the merged share
+        is exactly 0 or 1, so is that end, as in `jeffreys_interval`. Equal counts give equal intervals.
     """
     if len(counts) == 1:
         return jeffreys_interval(*counts[0])

@@ -1,4 +1,4 @@
-"""The archive of a MAP-Elites search: one elite per cell (paper 3.3)."""
+"""Archive of a MAP-Elites search: one elite per cell (paper 3.3)."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class Search(ABC):
     simulator: what it asks for depends on its settings, the generator's seed and the reported outcomes alone.
     `archive` maps each cell of the feature map to its elite.
 
-    A search in which the fitness is made up instead of driven:
+    A search with a synthetic fitness:
 
         >>> import numpy as np
         >>> from ds_orchestrator.search import DeepHyperion, SearchSettings
@@ -109,9 +109,9 @@ class Search(ABC):
         """Report the outcome of the last road.
 
         Args:
-            fitness: smallest lateral distance, m, or None if the execution ended in an error and says nothing.
+            fitness: smallest lateral distance, m, or None if the execution ended in an error.
             failed: whether the driver failed; see `Archive.place`.
-            cell: cell of the feature map; that of the turns count and curvature if left out.
+            cell: cell of the feature map; computed from turns count and curvature if None.
 
         Raises:
             RuntimeError: no road was asked for.
@@ -132,7 +132,7 @@ class Search(ABC):
         """Return the next road after the initial population; the archive is not empty."""
 
     def _learn(self, cell: Cell, placed: bool) -> None:
-        """Update what a search keeps beside the archive; nothing by default."""
+        """Update state that a search keeps in addition to the archive; none by default."""
         return
 
     def _random_road(self) -> Road:

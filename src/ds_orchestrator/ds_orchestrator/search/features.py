@@ -1,8 +1,8 @@
 """Features that span a feature map, by name, and the cell of a test (paper 3.3).
 
-Some belong to the road alone; others to a run on it, and a run differs from one simulator to the next. The union of
-two maps needs the same tests in the same cells (paper 3.4), so a test has one cell wherever it runs: that of its run on
-the sibling whose search made it. A test without that run has no cell yet, and enters no map.
+Some features depend on the road alone, others on a run, which differs between simulators. The union of two maps needs
+the same tests in the same cells (paper 3.4), so a test has one cell on all simulators: that of its run on the sibling
+whose search generated it. A test without that run has no cell yet and enters no map.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from ds_road import Road
 from ds_road.features import direction_coverage, minimum_radius
 
 Cell = tuple[int, ...]
-"""Place in a feature map: one whole number per feature."""
+"""Cell of a feature map: one bin index per feature."""
 
 FEET = 3.280839895
 """Feet in a metre (DeepHyperion counts radii in feet)."""
 
 
 class Drive(Protocol):
-    """What a feature needs to know of a run."""
+    """Data of a run from which features are computed."""
 
     @property
     def steering(self) -> NDArray[np.float64]:
-        """(steps,) commands in [-1, 1]."""
+        """(steps,) steering commands in [-1, 1]."""
         ...
 
     @property
@@ -45,13 +45,13 @@ class Feature:
     """One axis of a feature map.
 
     Attributes:
-        name: in configurations and results.
-        title: on a picture's axis.
-        unit: value of one step of the bin in the unit that the title names.
-        of_road: bin of a road, or None for a feature of the run.
-        of_road_maxitwo: the same as the authors' package counts, where that differs.
-        of_run: bin of a run, or None for a feature of the road.
-        width: so many of these bins are one.
+        name: name in configurations and results.
+        title: axis title, with the unit.
+        unit: size of one bin of width 1, in the unit of the title.
+        of_road: computes the bin of a road; None for a feature of the run.
+        of_road_maxitwo: the same as the authors' package computes it, where that differs.
+        of_run: computes the bin of a run; None for a feature of the road.
+        width: number of bins joined into one.
     """
 
     name: str
@@ -63,12 +63,12 @@ class Feature:
     width: int = 1
 
     def label(self, bin_: int) -> str:
-        """Where a bin begins, in the unit of the title: `0.17` for curvature 17."""
+        """Format the lower edge of a bin in the unit of the title: `0.17` for curvature 17."""
         begin = bin_ * self.width
         return str(begin) if self.unit == 1.0 else f"{begin * self.unit:.2f}"
 
     def bin_of(self, road: Road, drive: Drive | None, *, maxitwo_compatible: bool) -> int | None:
-        """The bin of a test, or None where it needs the run and there is none."""
+        """Compute the bin of a test; None if the feature needs a run and there is none."""
         of_road = self.of_road_maxitwo if maxitwo_compatible and self.of_road_maxitwo else self.of_road
         if of_road is not None:
             return of_road(road) // self.width
@@ -121,15 +121,15 @@ DEFAULT_FEATURES = ("turns_count", "curvature")
 
 
 class FeatureError(ValueError):
-    """A name that stands for no feature."""
+    """Unknown feature name, or invalid bin width."""
 
 
 @cache
 def feature_of(name: str) -> Feature:
-    """The feature with a name; `minimum_radius:20` is the one of which twenty bins are one.
+    """Look up a feature by name; `minimum_radius:20` joins twenty bins into one.
 
     Raises:
-        FeatureError: there is none, or the width is not a whole number from 1 on.
+        FeatureError: the name is unknown, or the width is not a whole number of at least 1.
     """
     plain, colon, width = name.partition(":")
     if plain not in FEATURES:
@@ -137,7 +137,7 @@ def feature_of(name: str) -> Feature:
     if not colon:
         return FEATURES[plain]
     if not (width.isdecimal() and int(width) >= 1):
-        raise FeatureError(f"feature {name!r}: expected a whole number of bins from 1 on, as in {plain}:20")
+        raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {plain}:20")
     return replace(FEATURES[plain], name=name, width=int(width))
 
 
@@ -148,16 +148,16 @@ def cell_of(
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
 ) -> Cell | None:
-    """The cell of a test.
+    """Compute the cell of a test.
 
     Args:
-        road: of the test.
-        drive: its run on the sibling whose search made it, needed by features of the run alone.
-        features: names; see `feature_of`.
+        road: road of the test.
+        drive: run on the sibling whose search generated the test; only features of the run need it.
+        features: names of the features; see `feature_of`.
         maxitwo_compatible: count turns as the authors' package does.
 
     Returns:
-        One bin per feature, or None where a feature needs the run and there is none.
+        One bin per feature, or None if a feature needs the run and there is none.
     """
     cell = []
     for name in features:

@@ -1,4 +1,4 @@
-"""A campaign's memory: one SQLite file.
+"""Store of a campaign: one SQLite file.
 
 Public names are imported when they are first used; `__init__.pyi` lists them.
 """

@@ -1,4 +1,4 @@
-"""Checks rows of a campaign's store: SQLite enforces no column type, and a received file may hold anything."""
+"""Checks rows of a campaign's store: SQLite enforces no column types, and a received file may hold anything."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 LONGEST_TEXT = 10_000
-"""Characters of a message, a name or a fact; chosen: far above the longest one that is written."""
+"""Characters of a message, name or fact; chosen: far above the longest one that a campaign writes."""
 LONGEST_ROAD = 200_000
-"""Characters of a road's control points as JSON: four times 1000 points with all their digits."""
+"""Characters of a road's control points as JSON; chosen: four times 1000 points with all digits."""
 MOST_STEPS = 1_000_000
 """Frames of one run; chosen: 500 times the limit of the built-in oracle."""
 _COLUMNS = 5
@@ -24,11 +24,11 @@ _SHA256 = 64
 
 
 class RowError(ValueError):
-    """A value that no campaign can have written; the message names the column."""
+    """Value that no campaign can have written; the message names the column."""
 
 
 def text(value: object, name: str, *, longest: int = LONGEST_TEXT) -> str:
-    """A text of bounded length."""
+    """Check that a value is text of bounded length."""
     if not isinstance(value, str):
         raise RowError(f"{name} is {_kind(value)}, expected text")
     if len(value) > longest:
@@ -37,21 +37,21 @@ def text(value: object, name: str, *, longest: int = LONGEST_TEXT) -> str:
 
 
 def one_of(value: object, name: str, known: Collection[str]) -> str:
-    """One of some known words."""
+    """Check that a value is one of the known words."""
     if text(value, name) not in known:
         raise RowError(f"{name} is {value!r:.60}, expected one of {', '.join(known)}")
     return str(value)
 
 
 def file_name(value: object, name: str) -> str:
-    """A text that is safe as a part of a file's name."""
+    """Check that a value is text that is safe within a file name."""
     if not re.fullmatch(r"[A-Za-z0-9_.-]{1,200}", text(value, name)):
         raise RowError(f"{name} is {value!r:.60}, expected letters, digits, _, - and .")
     return str(value)
 
 
 def whole(value: object, name: str, *, low: int = 0, high: int = 2**63 - 1) -> int:
-    """A whole number within bounds."""
+    """Check that a value is a whole number within bounds."""
     if not isinstance(value, int):
         raise RowError(f"{name} is {_kind(value)}, expected a whole number")
     if not low <= value <= high:
@@ -60,7 +60,7 @@ def whole(value: object, name: str, *, low: int = 0, high: int = 2**63 - 1) -> i
 
 
 def real(value: object, name: str) -> float:
-    """A finite number; SQLite keeps NaN as nothing at all."""
+    """Check that a value is a finite number; SQLite stores NaN as NULL."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         shown = value if isinstance(value, float) else _kind(value)
         raise RowError(f"{name} is {shown}, expected a finite number")
@@ -68,7 +68,7 @@ def real(value: object, name: str) -> float:
 
 
 def seconds(value: str, name: str) -> float:
-    """A duration that is kept as text."""
+    """Parse a duration in seconds that is stored as text."""
     try:
         found = float(value) if len(value) < 30 else math.nan
     except ValueError:
@@ -79,7 +79,7 @@ def seconds(value: str, name: str) -> float:
 
 
 def bag_folder(value: object) -> str:
-    """The folder of a bag, which lies in the campaign's folder `bags`, or ""."""
+    """Check that a value names a bag in the campaign's folder `bags`, or is ""."""
     path = text(value, "bag")
     if path and not re.fullmatch(r"bags/(?!\.+$)[A-Za-z0-9_.-]{1,255}", path):
         raise RowError(f"bag is {path!r:.60}, expected a folder in bags")
@@ -87,7 +87,7 @@ def bag_folder(value: object) -> str:
 
 
 def control_points(value: object) -> list[Any]:
-    """Control points of a road, unchecked beyond being a JSON list."""
+    """Parse a road's control points; checks only that they are a JSON list."""
     try:
         points = json.loads(text(value, "control_points", longest=LONGEST_ROAD))
     except RowError:
@@ -100,20 +100,20 @@ def control_points(value: object) -> list[Any]:
 
 
 def pack_numbers(values: NDArray[np.float64]) -> bytes:
-    """Numbers as the store keeps them."""
+    """Compress numbers for the store."""
     return zlib.compress(values.tobytes())
 
 
 def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float64]:
-    """Numbers that `pack_numbers` packed; no more memory is taken than so many need.
+    """Decompress what `pack_numbers` wrote, with memory bounded by the expected count.
 
     Args:
         packed: value of the column.
-        name: of the column.
-        count: how many there must be.
+        name: name of the column, for messages.
+        count: expected number of values.
 
     Raises:
-        RowError: damaged, another number of values, or one that is not finite.
+        RowError: the value is damaged, holds another number of values, or one that is not finite.
     """
     if not isinstance(packed, bytes):
         raise RowError(f"{name} is {_kind(packed)}, expected bytes")
@@ -134,25 +134,28 @@ def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float
 
 
 def unpack_trajectory(packed: object, sha256: object, *, steps: int) -> NDArray[np.float64]:
-    """A trajectory whose digest is the stored one; (steps + 1, 5), or (0, 5) of a run without observations.
+    """Decompress a trajectory and check its digest.
+
+    Returns:
+        (steps + 1, 5), or (0, 5) for a run without observations.
 
     Raises:
-        RowError: damaged, of another length, not finite, or with another digest.
+        RowError: the trajectory is damaged, of another length, not finite, or has another digest.
     """
     digest = text(sha256, "trajectory_sha256", longest=_SHA256)
     empty = steps == 0 and digest == trajectory_sha256(np.empty((0, _COLUMNS)))
     rows = 0 if empty else steps + 1
     trajectory = unpack_numbers(packed, "trajectory", count=_COLUMNS * rows).reshape(rows, _COLUMNS)
     if trajectory_sha256(trajectory) != digest:
-        raise RowError("its trajectory has another SHA-256 than when it was driven")
+        raise RowError("trajectory does not match its stored SHA-256")
     return trajectory
 
 
 def trajectory_sha256(trajectory: NDArray[np.float64]) -> str:
-    """SHA-256 over the little-endian float64 bytes of x, y, yaw and speed of every step, the one at rest included.
+    """Compute SHA-256 over the little-endian float64 bytes of x, y, yaw and speed, the initial state included.
 
     Args:
-        trajectory: (n, 4 or more); further columns do not enter.
+        trajectory: (n, 4 or more); further columns are ignored.
     """
     return hashlib.sha256(np.ascontiguousarray(trajectory[:, :4], dtype="<f8").tobytes()).hexdigest()
 

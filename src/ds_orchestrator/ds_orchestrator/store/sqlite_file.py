@@ -1,4 +1,4 @@
-"""SQLite file of a campaign: never changes a file that is not one, and reports every failure in one line."""
+"""SQLite file of a campaign: never changes a file of another kind, and reports every failure in one line."""
 
 from __future__ import annotations
 
@@ -38,26 +38,26 @@ LARGEST_VALUE = 64 * 2**20
 """Bytes of one value or row; chosen: a run of `rows.MOST_STEPS` frames fits."""
 _TABLES = {" ".join(statement.split()) for statement in SCHEMA.split(";") if statement.strip()}
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
-"""Ends a rollback journal that names another file, which SQLite would delete (SQLite file format, 3)."""
+"""Ends a rollback journal that names a super-journal, which SQLite would delete (SQLite file format, 3)."""
 Row = tuple[Any, ...]
 
 
 class StoreError(ValueError):
-    """A campaign folder that cannot be used."""
+    """Campaign folder that cannot be used."""
 
 
 class SqliteFile:
-    """Runs statements on one file, from any thread; a file that is not a campaign's stays as it is.
+    """Runs statements on one file, from any thread; a file that is not a campaign's stays unchanged.
 
-    The file may come from somebody else: its tables must be exactly those of `SCHEMA`, so that no view, trigger or
-    virtual table of its author takes part in a statement, and its size and the size of every value are bounded.
+    The file may be received from a third party: its tables must be exactly those of `SCHEMA`, so that no view, trigger
+    or virtual table takes part in a statement, and the sizes of the file and of every value are bounded.
 
     Args:
         path: path of the file.
-        begin: facts to begin a new campaign with where there is none; None to open an existing one.
+        begin: facts with which to create a new campaign if there is none; None to open an existing one.
 
     Raises:
-        StoreError: there is no campaign, or it is of another version, damaged, or cannot be written.
+        StoreError: there is no campaign, or it has another version, is damaged, or cannot be written.
     """
 
     def __init__(self, path: Path, begin: Mapping[str, str] | None = None) -> None:
@@ -73,12 +73,12 @@ class SqliteFile:
                 self.ask(f"PRAGMA {setting}")
             tables = self._tables()
             version = self.ask("PRAGMA user_version")[0][0]
-            if not tables and version == 0:  # made just now, or by a process that was killed before it made the tables
+            if not tables and version == 0:  # new, or its process was killed before it created the tables
                 if begin is None:
-                    raise StoreError(f"no campaign in {folder}: it was stopped before it began, run it again")
+                    raise StoreError(f"no campaign in {folder}: it was stopped before it started, run it again")
                 self._begin(begin)
             elif version == 0 or (version == SCHEMA_VERSION and tables != _TABLES):
-                raise StoreError(f"{path} is not a campaign's file: choose another --out")
+                raise StoreError(f"{path} is not a campaign's store: choose another --out")
             elif version != SCHEMA_VERSION:
                 age = "an older" if version < SCHEMA_VERSION else "a newer"
                 raise StoreError(
@@ -92,12 +92,12 @@ class SqliteFile:
             raise
 
     def _check_file(self) -> None:
-        """Refuse what SQLite must not open."""
+        """Refuse files that SQLite must not open."""
         path = self.path
         if path.is_dir():
-            raise StoreError(f"{path} is a folder, expected a campaign's file: choose another --out")
+            raise StoreError(f"{path} is a folder, expected a campaign's store: choose another --out")
         if path.exists() and not path.is_file():
-            raise StoreError(f"{path} is not a regular file, expected a campaign's: choose another --out")
+            raise StoreError(f"{path} is not a regular file, expected a campaign's store: choose another --out")
         if path.exists() and path.stat().st_size > LARGEST_FILE:
             raise StoreError(f"{path} has more than {LARGEST_FILE // 2**30} GiB, the limit for a campaign")
         for ending in ("-journal", "-wal", "-shm"):
@@ -109,10 +109,10 @@ class SqliteFile:
             with journal.open("rb") as file:
                 file.seek(max(0, journal.stat().st_size - len(_JOURNAL_MAGIC)))
                 if file.read() == _JOURNAL_MAGIC:
-                    raise StoreError(f"{journal} refers to other files, which no campaign's does: remove it")
+                    raise StoreError(f"{journal} refers to other files, expected a campaign's own journal: remove it")
 
     def _tables(self) -> set[str]:
-        """SQL of everything in the file that SQLite did not make by itself, blanks aside."""
+        """Read the SQL of every schema entry that SQLite did not create itself, whitespace normalised."""
         rows = self.ask("SELECT type, name, sql FROM sqlite_master")
         return {" ".join(str(sql).split()) for kind, name, sql in rows if not (kind == "index" and sql is None)}
 
@@ -126,7 +126,7 @@ class SqliteFile:
             journal = self.path.with_name(f"{self.path.name}-wal")
             if journal.exists() and journal.stat().st_size:
                 raise StoreError(
-                    f"{folder} cannot be written, and its campaign was stopped hard: copy the folder first"
+                    f"{folder} cannot be written, but its campaign was killed and needs recovery: copy the folder first"
                 )
             flags = "?mode=ro&immutable=1"
         try:
@@ -144,7 +144,7 @@ class SqliteFile:
         self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
 
     def _check_whole(self) -> None:
-        """Check the pages of the file before anything is added to it."""
+        """Check the pages of the file before anything is written."""
         found = self.ask("PRAGMA quick_check(1)")[0][0]
         if found != "ok":
             raise self._refusal(sqlite3.DatabaseError(found))
@@ -179,20 +179,20 @@ class SqliteFile:
                 raise self._refusal(error) from None
 
     def damaged(self, what: str) -> StoreError:
-        """Make the error for content that cannot be what was written."""
+        """Create the error for content that no campaign writes."""
         return StoreError(f"{self.path} is damaged ({what}): restore it from a copy, or choose another --out")
 
     def _refusal(self, error: sqlite3.Error) -> StoreError:
         name = getattr(error, "sqlite_errorname", "SQLITE_CORRUPT")
         if name.startswith("SQLITE_FULL"):
             return StoreError(f"{self.path} cannot grow, the disk is full: make room, and give the same command again")
-        said = "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))[:200]
-        if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG")) or "decode" in said:
-            return self.damaged(said)
+        text = "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))[:200]
+        if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG")) or "decode" in text:
+            return self.damaged(text)
         if name.startswith("SQLITE_BUSY"):
             return StoreError(f"{self.path} is locked by another process: end it, and give the same command again")
         return StoreError(
-            f"{self.path} cannot be used ({said}): check the disk and the folder, or choose another --out"
+            f"{self.path} cannot be used ({text}): check the disk and the folder, or choose another --out"
         )
 
     def close(self) -> None:

@@ -23,7 +23,7 @@ MOST_TRAJECTORY_STEPS = 100_000_000
 _VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
 _ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
 _TOLERANCE = 1e-6
-"""m and s; between a number and what it follows from."""
+"""m and s, between a stored value and the value derived from other columns."""
 
 __all__ = ["Execution", "Store", "StoreError", "Test"]
 
@@ -59,7 +59,7 @@ class Execution:
         test_id: id of the test.
         simulator: name of the simulator.
         outcome: how the run ended.
-        message: reason in one line, where the outcome alone does not tell.
+        message: reason in one line, or "" where the outcome alone explains it.
         fitness: smallest lateral distance of the run, m.
         max_lateral_position: largest absolute lateral position of the run, m.
         steps: frames driven.
@@ -88,16 +88,16 @@ class Store:
     """Reads and writes the file of one campaign; may be used from several threads.
 
     Every row is checked when it is read: types, ranges, known outcomes, finite numbers, and each trajectory against
-    its SHA-256. What does not fit raises a `StoreError` of one line.
+    its SHA-256. An invalid row raises `StoreError` with a message of one line.
 
     Args:
         path: path of the file, created if missing and `config` is given.
         config: configuration of the campaign as JSON text, written once and compared afterwards; None to open an
             existing campaign.
-        present: turns the text of a configuration that an earlier version wrote into today's.
+        present: converts the text of a configuration that an earlier version wrote to the present form.
 
     Raises:
-        StoreError: the file is of another campaign or version, damaged, or cannot be written.
+        StoreError: the file belongs to another campaign or version, is damaged, or cannot be written.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Store:
             try:
                 different = _differences(self.config, config)
             except (ValueError, RecursionError, AttributeError):
-                different = "what is there is not a configuration"
+                different = "the stored text is not a configuration"
             self.close()
             raise StoreError(
                 f"{path.parent} holds a campaign with another configuration ({different}): restore it, or choose "
@@ -129,7 +129,7 @@ class Store:
             raise self._file.damaged(str(error)) from None
 
     def note(self, key: str, value: str) -> str:
-        """Store a fact about the campaign, such as a version, unless it is known already; returns the stored one."""
+        """Store a fact about the campaign, such as a version, unless it is known; returns the stored value."""
         self._file.ask("INSERT OR IGNORE INTO about VALUES (?, ?)", (key, value))
         return str(self._file.ask("SELECT value FROM about WHERE key=?", (key,))[0][0])
 
@@ -155,10 +155,10 @@ class Store:
         return found
 
     def add_test(self, test: Test) -> None:
-        """Store a test unless it is known already.
+        """Store a test unless it is known.
 
         Raises:
-            StoreError: a test of this name is known with another road.
+            StoreError: a test with this id is known with another road.
         """
         road = test.road
         row = (
@@ -169,12 +169,12 @@ class Store:
         known = self._file.ask("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,))[0][0]
         if known != road.road_id:
             raise StoreError(
-                f"test {test.test_id} is now another road than when this campaign began: go on with the version that "
-                "began it, or choose another --out"
+                f"test {test.test_id} has another road than when this campaign started: resume with the version of ds "
+                "that started it, or choose another --out"
             )
 
     def add_execution(self, execution: Execution) -> None:
-        """Store an execution; comes after its bag is written, so that a stored execution is complete."""
+        """Store an execution; call it after its bag is written, so that a stored execution is complete."""
         row = (
             execution.test_id, execution.simulator, execution.outcome.name, execution.message, execution.fitness,
             execution.max_lateral_position, execution.steps, execution.simulated_seconds,
@@ -200,7 +200,7 @@ class Store:
         self._file.ask("INSERT OR IGNORE INTO given_up VALUES (?)", (test_id,))
 
     def given_up(self) -> set[str]:
-        """Tests without whose outcome the search continued; they may have one by now."""
+        """Tests whose search continued without their outcome; they may have one by now."""
         return {str(row[0]) for row in self._checked("SELECT test_id FROM given_up", check.text)}
 
     def add_search(self, sibling: str, run: int, method: str, seed: int) -> None:
@@ -214,11 +214,11 @@ class Store:
         return [(sibling, run, method, seed) for sibling, run, method, seed in found]
 
     def set_result(self, stage: str, executions: int) -> None:
-        """Store that a result was made of so many executions."""
+        """Store the number of executions from which a result was computed."""
         self._file.ask("INSERT OR REPLACE INTO results VALUES (?,?)", (stage, executions))
 
     def results(self) -> dict[str, int]:
-        """Result -> number of executions of which it was made."""
+        """Result -> number of executions from which it was computed."""
         found = self._checked("SELECT stage, executions FROM results", check.text, partial(check.whole, low=-1))
         return dict(found)
 
@@ -232,7 +232,7 @@ class Store:
         return [(test, simulator, attempt, outcome, message) for test, simulator, attempt, outcome, message in found]
 
     def _checked(self, statement: str, *checks: Callable[..., object]) -> list[Row]:
-        """Rows of a statement, each of whose values passes the check of its column."""
+        """Run a SELECT and check every value with the function of its column."""
         found = self._file.ask(statement)
         columns = [name.strip() for name in statement.removeprefix("SELECT ").partition(" FROM ")[0].split(",")]
         for row in found:
@@ -262,7 +262,7 @@ class Store:
             quirk = bool(check.whole(maxitwo_compatible, "published", high=1))
             road = Road(check.control_points(points), maxitwo_compatible=quirk)
             if road.road_id != road_id:
-                raise check.RowError("its control points are those of another road than its road_id")
+                raise check.RowError("road_id does not match the control points")
             return Test(
                 test_id=test_id, sibling=sibling, run=run, number=number, road=road, seed=check.whole(seed, "seed")
             )
@@ -270,9 +270,9 @@ class Store:
             raise self._file.damaged(f"the test {test_id!r:.60}: {error}") from None
 
     def check(self, siblings: Sequence[str], simulators: Sequence[str], *, runs: int, budget: int) -> None:
-        """Refuse rows that a campaign over these simulators cannot have, before anything is made of them.
+        """Refuse rows that a campaign over these simulators cannot have, before they are used.
 
-        Tests and executions as such are checked where they are read.
+        The other columns of tests and executions are checked when they are read.
 
         Args:
             siblings: simulators with a search.
@@ -281,20 +281,20 @@ class Store:
             budget: tests of a run.
 
         Raises:
-            StoreError: another simulator, a run or number out of range, an execution without its test, or a value
-                of the smaller tables that is not possible.
+            StoreError: a row has another simulator, a run or number out of range, an execution without its test, or
+                an impossible value in one of the smaller tables.
         """
         for read in (self.notes, self.errors, self.searches, self.results, self.given_up):
             read()
         for table, column, known in (("tests", "sibling", siblings), ("executions", "simulator", simulators)):
             for (name,) in self._file.ask(f"SELECT DISTINCT {column} FROM {table}"):
                 if name not in known:
-                    raise self._file.damaged(f"{table} of {name!r:.60}, which is no simulator of its configuration")
+                    raise self._file.damaged(f"{table} of {name!r:.60}, a simulator that is not in its configuration")
         if self._file.ask("SELECT 1 FROM tests WHERE run >= ? OR number >= ? LIMIT 1", (runs, budget)):
-            raise self._file.damaged("tests of another run or number than its configuration has")
+            raise self._file.damaged("tests with a run or number beyond its configuration")
         lost = self._file.ask("SELECT test_id FROM executions WHERE test_id NOT IN (SELECT test_id FROM tests) LIMIT 1")
         if lost:
-            raise self._file.damaged(f"an execution of {lost[0][0]!r:.60}, which is no test")
+            raise self._file.damaged(f"an execution of {lost[0][0]!r:.60}, a test that does not exist")
 
     def execution(self, test_id: str, simulator: str) -> Execution | None:
         """The execution of a test on one simulator, or None if there is none yet."""
@@ -314,7 +314,7 @@ class Store:
             not where
             and float(self._file.ask("SELECT total(abs(steps)) FROM executions")[0][0]) > MOST_TRAJECTORY_STEPS
         ):
-            raise self._file.damaged(f"more than {MOST_TRAJECTORY_STEPS} steps of all runs, the limit for a campaign")
+            raise self._file.damaged(f"more than {MOST_TRAJECTORY_STEPS} steps in all runs, the limit for a campaign")
         rows = self._file.ask(
             "SELECT test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds,"
             f" trajectory_sha256, trajectory, bag, steering FROM executions {where} ORDER BY simulator, test_id",
@@ -343,7 +343,7 @@ class Store:
                 raise check.RowError(f"simulated_seconds is {execution.simulated_seconds:g} for {steps} steps")
             lateral = np.abs(execution.trajectory[:, 4])
             if lateral.size and abs(lateral.max() - execution.max_lateral_position) > _TOLERANCE:
-                raise check.RowError("max_lateral_position is not the largest one of its trajectory")
+                raise check.RowError("max_lateral_position does not match the trajectory")
             if np.abs(execution.steering).max(initial=0.0) > 1.0:
                 raise check.RowError("steering leaves [-1, 1]")
             return execution
@@ -356,7 +356,7 @@ class Store:
 
 
 def _differences(known: str, given: str) -> str:
-    """Keys in which two configurations differ, with both values."""
+    """Describe the keys in which two configurations differ, with both values."""
     old, new = _flat(json.loads(known)), _flat(json.loads(given))
     keys = [key for key in new | old if old.get(key) != new.get(key)]
     return "; ".join(f"{key}: {old.get(key)} there, {new.get(key)} now" for key in keys)
