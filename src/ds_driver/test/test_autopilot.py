@@ -17,7 +17,7 @@ from ds_sim.simulator import AutopilotGains, Command
         (0.0, 30.0, 0.0),
         (0.0, 31.0, 0.0),  # above the limit K = 15: 1 - (31/15)^2 < 0
         (-0.8, 12.0, 0.2),  # 1 - 0.64 - 0.16
-        (1.0, 0.0, 0.5),  # a start at full lock
+        (1.0, 0.0, 0.5),  # start at full lock
         (1.0, 10.0, 0.0),
     ],
 )
@@ -32,7 +32,7 @@ def test_steering_is_equation_1() -> None:
     assert pilot.command(0.2, 0.0).steering == pytest.approx(-(0.4 * 0.2 - 2.0 * 0.4 + 0.1 * 1.3))
 
 
-def test_right_of_the_lane_means_steering_left_and_is_clipped() -> None:
+def test_steering_is_to_the_left_when_right_of_the_lane_and_is_clipped() -> None:
     pilot = Autopilot(AutopilotGains(proportional=3.0))
     assert pilot.command(1.0, 5.0) == Command(-1.0, 0.0)
     assert pilot.command(-1.0, 5.0).steering == 1.0

@@ -1,4 +1,4 @@
-"""What computes our networks: three programs, one answer."""
+"""The three backends agree, and names of backends and devices are checked."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def weights(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
     path = tmp_path / "w.safetensors"
     network = make_network(request.param)
     with torch.no_grad():
-        list(network.parameters())[-2].mul_(0.2)  # answers within the range of steering, none of them cut to it
+        list(network.parameters())[-2].mul_(0.2)  # keeps the steering within its range, so nothing is clipped
     save_weights(network, path, architecture=request.param)
     return request.param, path
 
 
-def test_every_backend_computes_what_pytorch_computes(weights: tuple[str, Path]) -> None:
-    """Held against the network itself, called in the plainest way: batch first, no memory layout, no runner."""
+def test_every_backend_agrees_with_pytorch(weights: tuple[str, Path]) -> None:
+    """The reference is the network itself, called directly: one batch, default memory layout, no runner."""
     from ds_driver.networks.weights import load_network
 
     network = load_network(str(weights[1]))
@@ -58,10 +58,10 @@ def test_a_backend_gives_the_same_bits_in_another_process() -> None:
         "for b in ('torch', 'onnx', 'openvino'):\n"
         "    print(NetworkDriver('dave2@' + b).steering(image, Crop(54, 0)).hex())"
     )
-    there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=200)
+    other = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=200)
     image = np.random.default_rng(3).integers(0, 256, (160, 320, 3), dtype=np.uint8)
     here = [NetworkDriver(f"dave2@{b}").steering(image, Crop(54, 0)).hex() for b in ("torch", "onnx", "openvino")]
-    assert here == there.stdout.split(), there.stderr
+    assert here == other.stdout.split(), other.stderr
 
 
 def test_a_layer_without_counterpart_is_named() -> None:
@@ -75,7 +75,7 @@ def test_a_layer_without_counterpart_is_named() -> None:
     ("backend", "device", "named"),
     [("auto", "cpu", "dave2"), ("onnx", "cpu", "dave2@onnx"), ("torch", "cuda", "dave2@cuda")],
 )
-def test_a_name_says_what_computes_it(backend: str, device: str, named: str) -> None:
+def test_a_name_carries_backend_and_device(backend: str, device: str, named: str) -> None:
     assert with_backend("dave2", backend, device) == named
     expected = ("dave2", backend, device)
     assert split_backend(named) == expected
@@ -96,20 +96,20 @@ def test_unknown_backends_and_devices_are_refused(backend: str, device: str, sai
         with_backend("dave2", backend, device)
 
 
-def test_a_gpu_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_gpu_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(BackendError, match="PyTorch finds no usable GPU: leave out --device cuda"):
         NetworkDriver("dave2@cuda")
 
 
-def test_openvino_that_is_not_installed_is_answered_with_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_openvino_is_refused_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
     with pytest.raises(BackendError, match=r"not installed.*pip install --no-deps -r requirements/openvino\.txt"):
         NetworkDriver("dave2@openvino")
     assert Path(backends.OPENVINO_INSTALL.split()[-1]).is_file()
 
 
-def test_the_tests_and_the_users_get_the_same_openvino() -> None:
+def test_tests_and_users_get_the_same_openvino() -> None:
     def pin(name: str) -> list[str]:
         return re.findall(r"^openvino==\S+", Path(f"requirements/{name}.txt").read_text(), re.MULTILINE)
 
@@ -121,5 +121,5 @@ def test_a_damaged_onnx_file_is_refused() -> None:
         onnx_runner(to_onnx(make_network("dave2"))[:1000], "cut.onnx")
 
 
-def test_the_backend_is_no_part_of_what_a_driver_is() -> None:
+def test_the_hash_of_a_driver_does_not_depend_on_the_backend() -> None:
     assert driver_sha256("dave2@onnx") == driver_sha256("dave2") == weights_sha256("dave2")

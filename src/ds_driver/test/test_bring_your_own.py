@@ -1,4 +1,4 @@
-"""Networks that we have never seen: described files and classes, good and bad."""
+"""User-provided networks: described files and classes, valid and invalid."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome
 
-# PyTorch would rather have another format; people's files are in this one.
+# PyTorch deprecates TorchScript, but users still have such files.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 
 GUIDE = Path("docs/bring_your_own_network.md").read_text()
@@ -48,13 +48,13 @@ class Linear(nn.Module):
         x = image.permute(0, 3, 1, 2)
         for layer in self.convolutions:
             x = torch.relu(layer(x))
-        x = x.permute(0, 2, 3, 1).flatten(1)  # Keras flattens with the channels last
+        x = x.permute(0, 2, 3, 1).flatten(1)  # Keras flattens with channels last
         for dense in self.dense:
             x = torch.relu(dense(x))
         return self.heads[0](x), self.heads[1](x)
 
     def to_onnx(self, path: Path) -> None:
-        """Write what tf2onnx makes of it: a free batch, images with channels last, outputs by Keras's names."""
+        """Write the graph as tf2onnx does: free batch size, channels last, Keras's output names."""
         nodes: list[Any] = []
         constants: list[Any] = []
         at = "img_in"
@@ -78,8 +78,8 @@ class Linear(nn.Module):
         for number, head in enumerate(self.heads):
             add("Gemm", [at, *weights(head)], f"n_outputs{number}", transB=1)
         described = [helper.make_tensor_value_info(f"n_outputs{i}", TensorProto.FLOAT, [None, 1]) for i in (0, 1)]
-        seen = helper.make_tensor_value_info("img_in", TensorProto.FLOAT, [None, 120, 160, 3])
-        graph = helper.make_graph(nodes, "linear", [seen], described, constants)
+        image = helper.make_tensor_value_info("img_in", TensorProto.FLOAT, [None, 120, 160, 3])
+        graph = helper.make_graph(nodes, "linear", [image], described, constants)
         onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 15)], ir_version=8), path)
 
 
@@ -88,17 +88,17 @@ def linear() -> Linear:
     torch.manual_seed(4)
     network = Linear().eval()
     with torch.no_grad():
-        network.heads[1].bias.fill_(0.4)  # a throttle that neither bound cuts
+        network.heads[1].bias.fill_(0.4)  # a throttle within both bounds
     return network
 
 
 def examples(heading: str) -> list[str]:
-    """The guide's code blocks of a language, without their fences."""
+    """Extract the guide's code blocks of a language, without their fences."""
     return re.findall(rf"```{heading}\n(.*?)```", GUIDE, re.DOTALL)
 
 
 def test_a_donkey_car_pilot_drives_as_the_guide_describes_it(tmp_path: Path, linear: Linear) -> None:
-    """In ONNX and in TorchScript, on every backend that can: what PyTorch says of the squeezed image."""
+    """In ONNX and TorchScript, on every possible backend: the command equals PyTorch's for the resized image."""
     described = yaml.safe_load(next(text for text in examples("yaml") if "mypilot.onnx" in text))
     small = cv2.resize(IMAGE, (160, 120), interpolation=cv2.INTER_LINEAR).astype(np.float32) / 255
     with torch.inference_mode():
@@ -116,11 +116,11 @@ def test_a_donkey_car_pilot_drives_as_the_guide_describes_it(tmp_path: Path, lin
             assert (command.steering, command.throttle) == pytest.approx((angle, power), abs=1e-5), (file, backend)
 
 
-def test_a_donkey_car_pilot_in_tensorflow_lite_answers_as_tensorflow_says(tmp_path: Path) -> None:
+def test_a_donkey_car_pilot_in_tensorflow_lite_agrees_with_tensorflow(tmp_path: Path) -> None:
     """`data/donkey_pilot.tflite`: Keras's `linear` with two narrow convolutions, converted by TensorFlow 2.21.
 
-    TensorFlow's own interpreter said the expected numbers on the same squeezed image. The converter has put the
-    outputs into another order than Keras has them.
+    The expected numbers come from TensorFlow's interpreter for the same resized image. The converter has changed the
+    order of the outputs.
     """
     described = yaml.safe_load(next(text for text in examples("yaml") if "mypilot.tflite" in text))
     (tmp_path / "mypilot.tflite").write_bytes((Path(__file__).parent / "data" / "donkey_pilot.tflite").read_bytes())
@@ -133,7 +133,7 @@ def test_a_donkey_car_pilot_in_tensorflow_lite_answers_as_tensorflow_says(tmp_pa
 
 
 class Pixel(nn.Module):
-    """Answers with one number of its input, so that a test sees what the preprocessing made."""
+    """Returns one value of its input, to test the preprocessing."""
 
     def __init__(self, *place: int) -> None:
         super().__init__()
@@ -147,7 +147,7 @@ class Pixel(nn.Module):
 
 
 def written(folder: Path, network: nn.Module, shape: tuple[int, ...], **described: Any) -> Path:
-    """A TorchScript file with its description."""
+    """Write a TorchScript file with its description."""
     torch.jit.trace(network, torch.zeros(shape)).save(str(folder / "n.pt"))
     (folder / "n.yaml").write_text(yaml.safe_dump({"file": "n.pt"} | described))
     return folder / "n.yaml"
@@ -188,7 +188,7 @@ def test_colours_layouts_and_normalisation(
     ("crop", "first", "last"), [("none", 0, 159), ("simulator", 54, 158), ({"top": 10, "bottom": 30}, 10, 129)]
 )
 def test_crops(tmp_path: Path, crop: object, first: int, last: int) -> None:
-    """Every row of the image holds its own number; the network is as high as what is left, so nothing is resized."""
+    """Each row holds its number as its value; the input has the height of the cropped image, so nothing is resized."""
     rows = np.broadcast_to(np.arange(160, dtype=np.uint8)[:, None, None], (160, 320, 3))
     high = last - first + 1
     for place, expected in ((0, first), (high - 1, last)):
@@ -197,8 +197,8 @@ def test_crops(tmp_path: Path, crop: object, first: int, last: int) -> None:
         assert DescribedNetworkPilot(path).predict(Frame(image=rows, speed=0.0, crop=Crop(54, 1))).steering == expected
 
 
-def test_outputs_are_chosen_scaled_and_turned(tmp_path: Path) -> None:
-    """Degrees to the left, up to 25, in the second number of an output."""
+def test_outputs_are_chosen_and_scaled(tmp_path: Path) -> None:
+    """Degrees to the left, up to 25, as the second value of an output."""
     image = np.full((160, 320, 3), 10, np.uint8)
     outputs = {"steering": {"index": 1, "scale": 0.04}, "throttle": {"scale": 0.01, "offset": 0.2}}
     path = written(tmp_path, Pixel(0, 0, 0), (1, 3, 8, 16), input={"size": [8, 16]}, outputs=outputs)
@@ -206,7 +206,7 @@ def test_outputs_are_chosen_scaled_and_turned(tmp_path: Path) -> None:
     assert (command.steering, command.throttle) == pytest.approx((-10 * 0.04, 10 * 0.01 + 0.2))
 
 
-def test_without_a_throttle_it_is_equation_2_and_steering_beyond_full_is_full(tmp_path: Path) -> None:
+def test_throttle_defaults_to_equation_2_and_steering_is_clipped(tmp_path: Path) -> None:
     path = written(tmp_path, Pixel(0, 0, 0), (1, 3, 8, 16), input={"size": [8, 16], "divide": 100})
     driver = NetworkDriver(str(path))
     half, full = (driver.command(np.full((160, 320, 3), v, np.uint8), 5.0, Crop()) for v in (50, 250))
@@ -234,10 +234,16 @@ def change(*keys: str, to: object) -> Callable[[dict[str, Any]], None]:
         (change("input", "divide", to=0), "divide is 0"),
         (change("input", "crop", to={"top": 100, "bottom": 59}), "leaves nothing to see"),
         (change("input", "type", to="uint8"), "leave out subtract and divide"),
-        (change("input", "size", to=[160, 120]), "wants an input of anyx120x160x3, its description gives 1x160x120x3"),
-        (change("input", "layout", to="nchw"), "its description gives 1x3x120x160: mend size or layout"),
+        (
+            change("input", "size", to=[160, 120]),
+            "an input of anyx120x160x3, its description gives 1x160x120x3",
+        ),
+        (change("input", "layout", to="nchw"), "its description gives 1x3x120x160: correct size or layout"),
         (change("outputs", "steering", to={"output": "angle"}), "no output 'angle'.*one of n_outputs0, n_outputs1"),
-        (change("outputs", "steering", to={"output": 2}), "no output 2 for steering: it has 2, counted from 0"),
+        (
+            change("outputs", "steering", to={"output": 2}),
+            "no output 2 for steering: the network has 2, counted",
+        ),
         (change("outputs", "steering", to={"index": 1}), "no index 1 for steering: the output has 1 numbers"),
         (change("outputs", "steering", to={"scale": float("inf")}), r"outputs\.steering\.scale: .*finite number"),
         (change("file", to="gone.onnx"), "'gone.onnx' is missing: its path is relative to p.yaml"),
@@ -246,7 +252,7 @@ def change(*keys: str, to: object) -> Callable[[dict[str, Any]], None]:
         (change("file", to="weights.pt"), "weights.pt is not TorchScript.*save it with torch.jit.trace"),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(
+def test_invalid_descriptions_are_refused_in_one_line(
     tmp_path: Path, linear: Linear, alter: Callable[[dict[str, Any]], None], said: str
 ) -> None:
     linear.to_onnx(tmp_path / "mypilot.onnx")
@@ -260,25 +266,25 @@ def test_what_does_not_fit_is_told_in_one_line(
     assert "\n" not in str(refused.value) and len(str(refused.value)) < 500
 
 
-def test_number_types_and_inputs_that_do_not_fit_are_told(tmp_path: Path) -> None:
+def test_wrong_types_and_inputs_are_refused(tmp_path: Path) -> None:
     def save(kinds: list[int]) -> str:
-        seen = [helper.make_tensor_value_info(f"i{n}", kind, [1, 3, 8, 16]) for n, kind in enumerate(kinds)]
-        gives = helper.make_tensor_value_info("o", TensorProto.FLOAT, [1, 3, 8, 16])
+        inputs = [helper.make_tensor_value_info(f"i{n}", kind, [1, 3, 8, 16]) for n, kind in enumerate(kinds)]
+        output = helper.make_tensor_value_info("o", TensorProto.FLOAT, [1, 3, 8, 16])
         nodes = [helper.make_node("Cast", ["i0"], ["o"], to=TensorProto.FLOAT)]
         model = helper.make_model(
-            helper.make_graph(nodes, "g", seen, [gives]), opset_imports=[helper.make_opsetid("", 15)], ir_version=8
+            helper.make_graph(nodes, "g", inputs, [output]), opset_imports=[helper.make_opsetid("", 15)], ir_version=8
         )
         onnx.save(model, tmp_path / "n.onnx")
         (tmp_path / "n.yaml").write_text("file: n.onnx\ninput: {size: [8, 16]}")
         return str(tmp_path / "n.yaml")
 
-    with pytest.raises(DriverError, match="wants numbers of type uint8, its description gives float32: mend type"):
+    with pytest.raises(DriverError, match="expects input of type uint8, its description gives float32: correct type"):
         NetworkDriver(save([TensorProto.UINT8]))
     with pytest.raises(DriverError, match=r"has 2 inputs \(i0, i1\): expected one, the image"):
         NetworkDriver(save([TensorProto.FLOAT, TensorProto.FLOAT]))
-    with pytest.raises(DriverError, match=r"n\.onnx cannot be computed by torch: expected onnx or openvino"):
+    with pytest.raises(DriverError, match=r"backend torch cannot run n\.onnx: expected onnx or openvino"):
         NetworkDriver(save([TensorProto.FLOAT]) + "@torch")
-    with pytest.raises(DriverError, match=r"describe it in a \.yaml"):
+    with pytest.raises(DriverError, match=r"write a \.yaml"):
         NetworkDriver(str(tmp_path / "n.onnx"))
 
 
@@ -289,12 +295,12 @@ def test_the_guides_descriptions_are_valid() -> None:
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
-    """Writes a module that can be imported; gives its name."""
+    """Provide a function that writes an importable module and returns its name."""
     monkeypatch.syspath_prepend(tmp_path)
-    made = iter(range(100))
+    numbers = iter(range(100))
 
     def write(text: str) -> str:
-        name = f"brought_{tmp_path.name.replace('-', '_')}_{next(made)}"
+        name = f"brought_{tmp_path.name.replace('-', '_')}_{next(numbers)}"
         (tmp_path / f"{name}.py").write_text(text)
         return name
 
@@ -319,13 +325,13 @@ class Counter:
         self.frames = 10
     def start(self):
         self.frames = 0
-    def drive(self, seen):
+    def drive(self, frame):
         self.frames += 1
         return self.frames / 1000
 """
 
 
-def test_a_class_that_remembers_is_told_when_a_run_begins(module: Callable[[str], str]) -> None:
+def test_start_is_called_at_the_beginning_of_each_run(module: Callable[[str], str]) -> None:
     simulator = make_simulator("donkey")
     driver = make_driver(f"{module(COUNTER)}:Counter", simulator.spec)
     runs = [drive_road(simulator, driver, generate(np.random.default_rng(2), max_angle=30), seed=1) for _ in range(2)]
@@ -338,11 +344,11 @@ class Silent: pass
 class Broken:
     def __init__(self): raise RuntimeError("no camera")
 class Wordy:
-    def drive(self, seen): return "left"
+    def drive(self, frame): return "left"
 class Late:
-    def drive(self, seen): return float("nan") if seen.step == 5 else 0.0
+    def drive(self, frame): return float("nan") if frame.step == 5 else 0.0
 class Sudden:
-    def drive(self, seen): return [0.0][seen.step // 5]
+    def drive(self, frame): return [0.0][frame.step // 5]
 """
 
 
@@ -350,8 +356,8 @@ class Sudden:
     ("target", "said"),
     [
         ("Silent", "has no method drive"),
-        ("Broken", "cannot be made .RuntimeError: no camera."),
-        ("Wordy", "gave 'left': expected the steering, or steering and throttle"),
+        ("Broken", "cannot be created .RuntimeError: no camera."),
+        ("Wordy", "returned 'left': expected the steering, or steering and throttle"),
         ("Missing", "cannot be imported .AttributeError"),
     ],
 )
@@ -365,7 +371,7 @@ def test_classes_that_cannot_drive_are_refused(module: Callable[[str], str], tar
 @pytest.mark.parametrize(
     ("target", "said"), [("Late", "the network's steering is nan"), ("Sudden", "drive failed (IndexError")]
 )
-def test_a_driver_without_an_answer_is_an_error_and_no_failure(
+def test_a_driver_without_a_valid_answer_is_an_error_not_a_failure(
     module: Callable[[str], str], target: str, said: str
 ) -> None:
     simulator = make_simulator("donkey")
@@ -382,13 +388,13 @@ def test_a_drivers_hash_covers_description_file_and_class(
     text = next(text for text in examples("yaml") if "mypilot.onnx" in text)
     path = tmp_path / "p.yaml"
 
-    def told(content: str) -> str:
+    def hash_with(content: str) -> str:
         path.write_text(content)
         return driver_sha256(f"{path}@openvino")
 
-    first, other, again = told(text), told(text + "\n# changed"), told(text)
+    first, other, again = hash_with(text), hash_with(text + "\n# changed"), hash_with(text)
     assert first == again != other
     with (tmp_path / "mypilot.onnx").open("ab") as file:
         file.write(b"\0")
-    assert told(text) != first
+    assert hash_with(text) != first
     assert driver_sha256(f"{module(COUNTER)}:Counter") != driver_sha256(f"{module(FAULTY)}:Late")

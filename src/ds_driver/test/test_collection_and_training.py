@@ -1,4 +1,4 @@
-"""Data and training, small but real: the twin drives, Dave-2 learns, and both go on where they were stopped."""
+"""Data collection and training on a small scale: the twin drives, Dave-2 trains, and both resume when stopped."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_every_road_is_driven_both_ways_and_labelled_by_the_autopilot(data: Path
     assert all(-1.0 <= row["steering"] <= 1.0 and 0.0 <= row["throttle"] <= 1.0 for row in table)
 
 
-def test_a_stopped_collection_goes_on_and_ends_the_same(data: Path, tmp_path: Path) -> None:
+def test_a_stopped_collection_resumes_with_the_same_result(data: Path, tmp_path: Path) -> None:
     lines: list[str] = []
     first = sorted((data / "donkey").glob("*.parquet"))[1]
     before = {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")}
@@ -54,7 +54,7 @@ def test_a_stopped_collection_goes_on_and_ends_the_same(data: Path, tmp_path: Pa
     assert manifest["images"]["donkey"] == sum(manifest["steering"]["donkey"]) > 50
 
 
-def test_jpeg_keeps_an_image_nearly_as_it_was() -> None:
+def test_jpeg_changes_an_image_little() -> None:
     image = np.tile(np.linspace(0, 255, 320, dtype=np.uint8)[None, :, None], (160, 1, 3))
     assert np.abs(decode(encode(image)).astype(int) - image).max() <= 6
 
@@ -125,7 +125,7 @@ def test_unequal_simulators_are_refused_in_one_line() -> None:
         check_equal([sample("a", 1)] * 40 + [sample("b", 1)] * 19 + [sample("c", 1)] * 30)
 
 
-def test_a_gpu_that_is_not_there_and_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_gpu_and_unknown_names_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert device_of("auto").type == "cpu"
     with pytest.raises(TrainingError, match=r"^PyTorch finds no usable GPU.*leave out --device cuda"):
@@ -137,7 +137,7 @@ def test_a_gpu_that_is_not_there_and_unknown_names_are_refused(monkeypatch: pyte
     assert schedule_of("paper", "dave2").epochs == 50 and schedule_of("paper", "epoch").patience == 20
 
 
-def test_augmentation_turns_the_label_with_the_image() -> None:
+def test_augmentation_changes_the_label_with_the_image() -> None:
     """Half of the images change; a flipped one steers the other way, a shift to the right steers right (maxitwo)."""
     image = np.zeros((160, 320, 3), np.uint8)
     image[:, 240:244] = 255

@@ -1,4 +1,4 @@
-"""Signs, units and geometry of other stacks' messages, each value both ways, also for packages that are not here."""
+"""Signs, units and geometry of other stacks' messages in both directions, also for packages not installed here."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
 
 
 def blank(kind: str) -> Any:
-    """A message of a kind, as a bare object with the fields of its .msg file."""
+    """Make a message as a plain object with the fields of its .msg file."""
     header = SimpleNamespace(stamp=None)
     linear, angular = (SimpleNamespace(x=0.0, y=0.0, z=0.0) for _ in range(2))
     twist = SimpleNamespace(linear=linear, angular=angular)
@@ -38,7 +38,7 @@ def blank(kind: str) -> Any:
 
 
 def values(kind: str, message: Any) -> tuple[float, float]:
-    """The sideways and the forward value of a message."""
+    """Return the lateral and the longitudinal value of a message."""
     body = part(message, KINDS[kind].body)
     paths = {
         "twist": ("angular.z", "linear.x"),
@@ -62,11 +62,11 @@ LEFT = {
     "servo": (0.5, 0.4),
     "autoware": (0.25, 0.4),
 }
-"""The same request in every message: all of them count to the left, as REP-103; ours to the right."""
+"""The same request in every message: positive is left in all of them (REP-103), but right in this project."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_left_is_positive_everywhere_but_in_our_steering(kind: str) -> None:
+def test_left_is_positive_in_messages_and_negative_in_this_project(kind: str) -> None:
     message = blank(kind)
     KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, -0.5, 0.4), CAR)
     assert values(kind, message) == pytest.approx(LEFT[kind])
@@ -76,21 +76,21 @@ def test_left_is_positive_everywhere_but_in_our_steering(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_request_survives_the_way_there_and_back(kind: str) -> None:
+def test_every_request_survives_the_round_trip(kind: str) -> None:
     rng = np.random.default_rng(1)
     for steering, forward in zip(rng.uniform(-1, 1, 50), rng.uniform(0.05, 1, 50), strict=True):
         message = blank(kind)
-        asked = motion_of(kind, float(steering), float(forward))
-        KINDS[kind].fill(part(message, KINDS[kind].body), asked, CAR)
-        heard = KINDS[kind].read(part(message, KINDS[kind].body), CAR)
-        assert heard.steering == pytest.approx(asked.steering)
-        assert heard.speed == pytest.approx(asked.speed) and heard.throttle == pytest.approx(asked.throttle)
+        sent = motion_of(kind, float(steering), float(forward))
+        KINDS[kind].fill(part(message, KINDS[kind].body), sent, CAR)
+        received = KINDS[kind].read(part(message, KINDS[kind].body), CAR)
+        assert received.steering == pytest.approx(sent.steering)
+        assert received.speed == pytest.approx(sent.speed) and received.throttle == pytest.approx(sent.throttle)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("which", [0, 1])
-def test_what_is_not_a_number_is_refused_by_name(kind: str, bad: float, which: int) -> None:
+def test_values_that_are_not_finite_are_refused_by_name(kind: str, bad: float, which: int) -> None:
     message = blank(kind)
     KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, 0.1, 0.4), CAR)
     body = part(message, KINDS[kind].body)
@@ -106,8 +106,8 @@ def test_what_is_not_a_number_is_refused_by_name(kind: str, bad: float, which: i
         KINDS[kind].read(body, CAR)
 
 
-def test_a_circle_driven_by_a_twist_has_the_radius_that_was_asked_for() -> None:
-    """Integrated in small steps, independently of the formula that is under test."""
+def test_a_circle_driven_by_a_twist_has_the_requested_radius() -> None:
+    """The path is integrated in small steps, independently of the formula under test."""
     motion = KINDS["twist"].read(SimpleNamespace(linear=SimpleNamespace(x=4.0), angular=SimpleNamespace(z=0.5)), CAR)
     angle, x, y, yaw, dt = CAR.angle_of(motion.steering), 0.0, 0.0, 0.0, 1e-3
     points = []
@@ -115,7 +115,7 @@ def test_a_circle_driven_by_a_twist_has_the_radius_that_was_asked_for() -> None:
         x, y = x + 4.0 * math.cos(yaw) * dt, y + 4.0 * math.sin(yaw) * dt
         yaw += 4.0 / CAR.wheelbase * math.tan(angle) * dt
         points.append((x, y))
-    assert max(p[1] for p in points) == pytest.approx(2 * 8.0, rel=1e-3)  # to the left, diameter of a 8 m circle
+    assert max(p[1] for p in points) == pytest.approx(2 * 8.0, rel=1e-3)  # to the left, radius 8 m
     assert math.hypot(x, y) < 0.05
 
 
@@ -125,7 +125,7 @@ def test_steering_stops_at_full_lock_and_a_car_cannot_turn_on_the_spot() -> None
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nobody_drives_backwards(kind: str) -> None:
+def test_reverse_is_refused(kind: str) -> None:
     message = blank(kind)
     KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, 0.0, 0.4), CAR)
     body = part(message, KINDS[kind].body)
@@ -136,12 +136,12 @@ def test_nobody_drives_backwards(kind: str) -> None:
         KINDS[kind].read(body, CAR)
 
 
-def test_a_pulse_width_is_not_taken_for_a_share() -> None:
+def test_a_pulse_width_is_not_taken_for_a_throttle() -> None:
     with pytest.raises(MotionError, match="pulse width"):
         KINDS["servo"].read(SimpleNamespace(angle=0.0, throttle=1_500_000.0), CAR)
 
 
 @pytest.mark.parametrize(("wheelbase", "angle"), [(0.0, 0.5), (2.0, 0.0), (2.0, 1.6), (math.nan, 0.5)])
-def test_a_geometry_that_no_car_has_is_refused(wheelbase: float, angle: float) -> None:
+def test_an_impossible_geometry_is_refused(wheelbase: float, angle: float) -> None:
     with pytest.raises(MotionError, match="wheelbase"):
         Geometry(wheelbase, angle)

@@ -1,4 +1,4 @@
-"""The network's shape, and weights that cannot be used."""
+"""Sizes and preprocessing of the built-in networks, and weights files that are refused."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_the_networks_have_the_papers_parameters(name: str, parameters: int) -> 
     assert count_parameters(make_network(name)) == parameters
 
 
-def test_chauffeurs_features_are_as_large_in_driving_as_in_training() -> None:
+def test_chauffeurs_features_have_the_same_scale_in_driving_and_training() -> None:
     torch.manual_seed(1)
     network = make_network("chauffeur")
     coarse = torch.rand(4, 3, 10, 20) * 2.0 - 1.0
@@ -34,7 +34,7 @@ def test_chauffeurs_features_are_as_large_in_driving_as_in_training() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(NETWORKS))
-def test_weights_survive_the_way_to_disk_and_back(tmp_path: Path, name: str) -> None:
+def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
     torch.manual_seed(1)
     network = make_network(name).eval()
     save_weights(network, tmp_path / "a.safetensors", architecture=name)
@@ -82,7 +82,7 @@ def test_an_unknown_network_is_refused(name: str) -> None:
         load_network(name)
 
 
-def test_preprocessing_crops_resizes_and_turns_to_yuv() -> None:
+def test_preprocessing_crops_resizes_and_converts_to_yuv() -> None:
     image = np.zeros((160, 320, 3), np.uint8)
     image[80:] = (10, 200, 30)
     whole, part = prepare(image, Crop()), prepare(image, Crop(80, 0))

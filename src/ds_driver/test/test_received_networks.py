@@ -1,4 +1,4 @@
-"""Network files from somebody else: bounded in memory, and nothing outside of the file is read."""
+"""Received network files: memory is bounded, and no other file is read."""
 
 from __future__ import annotations
 
@@ -73,5 +73,5 @@ def test_a_torchscript_program_that_fails_is_refused_in_one_line(tmp_path: Path)
 
     torch.jit.script(Fails()).save(str(tmp_path / "network.pt"))
     (tmp_path / "network.yaml").write_text("file: network.pt\ninput: {size: [160, 320]}\n")
-    with pytest.raises(DriverError, match=r"tried on a black image: .*index out of range"):
+    with pytest.raises(DriverError, match=r"fails on a black image: .*index out of range"):
         DescribedNetworkPilot(tmp_path / "network.yaml")

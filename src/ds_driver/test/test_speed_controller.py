@@ -1,4 +1,4 @@
-"""The throttle that a wanted speed asks for, on the simulators themselves."""
+"""Throttle of the speed controller, on the simulators themselves."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from ds_sim.registry import make_simulator
 from ds_sim.simulator import Command
 
 
-@pytest.mark.parametrize(("name", "wanted"), [("bullet", 5.0), ("softbody", 5.0), ("donkey", 3.0), ("donkey", 6.0)])
-def test_a_wanted_speed_is_reached_and_held(name: str, wanted: float) -> None:
+@pytest.mark.parametrize(("name", "target"), [("bullet", 5.0), ("softbody", 5.0), ("donkey", 3.0), ("donkey", 6.0)])
+def test_the_target_speed_is_reached_and_held(name: str, target: float) -> None:
     simulator, control = make_simulator(name), SpeedController()
-    seen = simulator.load(Road([(125.0, 25.0 * i) for i in range(9)]), seed=1)
+    observation = simulator.load(Road([(125.0, 25.0 * i) for i in range(9)]), seed=1)
     speeds = []
     for _ in range(160):
-        seen = simulator.step(Command(0.0, control.throttle(wanted, seen.vehicle.speed)))
-        speeds.append(seen.vehicle.speed)
+        observation = simulator.step(Command(0.0, control.throttle(target, observation.vehicle.speed)))
+        speeds.append(observation.vehicle.speed)
     simulator.close()
-    assert max(speeds) < wanted + 0.6
-    assert speeds[-40:] == pytest.approx([wanted] * 40, abs=0.3)
+    assert max(speeds) < target + 0.6
+    assert speeds[-40:] == pytest.approx([target] * 40, abs=0.3)
 
 
-def test_a_stop_lets_go_of_the_throttle_at_once() -> None:
+def test_a_stop_releases_the_throttle_at_once() -> None:
     control = SpeedController()
     for _ in range(100):
         control.throttle(8.0, 3.0)
@@ -32,7 +32,7 @@ def test_a_stop_lets_go_of_the_throttle_at_once() -> None:
 
 
 def test_the_integral_does_not_wind_up_while_the_throttle_is_full() -> None:
-    """After a minute far below the wanted speed, the throttle falls as soon as it is passed by a little."""
+    """After a minute far below the target speed, the throttle falls as soon as the speed is slightly above it."""
     control = SpeedController()
     for _ in range(1200):
         assert control.throttle(8.0, 0.0) == 1.0

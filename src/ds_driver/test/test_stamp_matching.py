@@ -1,4 +1,4 @@
-"""Which frame a command of another stack answers."""
+"""Assignment of other stacks' commands to frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ds_driver.control.stamp_matching import StampMatcher
 STEP = 50_000_000
 
 
-def test_a_stamped_command_answers_its_frame_whichever_comes_first() -> None:
+def test_a_stamped_command_answers_its_frame_in_either_order() -> None:
     matching: StampMatcher[str, str] = StampMatcher()
     assert matching.frame(STEP, "a") is None
     assert matching.command(STEP, "left") == ("a", "left")
@@ -17,7 +17,7 @@ def test_a_stamped_command_answers_its_frame_whichever_comes_first() -> None:
     assert matching.frame(2 * STEP, "b") == ("b", "right")
 
 
-def test_a_second_answer_a_late_one_and_a_stamp_of_no_frame_are_refused() -> None:
+def test_repeated_late_and_unknown_stamps_are_refused() -> None:
     matching: StampMatcher[str, str] = StampMatcher()
     matching.frame(STEP, "a")
     matching.command(STEP, "left")
@@ -38,14 +38,14 @@ def test_a_command_without_stamp_answers_the_newest_frame_once_or_the_next() -> 
     assert matching.frame(4 * STEP, "d") is None
 
 
-def test_a_frame_that_is_shown_again_can_be_answered_again() -> None:
+def test_a_repeated_frame_can_be_answered_again() -> None:
     matching: StampMatcher[str, str] = StampMatcher()
     for _ in range(2):
         assert matching.frame(STEP, "a") is None
         assert matching.command(STEP, "left") == ("a", "left")
 
 
-def test_nothing_piles_up() -> None:
+def test_memory_is_bounded() -> None:
     matching: StampMatcher[int, int] = StampMatcher()
     for number in range(1, 2000):
         matching.frame(number * STEP, number)

@@ -1,6 +1,6 @@
-"""Driving networks: architectures, weights, inference back ends, and networks of a user's own.
+"""Driving networks: architectures, weights, inference backends, and user-provided networks.
 
-Public names are imported when they are first used; `__init__.pyi` lists them.
+Public names are imported on first use; `__init__.pyi` lists them.
 """
 
 import lazy_loader

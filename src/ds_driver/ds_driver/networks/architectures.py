@@ -1,4 +1,4 @@
-"""The driving networks (paper 4.1.1): an image in, a steering angle out."""
+"""Defines the driving networks (paper 4.1.1), which predict steering from an image."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from torch import Tensor, nn
 
 
 class UnknownNetworkError(ValueError):
-    """A name that stands for no network."""
+    """The name does not denote a network."""
 
 
 class Dave2(nn.Module):
-    """Nvidia's Dave-2 as the paper uses it: five convolutions and three dense layers, 2,882,619 parameters.
+    """Nvidia's Dave-2 as used in the paper: five convolutions and three dense layers, 2,882,619 parameters.
 
     Input (n, 3, 160, 320) YUV in 0 to 255; output (n, 1), steering with -1 full left and +1 full right.
     """
@@ -36,28 +36,28 @@ class Dave2(nn.Module):
         )  # fmt: skip
 
     def forward(self, image: Tensor) -> Tensor:
-        """Steering for a batch of images."""
+        """Predict steering for a batch of images."""
         result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
         return result
 
 
 class DropoutAheadOfMaximum(nn.Dropout):
-    """Dropout for an input of max pooling: what is kept keeps its size.
+    """Dropout without rescaling, for use before max pooling.
 
-    The usual one enlarges what it keeps by 1 / (1 - p), for a sum to come out right. A maximum over neighbours that
-    hardly differ comes out too large by the same factor, which is missing when the network drives: after Chauffeur's
-    five blocks its features are 0.95^5 = 0.77 of what it was trained with, and so is its steering.
+    Standard dropout scales the kept values by 1 / (1 - p), which preserves the expected value of a sum. It makes a
+    maximum over nearly equal neighbours too large by the same factor, and only in training: when driving, the features
+    after Chauffeur's five blocks, and so its steering, would be 0.95^5 = 0.77 of those in training.
     """
 
     def forward(self, values: Tensor) -> Tensor:
-        """The values, in training each of them 0 with probability `p`."""
+        """Set each value to 0 with probability `p` in training; return the values unchanged otherwise."""
         return super().forward(values).mul_(1.0 - self.p) if self.training else values
 
 
 class Chauffeur(nn.Module):
-    """Chauffeur, of Udacity's second challenge, as the paper uses it: six convolutions, 104,905 parameters.
+    """Chauffeur, from Udacity's second challenge, as used in the paper: six convolutions, 104,905 parameters.
 
-    Input and output as those of `Dave2`.
+    Input and output as for `Dave2`.
     """
 
     def __init__(self) -> None:
@@ -69,22 +69,22 @@ class Chauffeur(nn.Module):
             layers += [_same(channels, filters, kernel), nn.ReLU(), DropoutAheadOfMaximum(0.05), nn.MaxPool2d(2)]
             channels = filters
         self.features = nn.Sequential(*layers, _same(channels, 128, 2), nn.ReLU())
-        # maxitwo's signature says 0.1, but its training passes 0.5.
+        # maxitwo's signature defaults to 0.1, but its training passes 0.5.
         self.steering = nn.Sequential(nn.Flatten(), nn.Dropout(0.5), nn.Linear(6400, 1))
         for layer in self.features.modules():
             if isinstance(layer, nn.Conv2d):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
 
     def forward(self, image: Tensor) -> Tensor:
-        """Steering for a batch of images."""
+        """Predict steering for a batch of images."""
         result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
         return result
 
 
 class Epoch(nn.Module):
-    """Epoch, of Udacity's second challenge, reduced as in the paper: three convolutions, 26,239,009 parameters.
+    """Epoch, from Udacity's second challenge, reduced as in the paper: three convolutions, 26,239,009 parameters.
 
-    Input and output as those of `Dave2`.
+    Input and output as for `Dave2`.
     """
 
     def __init__(self) -> None:
@@ -102,13 +102,13 @@ class Epoch(nn.Module):
         )  # fmt: skip
 
     def forward(self, image: Tensor) -> Tensor:
-        """Steering for a batch of images."""
+        """Predict steering for a batch of images."""
         result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
         return result
 
 
 def _same(channels: int, filters: int, kernel: int) -> nn.Module:
-    """A convolution that keeps the image's size; an even kernel pads right and below, as Keras does."""
+    """Make a convolution that keeps the image size; even kernels pad right and bottom, as in Keras."""
     if kernel % 2:
         return nn.Conv2d(channels, filters, kernel, padding=kernel // 2)
     return nn.Sequential(nn.ZeroPad2d((0, 1, 0, 1)), nn.Conv2d(channels, filters, kernel))
@@ -119,7 +119,7 @@ NETWORKS: dict[str, Callable[[], nn.Module]] = {"dave2": Dave2, "chauffeur": Cha
 
 
 def make_network(name: str) -> nn.Module:
-    """Make an untrained network.
+    """Create an untrained network.
 
     Raises:
         UnknownNetworkError: no network has this name.
@@ -130,5 +130,5 @@ def make_network(name: str) -> nn.Module:
 
 
 def count_parameters(network: nn.Module) -> int:
-    """Trainable parameters."""
+    """Count the trainable parameters."""
     return sum(p.numel() for p in network.parameters() if p.requires_grad)

@@ -1,4 +1,4 @@
-"""Backends that compute a network: PyTorch, ONNX Runtime or OpenVINO, with one thread and in single precision.
+"""Runs networks with PyTorch, ONNX Runtime or OpenVINO, on one thread and in single precision.
 
 A driver's name may end in `@torch`, `@onnx`, `@openvino`, or `@cuda` (PyTorch on a GPU): `dave2@openvino`.
 """
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ds_driver.networks.pilot import DriverError
 
 BACKENDS = ("auto", "torch", "onnx", "openvino")
-"""auto is `network_driver.OWN_BACKEND` for built-in networks, and the native backend of a file's kind."""
+"""auto: `network_driver.BUILT_IN_BACKEND` for built-in networks, the native backend for a network file."""
 DEVICES = ("cpu", "cuda")
 OPENVINO_INSTALL = ".venv/bin/python -m pip install --no-deps -r requirements/openvino.txt"
 
@@ -28,18 +28,18 @@ Compute = Callable[[NDArray[Any]], list[NDArray[np.float32]]]
 
 
 class BackendError(DriverError):
-    """A backend or device that is unknown, not installed, or cannot compute this network."""
+    """The backend or device is unknown, not installed, or cannot run this network."""
 
 
 @dataclass(frozen=True)
 class Runner:
-    """A network that is ready to compute.
+    """Loaded network.
 
     Attributes:
-        compute: from an input with a batch of one to every output.
-        outputs: their names, where the file has any.
-        shape: of the input, None where a size is free; None as a whole if the file does not say.
-        type: of the input's numbers, as NumPy names it; "" if the file does not say.
+        compute: maps an input with a batch of one to all outputs.
+        outputs: names of the outputs, if the file has any.
+        shape: shape of the input, with None for a free size; None if the file does not state it.
+        type: NumPy name of the input's data type; "" if the file does not state it.
     """
 
     compute: Compute
@@ -49,7 +49,7 @@ class Runner:
 
 
 def split_backend(driver: str) -> tuple[str, str, str]:
-    """A driver's name without its ending, the backend, and the device."""
+    """Split a driver's name into the name without its suffix, the backend, and the device."""
     name, at, ending = driver.rpartition("@")
     if at and ending == "cuda":
         return name, "torch", "cuda"
@@ -57,27 +57,27 @@ def split_backend(driver: str) -> tuple[str, str, str]:
 
 
 def with_backend(driver: str, backend: str = "auto", device: str = "cpu") -> str:
-    """A driver's name that also says what computes it.
+    """Append the backend or the device to a driver's name.
 
     Raises:
-        BackendError: the backend or the device is unknown, or they do not go together.
+        BackendError: the backend or the device is unknown, or they cannot be combined.
     """
     if backend not in BACKENDS:
         raise BackendError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
     if device not in DEVICES:
         raise BackendError(f"unknown device {device!r}: expected one of {', '.join(DEVICES)}")
     if device == "cuda" and backend not in ("auto", "torch"):
-        raise BackendError(f"the backend {backend} computes on the processor here: leave out --device cuda")
+        raise BackendError(f"backend {backend} runs on the CPU only: leave out --device cuda")
     if device == "cpu" and backend == "auto":
         return driver
     return f"{split_backend(driver)[0]}@{'cuda' if device == 'cuda' else backend}"
 
 
 def torch_device(name: str) -> torch.device:
-    """The device that PyTorch computes on.
+    """Return the PyTorch device of a name.
 
     Raises:
-        BackendError: a GPU is asked for and there is none.
+        BackendError: a GPU is requested and there is none.
     """
     if name == "cuda" and not torch.cuda.is_available():
         raise BackendError("PyTorch finds no usable GPU: leave out --device cuda, or install PyTorch for CUDA")
@@ -85,11 +85,11 @@ def torch_device(name: str) -> torch.device:
 
 
 def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -> Runner:
-    """Compute with PyTorch.
+    """Run a network with PyTorch.
 
     Args:
-        network: from one tensor to a tensor or a sequence of them; on the device already.
-        device: of the network.
+        network: maps one tensor to a tensor or a sequence of tensors; already on the device.
+        device: device of the network.
     """
     torch.set_num_threads(1)
 
@@ -97,27 +97,32 @@ def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -
     def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
             found = network(torch.from_numpy(batch).to(device))
-        except Exception as error:  # TorchScript raises what its program raises: IndexError, KeyError, ...
-            raise BackendError(f"the network cannot compute {_words(batch)}: {last_line(error)}") from None
+        except Exception as error:  # TorchScript raises whatever its program raises: IndexError, KeyError, ...
+            raise BackendError(f"the network rejects {_words(batch)}: {last_line(error)}") from None
         parts: Sequence[Any] = found if isinstance(found, (tuple, list)) else [found]
         if not parts or not all(isinstance(part, torch.Tensor) for part in parts):
-            raise BackendError(f"the network answers with {type(found).__name__}: expected a tensor or a tuple of them")
+            raise BackendError(f"the network returns {type(found).__name__}: expected a tensor or a tuple of them")
         return [part.float().cpu().numpy() for part in parts]
 
     return Runner(compute)
 
 
 def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runner:
-    """Compute a TorchScript file with PyTorch.
+    """Run a TorchScript file with PyTorch.
+
+    Args:
+        content: content of the file.
+        device: device to run on.
+        where: name of the file, for messages.
 
     Raises:
-        BackendError: it is none.
+        BackendError: the file is not TorchScript.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # PyTorch deprecates TorchScript, but reads it
+        warnings.simplefilter("ignore")  # PyTorch still reads TorchScript, which it deprecates
         try:
             network = torch.jit.load(BytesIO(content), map_location=device).eval()
-        except Exception as error:  # a damaged archive raises whatever its reader stumbles on
+        except Exception as error:  # damaged archives make the reader raise arbitrary errors
             raise BackendError(
                 f"{where} is not TorchScript ({last_line(error)}): save it with torch.jit.trace(network, image).save"
             ) from None
@@ -125,12 +130,12 @@ def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runn
 
 
 def check_onnx(content: bytes, where: str) -> None:
-    """Refuse an ONNX file that is damaged, or keeps numbers in other files.
+    """Refuse an ONNX file that is damaged or has external data.
 
-    A runtime would look for those beside the working directory, and the digest of the network would not cover them.
+    Runtimes look for external data relative to the working directory, and the network's hash would not cover it.
 
     Raises:
-        BackendError: no ONNX graph, or one with external data.
+        BackendError: not an ONNX graph, or one with external data.
     """
     import onnx
     from google.protobuf.message import DecodeError
@@ -159,51 +164,51 @@ def check_onnx(content: bytes, where: str) -> None:
 
 
 def onnx_runner(content: bytes, where: str) -> Runner:
-    """Compute an ONNX graph with ONNX Runtime.
+    """Run an ONNX graph with ONNX Runtime.
 
     Raises:
-        BackendError: it is damaged, keeps its weights in other files, or has more than one input.
+        BackendError: the file is damaged, keeps its weights in other files, or has more than one input.
     """
     import onnxruntime
 
     check_onnx(content, where)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what it has to say comes as an exception too
+    options.log_severity_level = 4  # its messages come as exceptions, too
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # its exceptions have no common base but this
+    except Exception as error:  # its exceptions share no narrower base class
         raise BackendError(
             f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
         ) from None
-    taken = session.get_inputs()
-    if len(taken) != 1:
-        names = ", ".join(i.name for i in taken)
-        raise BackendError(f"{where} has {len(taken)} inputs ({names}): expected one, the image")
-    name = taken[0].name
+    inputs = session.get_inputs()
+    if len(inputs) != 1:
+        names = ", ".join(i.name for i in inputs)
+        raise BackendError(f"{where} has {len(inputs)} inputs ({names}): expected one, the image")
+    name = inputs[0].name
     kinds = {"tensor(float)": "float32", "tensor(uint8)": "uint8", "tensor(float16)": "float16"}
 
     def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
             found = session.run(None, {name: np.ascontiguousarray(batch)})
         except Exception as error:
-            raise BackendError(f"the network cannot compute {_words(batch)}: {last_line(error)}") from None
+            raise BackendError(f"the network rejects {_words(batch)}: {last_line(error)}") from None
         return [np.asarray(part, np.float32) for part in found]
 
     return Runner(
         compute,
         tuple(o.name for o in session.get_outputs()),
-        tuple(size if isinstance(size, int) else None for size in taken[0].shape),
-        kinds.get(taken[0].type, taken[0].type),
+        tuple(size if isinstance(size, int) else None for size in inputs[0].shape),
+        kinds.get(inputs[0].type, inputs[0].type),
     )
 
 
 def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner:
-    """Compute an ONNX, TensorFlow Lite or TorchScript file with OpenVINO.
+    """Run an ONNX, TensorFlow Lite or TorchScript file with OpenVINO.
 
     Args:
-        content: of the file.
-        where: its name, for messages.
+        content: content of the file.
+        where: name of the file, for messages.
         kind: `onnx`, `tflite` or `torchscript`.
 
     Raises:
@@ -219,9 +224,9 @@ def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner
     settings = {
         "INFERENCE_NUM_THREADS": 1,
         "NUM_STREAMS": 1,
-        # Left alone it takes bfloat16 where the processor has it, and other numbers with it.
+        # The default is bfloat16 on processors that support it, which changes the results.
         "INFERENCE_PRECISION_HINT": "f32",
-        # Pinned, the drivers of several workers would share one core.
+        # With pinning, the drivers of several workers would share one core.
         "ENABLE_CPU_PINNING": False,
     }
     try:
@@ -231,39 +236,39 @@ def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner
                 model = openvino.convert_model(torch.jit.load(BytesIO(content)).eval())
             compiled = core.compile_model(model, "CPU", settings)
         elif kind == "tflite":
-            # OpenVINO reads these from a file only, which it may still need until the model is compiled.
+            # OpenVINO reads TensorFlow Lite from files only, and may need the file until the model is compiled.
             with tempfile.TemporaryDirectory() as folder:
                 file = Path(folder) / "network.tflite"
                 file.write_bytes(content)
                 compiled = core.compile_model(core.read_model(file), "CPU", settings)
         else:
             compiled = core.compile_model(core.read_model(BytesIO(content)), "CPU", settings)
-    except Exception as error:  # its exceptions have no common base but this
+    except Exception as error:  # its exceptions share no narrower base class
         raise BackendError(f"{where} cannot be loaded by OpenVINO ({last_line(error)}): is the file whole?") from None
     if len(compiled.inputs) != 1:
         raise BackendError(f"{where} has {len(compiled.inputs)} inputs: expected one, the image")
     request = compiled.create_infer_request()
-    taken = compiled.inputs[0]
+    only_input = compiled.inputs[0]
 
     def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
             found = request.infer([np.ascontiguousarray(batch)], share_inputs=True)
         except Exception as error:
-            raise BackendError(f"the network cannot compute {_words(batch)}: {last_line(error)}") from None
+            raise BackendError(f"the network rejects {_words(batch)}: {last_line(error)}") from None
         return [np.array(found[output], np.float32) for output in compiled.outputs]
 
     return Runner(
         compute,
         tuple(next(iter(sorted(o.get_names())), "") for o in compiled.outputs),
-        tuple(d.get_length() if d.is_static else None for d in taken.get_partial_shape())
-        if taken.get_partial_shape().rank.is_static
+        tuple(d.get_length() if d.is_static else None for d in only_input.get_partial_shape())
+        if only_input.get_partial_shape().rank.is_static
         else None,
-        taken.get_element_type().to_dtype().name,
+        only_input.get_element_type().to_dtype().name,
     )
 
 
 def last_line(error: BaseException) -> str:
-    """What an exception says, the last line of it, and not too much."""
+    """Return the last line of an exception's message, at most 200 characters."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return (lines[-1] if lines else type(error).__name__)[:200]
 

@@ -1,4 +1,4 @@
-"""Drives by an ONNX, TorchScript or TensorFlow Lite file that a YAML file describes."""
+"""Drives with an ONNX, TorchScript or TensorFlow Lite file that a YAML file describes."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ KINDS = {
     ".torchscript": "torchscript",
     ".tflite": "tflite",
 }
-"""A file's ending -> what it holds."""
-_COMPUTED_BY = {"onnx": ("onnx", "openvino"), "torchscript": ("torch", "openvino"), "tflite": ("openvino",)}
-"""What a file holds -> backends that can compute it, `auto` first."""
+"""File suffix -> format."""
+_BACKENDS_OF = {"onnx": ("onnx", "openvino"), "torchscript": ("torch", "openvino"), "tflite": ("openvino",)}
+"""Format -> backends that can run it; the first one is `auto`."""
 _COLOURS = {"bgr": cv2.COLOR_RGB2BGR, "yuv": cv2.COLOR_RGB2YUV, "grey": cv2.COLOR_RGB2GRAY}
 _RESIZING = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA, "nearest": cv2.INTER_NEAREST}
 GUIDE = "docs/bring_your_own_network.md"
 LARGEST_FILE = 2**29
 """Bytes of a network file; chosen: five times the largest shipped network."""
 _LONGEST = 500
-"""Characters about what is wrong with a description."""
+"""Longest error text about a description, characters."""
 
 
 class _Strict(BaseModel):
@@ -49,7 +49,7 @@ class _Strict(BaseModel):
 
 
 class Rows(_Strict):
-    """Camera rows that are cut off."""
+    """Camera rows to crop."""
 
     top: Annotated[int, Field(ge=0, lt=IMAGE_HEIGHT)] = 0
     bottom: Annotated[int, Field(ge=0, lt=IMAGE_HEIGHT)] = 0
@@ -59,17 +59,17 @@ PerChannel = float | Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class InputSpec(_Strict):
-    """What a network wants to see.
+    """Input that a network expects.
 
     Attributes:
         size: rows and columns.
-        colour: order of the channels.
-        layout: channels before the rows, or behind the columns.
-        crop: `simulator` cuts what the paper's networks do not see there, `none` nothing, or rows of 160.
-        resize: how the image is brought to its size.
-        type: of the numbers.
-        subtract: from a pixel of 0 to 255, one number or one per channel.
-        divide: by this, after that.
+        colour: colour space and channel order.
+        layout: channels before the rows, or after the columns.
+        crop: `simulator` crops as for the paper's networks, `none` not at all, or rows out of 160.
+        resize: interpolation used to resize the image.
+        type: data type.
+        subtract: subtracted from pixel values (0 to 255), one number or one per channel.
+        divide: divisor applied after that, one number or one per channel.
     """
 
     size: tuple[Annotated[int, Field(ge=1, le=4096)], Annotated[int, Field(ge=1, le=4096)]]
@@ -95,19 +95,19 @@ class InputSpec(_Strict):
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Of the input, with a batch of one."""
+        """Return the shape of the input, with a batch of one."""
         channels = 1 if self.colour == "grey" else 3
         return (1, channels, *self.size) if self.layout == "nchw" else (1, *self.size, channels)
 
 
 class OutputSpec(_Strict):
-    """Where one number of the answer is.
+    """Location and scaling of one value among the outputs.
 
     Attributes:
-        output: name, or position among the outputs.
-        index: in that output, counted through all its dimensions.
-        scale: the number is multiplied by it; below 0 it changes the sign.
-        offset: is added after that.
+        output: name or position of the output.
+        index: index into the flattened output.
+        scale: factor applied to the value; negative to flip the sign.
+        offset: added after scaling.
     """
 
     output: Annotated[int, Field(ge=0)] | str = 0
@@ -117,14 +117,14 @@ class OutputSpec(_Strict):
 
 
 class Outputs(_Strict):
-    """What a network answers: steering, -1 left to +1 right, and perhaps a throttle, 0 to 1."""
+    """Outputs of a network: steering, -1 left to +1 right, and optionally throttle, 0 to 1."""
 
     steering: OutputSpec = OutputSpec()
     throttle: OutputSpec | None = None
 
 
 class DescribedNetwork(_Strict):
-    """A description, as the YAML file has it; `file` is relative to it."""
+    """Content of the YAML description; `file` is relative to its folder."""
 
     file: str
     input: InputSpec
@@ -135,7 +135,7 @@ def read_description(path: Path) -> DescribedNetwork:
     """Read and check a description.
 
     Raises:
-        DriverError: in one line, the key, what is wrong with it, and what is allowed.
+        DriverError: a key is invalid; one line names it and the allowed values.
     """
     try:
         raw = read_yaml(path, unique_keys=True)
@@ -146,7 +146,7 @@ def read_description(path: Path) -> DescribedNetwork:
     try:
         return DescribedNetwork.model_validate(raw)
     except ValidationError as error:
-        # A value that may be one of several kinds is told once for each kind.
+        # pydantic reports a value of a union once for each member type.
         problems = {
             f"{'.'.join(str(part) for part in e['loc'] if not _is_kind(part)) or 'top level'}: "
             f"{e['msg'].removeprefix('Value error, ')}"
@@ -165,10 +165,14 @@ def read_description(path: Path) -> DescribedNetwork:
 
 
 def file_of(path: Path, description: DescribedNetwork) -> Path:
-    """The network's own file.
+    """Return the path of the network file.
+
+    Args:
+        path: path of the description.
+        description: content of the description.
 
     Raises:
-        DriverError: it is missing, or of a kind that is not known.
+        DriverError: the file is missing, or of an unknown format.
     """
     file = path.parent / description.file
     if file.suffix.lower() not in KINDS or "\0" in description.file or len(description.file) > 4096:
@@ -181,22 +185,22 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
 
 
 class DescribedNetworkPilot:
-    """Drives by a described file.
+    """Drives with a described network file.
 
     Args:
-        path: of the description.
-        backend: `auto` or another one that can compute the file.
+        path: path of the description.
+        backend: `auto`, or a backend that can run the file.
         device: `cpu`, or `cuda` for TorchScript.
 
     Raises:
         DriverError: the description or the file cannot be used.
-        BackendError: the backend cannot compute it.
+        BackendError: the backend cannot run the network.
     """
 
     def __init__(self, path: Path, backend: str = "auto", device: str = "cpu") -> None:
         self._spec = read_description(path)
         file = file_of(path, self._spec)
-        # On a GPU the address space says nothing of the memory taken.
+        # The address space does not reflect the memory used on a GPU.
         self._bounded = nullcontext if device == "cuda" else limited_memory
         try:
             with self._bounded():
@@ -206,11 +210,11 @@ class DescribedNetworkPilot:
             raise DriverError(f"{file.name} needs more memory than a network may take: make it smaller") from None
 
     def start(self) -> None:
-        """A file keeps nothing of a run."""
+        """Do nothing, as network files have no state."""
 
-    def predict(self, seen: Frame) -> Prediction:
+    def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
-        batch = self.batch(seen)
+        batch = self.batch(frame)
         with self._bounded():
             outputs = self._runner.compute(batch)
         throttle = self._spec.outputs.throttle
@@ -219,11 +223,11 @@ class DescribedNetworkPilot:
             None if throttle is None else self._number(outputs, "throttle", throttle),
         )
 
-    def batch(self, seen: Frame) -> NDArray[Any]:
-        """The network's input for a frame, with a batch of one."""
+    def batch(self, frame: Frame) -> NDArray[Any]:
+        """Convert a frame to the input of the network, with a batch of one."""
         spec = self._spec.input
-        image = checked(seen.image)
-        crop = seen.crop if spec.crop == "simulator" else Crop()
+        image = checked(frame.image)
+        crop = frame.crop if spec.crop == "simulator" else Crop()
         if isinstance(spec.crop, Rows):
             crop = Crop(spec.crop.top, spec.crop.bottom)
         image = image[crop.top : IMAGE_HEIGHT - crop.bottom]
@@ -240,23 +244,25 @@ class DescribedNetworkPilot:
         return np.ascontiguousarray(pixels[None])
 
     def _check(self, name: str) -> None:
-        """Hold the file against the description, and compute a black image: the first one takes longest."""
+        """Compare the file with the description, and warm up with a black image."""
         runner, spec = self._runner, self._spec.input
         if runner.shape is not None and (
             len(runner.shape) != 4 or any(a not in (None, b) for a, b in zip(runner.shape, spec.shape, strict=True))
         ):
-            wanted = "x".join("any" if size is None else str(size) for size in runner.shape)
-            given = "x".join(map(str, spec.shape))
-            raise DriverError(f"{name} wants an input of {wanted}, its description gives {given}: mend size or layout")
+            expected = "x".join("any" if size is None else str(size) for size in runner.shape)
+            described = "x".join(map(str, spec.shape))
+            raise DriverError(
+                f"{name} expects an input of {expected}, its description gives {described}: correct size or layout"
+            )
         if runner.type and runner.type != spec.type:
             raise DriverError(
-                f"{name} wants numbers of type {runner.type}, its description gives {spec.type}: mend type"
+                f"{name} expects input of type {runner.type}, its description gives {spec.type}: correct type"
             )
         black = np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
         try:
             self.predict(Frame(image=black, speed=0.0))
         except DriverError as error:
-            raise DriverError(f"{name}, tried on a black image: {error}") from None
+            raise DriverError(f"{name} fails on a black image: {error}") from None
 
     def _number(self, outputs: list[NDArray[np.float32]], what: str, spec: OutputSpec) -> float:
         names = self._runner.outputs
@@ -268,7 +274,7 @@ class DescribedNetworkPilot:
         elif spec.output < len(outputs):
             found = outputs[spec.output]
         else:
-            raise DriverError(f"there is no output {spec.output} for {what}: it has {len(outputs)}, counted from 0")
+            raise DriverError(f"no output {spec.output} for {what}: the network has {len(outputs)}, counted from 0")
         if spec.index >= found.size:
             raise DriverError(f"there is no index {spec.index} for {what}: the output has {found.size} numbers")
         return float(found.reshape(-1)[spec.index]) * spec.scale + spec.offset
@@ -276,10 +282,10 @@ class DescribedNetworkPilot:
 
 def _runner(file: Path, backend: str, device: str) -> Runner:
     kind = KINDS[file.suffix.lower()]
-    able = _COMPUTED_BY[kind]
-    chosen = able[0] if backend == "auto" else backend
-    if chosen not in able:
-        raise BackendError(f"{file.name} cannot be computed by {chosen}: expected {' or '.join(able)}")
+    possible = _BACKENDS_OF[kind]
+    chosen = possible[0] if backend == "auto" else backend
+    if chosen not in possible:
+        raise BackendError(f"backend {chosen} cannot run {file.name}: expected {' or '.join(possible)}")
     try:
         content = read_bounded(file, LARGEST_FILE)
     except (BoundedYamlError, OSError) as error:
@@ -292,5 +298,5 @@ def _runner(file: Path, backend: str, device: str) -> Runner:
 
 
 def _is_kind(part: object) -> bool:
-    """True for what pydantic puts into a path to tell the kinds of a value apart."""
+    """Check for the parts that pydantic adds to a path to name a member type of a union."""
     return isinstance(part, str) and (part in ("float", "int", "str", "Rows") or "[" in part)

@@ -1,4 +1,4 @@
-"""Limits the memory that a network file may take, in a file of a few hundred bytes as in one of gigabytes."""
+"""Limits the memory that loading and running a network file may take, whatever its size."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 NETWORK_MEMORY = 4 * 2**30
-"""Bytes beside what the process has mapped already; chosen: 40 times the largest shipped network."""
+"""Bytes beyond what the process has already mapped; chosen: 40 times the largest shipped network."""
 
 _lock = threading.Lock()
 _inside = 0
@@ -18,10 +18,13 @@ _before = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
 
 @contextmanager
 def limited_memory(extra: int = NETWORK_MEMORY) -> Iterator[None]:
-    """Let allocations fail that would take the process further than so many bytes beyond its present address space.
+    """Make allocations fail beyond the present address space plus `extra` bytes.
 
-    A graph of three nodes can ask for terabytes, and the runtimes have no limit of their own. The limit is the
-    process's, so that other threads share it meanwhile; nested and concurrent uses keep the first one's limit.
+    A graph of three nodes can ask for terabytes, and the runtimes set no limit. The limit applies to the whole process,
+    other threads included; nested and concurrent uses keep the first limit.
+
+    Args:
+        extra: bytes that may be mapped in addition.
     """
     global _inside, _before
     with _lock:

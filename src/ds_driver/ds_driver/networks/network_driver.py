@@ -1,4 +1,4 @@
-"""A driver that steers by a network, ours or anybody's, and keeps its speed by the paper's equation 2."""
+"""Drives with a network, built in or user-provided, and controls speed by the paper's equation 2."""
 
 from __future__ import annotations
 
@@ -20,82 +20,84 @@ from ds_driver.networks.weights import load_network, shipped_networks, weights_s
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.simulator import Command
 
-OWN_BACKEND = "onnx"
-"""Computes our networks unless another one is named; chosen by measurement (docs/bring_your_own_network.md)."""
+BUILT_IN_BACKEND = "onnx"
+"""Default backend of the built-in networks; chosen by measurement (docs/bring_your_own_network.md)."""
 DESCRIPTIONS = (".yaml", ".yml")
 
 
 class BuiltInPilot:
-    """Drives by one of the paper's networks.
+    """Drives with one of the paper's networks.
 
     Args:
-        network: a shipped network's name or a weights file.
-        backend: `auto` or any other.
+        network: name of a shipped network, or a weights file.
+        backend: one of `ds_driver.networks.backends.BACKENDS`.
         device: `cpu`, or `cuda` with PyTorch.
 
     Raises:
         ds_driver.networks.weights.WeightsError: the weights cannot be used.
-        ds_driver.networks.architectures.UnknownNetworkError: the name stands for nothing.
-        ds_driver.networks.backends.BackendError: the backend or the device is not there.
+        ds_driver.networks.architectures.UnknownNetworkError: the name does not denote a network.
+        ds_driver.networks.backends.BackendError: the backend or the device is not available.
     """
 
     def __init__(self, network: str, backend: str = "auto", device: str = "cpu") -> None:
-        self._compute = _runner(network, OWN_BACKEND if backend == "auto" else backend, device).compute
+        self._compute = _runner(network, BUILT_IN_BACKEND if backend == "auto" else backend, device).compute
 
     def start(self) -> None:
-        """A network keeps nothing of a run."""
+        """Do nothing, as these networks have no state."""
 
-    def predict(self, seen: Frame) -> Prediction:
+    def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
-        return Prediction(float(self._compute(prepare(seen.image, seen.crop)[None])[0].reshape(-1)[0]))
+        return Prediction(float(self._compute(prepare(frame.image, frame.crop)[None])[0].reshape(-1)[0]))
 
 
 class NetworkDriver:
-    """Images and speed in, commands out; the same bits for the same frames in any process.
+    """Maps images and speeds to commands; the same frames give the same bits in any process.
 
     Args:
-        driver: a shipped network, a weights file, the YAML description of a network file, or `module:Class`; what
-            computes it may follow, as in `dave2@onnx`.
+        driver: a shipped network, a weights file, the YAML description of a network file, or `module:Class`; a backend
+            may follow, as in `dave2@onnx`.
 
     Raises:
-        ValueError: it cannot be had; see `BuiltInPilot`, `DescribedNetworkPilot` and `UserClassPilot`.
+        ValueError: the driver cannot be loaded; see `BuiltInPilot`, `DescribedNetworkPilot` and `UserClassPilot`.
     """
 
     def __init__(self, driver: str) -> None:
         self._pilot = load_pilot(driver)
-        # The first image takes longest: memory is taken and kernels are chosen.
+        # Warm up: the first image allocates memory and selects kernels.
         self.command(np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), 0.0, Crop())
         self._pilot.start()
 
     def steering(self, image: NDArray[np.uint8], crop: Crop) -> float:
-        """Steering in [-1, 1] for one camera image, (160, 320, 3) uint8 RGB.
+        """Predict steering in [-1, 1] for one camera image, (160, 320, 3) uint8 RGB.
 
         Raises:
-            ds_driver.networks.preprocessing.ImageError: an image of another size or type.
-            ds_driver.networks.pilot.DriverError: there is no answer to drive by.
+            ds_driver.networks.preprocessing.ImageError: the image has another size or type.
+            ds_driver.networks.pilot.DriverError: the network gives no valid answer.
         """
         return _within(self._pilot.predict(Frame(image=image, speed=0.0, crop=crop)).steering, -1.0)
 
     def command(self, image: NDArray[np.uint8], speed: float, crop: Crop, step: int = 1) -> Command:
-        """What to do on seeing an image at a speed in m/s; step 0 begins a run."""
+        """Compute the command for an image and a speed in m/s; step 0 begins a run."""
         if step == 0:
             self._pilot.start()
-        said = self._pilot.predict(Frame(image=image, speed=speed, crop=crop, step=step))
-        steering = _within(said.steering, -1.0)
-        return Command(steering, throttle(steering, speed) if said.throttle is None else _within(said.throttle, 0.0))
+        prediction = self._pilot.predict(Frame(image=image, speed=speed, crop=crop, step=step))
+        steering = _within(prediction.steering, -1.0)
+        if prediction.throttle is None:
+            return Command(steering, throttle(steering, speed))
+        return Command(steering, _within(prediction.throttle, 0.0))
 
 
 def load_pilot(driver: str) -> Pilot:
-    """Load what a driver's name stands for; see `NetworkDriver`."""
+    """Load the driver of a name; see `NetworkDriver`."""
     name, backend, device = split_backend(driver)
     suffix = Path(name).suffix.lower()
     if suffix in DESCRIPTIONS:
         return DescribedNetworkPilot(Path(name), backend, device)
     if suffix in KINDS:
-        raise DriverError(f"{name} says nothing of its input: describe it in a .yaml (docs/bring_your_own_network.md)")
+        raise DriverError(f"{name} has no description of its input: write a .yaml (docs/bring_your_own_network.md)")
     if ":" in name and suffix != ".safetensors":
         if (backend, device) != ("auto", "cpu"):
-            raise DriverError(f"driver {name} computes what it likes: leave out the backend and the device")
+            raise DriverError(f"driver {name} is a class, which takes no backend and no device: leave them out")
         return UserClassPilot(name)
     names = {**NETWORKS, **shipped_networks()}
     if name not in names and suffix != ".safetensors":
@@ -107,7 +109,7 @@ def load_pilot(driver: str) -> Pilot:
 
 
 def driver_sha256(driver: str) -> str:
-    """Hash of the files that a driver is made of: weights, description and network file, or a class's module."""
+    """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class."""
     name = split_backend(driver)[0]
     if Path(name).suffix.lower() in DESCRIPTIONS:
         path = Path(name)

@@ -1,4 +1,4 @@
-"""Our own networks as ONNX graphs, written node by node: PyTorch's exporter would want another package for it."""
+"""Exports the built-in networks to ONNX node by node, as PyTorch's exporter needs a further package."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from torch import nn
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 OPSET = 17
-"""Of ONNX; chosen: all that the graphs need, and old enough for every runtime in use."""
+"""ONNX opset; chosen: has all operators needed, and is old enough for every runtime in use."""
 
 
 def to_onnx(network: nn.Module) -> bytes:
-    """A network of `ds_driver.networks.architectures` as an ONNX file.
+    """Export a network of `ds_driver.networks.architectures` as the content of an ONNX file.
 
-    Its input is `image`, (1, 160, 320, 3) uint8 YUV as `ds_driver.networks.preprocessing.prepare` makes it; its output
+    The input is `image`, (1, 160, 320, 3) uint8 YUV from `ds_driver.networks.preprocessing.prepare`; the output is
     `steering`, (1, 1) float32.
 
     Raises:
-        TypeError: it has a layer that none of our networks has.
+        TypeError: the network has a layer that no built-in network has.
     """
     graph = _Graph()
     value = graph.node("Cast", ["image"], to=TensorProto.FLOAT)
@@ -43,7 +43,7 @@ def to_onnx(network: nn.Module) -> bytes:
             graph.constants,
         ),
         opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=8,  # that of opset 17
+        ir_version=8,  # belongs to opset 17
     )
     onnx.checker.check_model(model)
     content: bytes = model.SerializeToString()
@@ -51,14 +51,14 @@ def to_onnx(network: nn.Module) -> bytes:
 
 
 def _flat(module: nn.Module) -> list[nn.Module]:
-    """Layers in order, without the containers around them and without what only training uses."""
+    """List the layers in order, without containers and without layers that only training uses."""
     if isinstance(module, nn.Sequential):
         return [layer for part in module for layer in _flat(part)]
     return [] if isinstance(module, nn.Dropout) else [module]
 
 
 class _Graph:
-    """Nodes and constants, as they come."""
+    """Collects the nodes and constants of a graph."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
@@ -75,7 +75,7 @@ class _Graph:
         return name
 
     def layer(self, layer: nn.Module, value: str, *, padding: nn.ZeroPad2d | None) -> str:
-        """Add a layer that takes a value; gives the name of its result."""
+        """Add a layer with a value as its input; return the name of its output."""
         if isinstance(layer, (nn.Conv2d, nn.Linear)):
             assert layer.bias is not None
             inputs = [value, *(self.constant(p.detach().numpy()) for p in (layer.weight, layer.bias))]
@@ -85,10 +85,10 @@ class _Graph:
             left, right, top, bottom = padding.padding if padding else (columns, columns, rows, rows)
             return self.node("Conv", inputs, strides=list(layer.stride), pads=[top, left, bottom, right])
         if isinstance(layer, nn.ZeroPad2d):
-            return value  # the convolution behind it takes it over
+            return value  # the next convolution does the padding
         if isinstance(layer, nn.MaxPool2d):
             return self.node("MaxPool", [value], kernel_shape=[layer.kernel_size] * 2, strides=[layer.stride] * 2)
         simple = {nn.ELU: "Elu", nn.ReLU: "Relu", nn.Flatten: "Flatten"}
         if type(layer) not in simple:
-            raise TypeError(f"{type(layer).__name__} has no counterpart here: add it to onnx_graph.py")
+            raise TypeError(f"{type(layer).__name__} has no counterpart here: add it to onnx_export.py")
         return self.node(simple[type(layer)], [value])

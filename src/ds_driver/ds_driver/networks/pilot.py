@@ -1,4 +1,4 @@
-"""What any network at the wheel comes to, whoever made it: a frame in, steering and perhaps a throttle out."""
+"""Common interface of driving networks: a frame in, steering and optionally throttle out."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ds_driver.networks.preprocessing import Crop
 
 
 class DriverError(ValueError):
-    """A driver that cannot be loaded, or that gives no answer to drive by: the run ends as an error, not a failure."""
+    """The driver cannot be loaded or gives no valid answer: the run ends as an error, not as a failure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """What a driver may know of a frame.
+    """Input of a driver for one frame.
 
     Attributes:
         image: (160, 320, 3) uint8 RGB, the whole camera image, read-only.
-        speed: of the vehicle, m/s.
+        speed: speed of the vehicle, m/s.
         crop: rows that the paper's networks do not see on this simulator.
-        step: frames since the start of the run.
+        step: number of frames since the start of the run.
     """
 
     image: NDArray[np.uint8]
@@ -35,10 +35,10 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a network says.
+    """Output of a network.
 
     Attributes:
-        steering: -1 full left to +1 full right; beyond that it counts as full.
+        steering: -1 full left to +1 full right; larger values are clipped.
         throttle: 0 to 1, or None for the paper's equation 2.
 
     Raises:
@@ -51,20 +51,20 @@ class Prediction:
     def __post_init__(self) -> None:
         for name, value in (("steering", self.steering), ("throttle", self.throttle)):
             if value is not None and not math.isfinite(value):
-                raise DriverError(f"the network's {name} is {value}, not a number to drive by: check its weights")
+                raise DriverError(f"the network's {name} is {value}, expected a finite number: check its weights")
 
 
 class Pilot(Protocol):
-    """A network that is ready to drive."""
+    """Network that can drive."""
 
     def start(self) -> None:
-        """A run begins: forget the last one."""
+        """Reset all state at the start of a run."""
 
-    def predict(self, seen: Frame) -> Prediction:
-        """What to do on a frame.
+    def predict(self, frame: Frame) -> Prediction:
+        """Predict steering and throttle for a frame.
 
         Raises:
-            DriverError: there is no answer to drive by.
-            ds_driver.networks.preprocessing.ImageError: an image of another size or type.
+            DriverError: the network gives no valid answer.
+            ds_driver.networks.preprocessing.ImageError: the image has another size or type.
         """
         ...

@@ -1,4 +1,4 @@
-"""From a camera image to a network's input: one piece of code for training and for driving (paper 3.2.2)."""
+"""Converts camera images to network inputs, in training and in driving alike (paper 3.2.2)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 
 class ImageError(ValueError):
-    """An image that no network here can take."""
+    """The image has a size, type or content that the networks do not accept."""
 
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """Image rows that a network does not see: those above the horizon, and the vehicle's own front.
+    """Image rows hidden from a network: those above the horizon, and the front of the vehicle.
 
     Attributes:
         top: rows cut off at the top.
@@ -36,7 +36,7 @@ class Crop:
 
 
 def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
-    """Crop, resize to 160 x 320 and turn to YUV (order and colour space as in maxitwo).
+    """Crop, resize to 160 x 320 and convert to YUV (order and colour space as in maxitwo).
 
     Args:
         image: (160, 320, 3) uint8 RGB.
@@ -46,7 +46,7 @@ def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
         (160, 320, 3) uint8 YUV.
 
     Raises:
-        ImageError: another size or type.
+        ImageError: the image has another size or type.
     """
     checked(image)
     part = image[crop.top : IMAGE_HEIGHT - crop.bottom]
@@ -56,10 +56,10 @@ def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
 
 
 def checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A camera image that every network here can take.
+    """Check the size and type of a camera image, and return it.
 
     Raises:
-        ImageError: another size or type.
+        ImageError: the image has another size or type.
     """
     if image.shape != (IMAGE_HEIGHT, IMAGE_WIDTH, 3) or image.dtype != np.uint8:
         raise ImageError(

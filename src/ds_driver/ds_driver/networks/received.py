@@ -1,4 +1,4 @@
-"""Decides which drivers a received file may name: none that runs code of its author."""
+"""Decides which drivers a received file may name: only those that run no code of its author."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ AUTOPILOT = "autopilot"
 def received_driver(driver: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> str:
     """Check a driver's name that was read from a received file, before anything is loaded.
 
-    The autopilot, shipped networks, safetensors weights, and descriptions of ONNX or TensorFlow Lite files hold numbers
-    only. A Python class runs its module, and a TorchScript file is a program that can write files: the user has to
-    repeat such a name in an option.
+    The autopilot, shipped networks, safetensors weights, and described ONNX or TensorFlow Lite files run no code of
+    their own. A Python class runs its module, and a TorchScript file is a program that can write files: the user has
+    to confirm such a name with an option.
 
     Args:
-        driver: name as the file has it.
-        confirmed: names that the user gave on the command line or in a configuration of their own.
-        option: option that confirms a name, for the message.
+        driver: name in the file.
+        confirmed: names that the user gave on the command line or in their own configuration.
+        option: command line option that confirms a name, for the message.
 
     Returns:
         The name, safe to load.
 
     Raises:
-        DriverError: not text, or it would run code that nobody confirmed, or its description cannot be read.
+        DriverError: the name is not text, would run unconfirmed code, or has no readable description.
     """
     if not isinstance(driver, str):
         raise DriverError(f"driver is a {type(driver).__name__}, expected a name")
@@ -46,7 +46,7 @@ def received_driver(driver: object, *, confirmed: Collection[str] = (), option: 
     elif ":" in name:
         what = "Python code that is not shipped,"
     else:
-        return driver  # an architecture without weights, or nothing that can be loaded
+        return driver  # an architecture without weights, or not loadable at all
     shown = repr(driver) if len(driver) <= 100 else f"{driver[:100]!r}..."
     raise DriverError(
         f"driver {shown} is {what} and a received file must not run code: if you trust it, name it yourself with "

@@ -1,4 +1,4 @@
-"""A driver that somebody brings as a Python class, `module:Class`."""
+"""Drives with a user-provided Python class, `module:Class`."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 
 class UserClassPilot:
-    """Drives by a class without constructor arguments, with a method `drive(seen)` and, if it remembers, `start()`.
+    """Wraps a class without constructor arguments, with a method `drive(frame)` and, if it has state, `start()`.
 
-    `drive` takes a `Frame` and gives the steering, or a pair of steering and throttle.
+    `drive` takes a `Frame` and returns the steering, or a pair of steering and throttle.
 
     Args:
         target: `module:Class`.
 
     Raises:
-        DriverError: it cannot be imported or made, or it does not answer a black image.
+        DriverError: the class cannot be imported or instantiated, or fails on a black image.
     """
 
     def __init__(self, target: str) -> None:
@@ -33,29 +33,29 @@ class UserClassPilot:
         try:
             self._driver = kind()
         except Exception as error:
-            raise DriverError(f"driver {target} cannot be made ({_said(error)}): mend its __init__") from None
+            raise DriverError(f"driver {target} cannot be created ({_describe(error)}): fix its __init__") from None
         if not callable(getattr(self._driver, "drive", None)):
-            raise DriverError(f"driver {target} has no method drive(seen): see docs/bring_your_own_network.md")
+            raise DriverError(f"driver {target} has no method drive(frame): see docs/bring_your_own_network.md")
         self.start()
         self.predict(Frame(image=np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), speed=0.0))
         self.start()
 
     def start(self) -> None:
-        """Tell the class, if it wants to know, that a run begins."""
+        """Call `start` of the class, if it has one, at the start of a run."""
         start = getattr(self._driver, "start", None)
         if start is not None:
             try:
                 start()
             except Exception as error:
-                raise DriverError(f"{self._target}.start failed ({_said(error)})") from None
+                raise DriverError(f"{self._target}.start failed ({_describe(error)})") from None
 
-    def predict(self, seen: Frame) -> Prediction:
+    def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
-        checked(seen.image)
+        checked(frame.image)
         try:
-            answer: Any = self._driver.drive(seen)
-        except Exception as error:  # whatever breaks in somebody's class is its error, and never a failure on the road
-            raise DriverError(f"{self._target}.drive failed ({_said(error)})") from None
+            answer: Any = self._driver.drive(frame)
+        except Exception as error:  # any exception in user code is an error, never a failed test
+            raise DriverError(f"{self._target}.drive failed ({_describe(error)})") from None
         steering, throttle = answer if isinstance(answer, (tuple, list)) and len(answer) == 2 else (answer, None)
         try:
             return Prediction(float(steering), None if throttle is None else float(throttle))
@@ -63,19 +63,19 @@ class UserClassPilot:
             if isinstance(error, DriverError):
                 raise
             raise DriverError(
-                f"{self._target}.drive gave {answer!r:.60}: expected the steering, or steering and throttle"
+                f"{self._target}.drive returned {answer!r:.60}: expected the steering, or steering and throttle"
             ) from None
 
 
 def source_of(target: str) -> Path:
-    """The file in which a class is written.
+    """Return the source file of a class.
 
     Raises:
-        DriverError: it cannot be imported, or has none.
+        DriverError: the class cannot be imported, or comes from no file.
     """
     file = getattr(sys.modules[_find(target).__module__], "__file__", None)
     if file is None:
-        raise DriverError(f"driver {target} comes from no file: write it into a module")
+        raise DriverError(f"driver {target} comes from no file: move it to a module")
     return Path(file)
 
 
@@ -83,13 +83,13 @@ def _find(target: str) -> type:
     module, _, attribute = target.partition(":")
     try:
         kind: type = getattr(import_module(module), attribute)
-    except Exception as error:  # a module can fail in any way while it is imported
+    except Exception as error:  # importing a module can raise anything
         raise DriverError(
-            f"driver {target!r} cannot be imported ({_said(error)}): expected module:Class, with the module in this "
-            "folder or on PYTHONPATH"
+            f"driver {target!r} cannot be imported ({_describe(error)}): expected module:Class, with the module in "
+            "this folder or on PYTHONPATH"
         ) from None
     return kind
 
 
-def _said(error: Exception) -> str:
+def _describe(error: Exception) -> str:
     return f"{type(error).__name__}: {last_line(error)}"

@@ -1,4 +1,4 @@
-"""Stores network weights as safetensors: no pickle, the architecture in the metadata, half precision."""
+"""Stores network weights as safetensors, without pickle: half precision, the architecture in the metadata."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _NUMBERS = ("F16", "BF16", "F32", "F64")
 
 
 class WeightsError(ValueError):
-    """A weights file that is missing, damaged, or of another architecture."""
+    """The weights file is missing, damaged, or of another architecture."""
 
 
 def shipped_networks() -> dict[str, Path]:
-    """Name -> weights file of every shipped network."""
+    """Return the shipped networks: name -> weights file."""
     return {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
 
 
@@ -37,27 +37,27 @@ def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: di
 
 
 def weights_sha256(name_or_path: str) -> str:
-    """SHA-256 of the weights file that `load_network` would read."""
+    """Compute the SHA-256 of the weights file that `load_network` would read."""
     return hashlib.sha256(_path_of(name_or_path).read_bytes()).hexdigest()
 
 
 def architecture_in(path: Path) -> str:
-    """Architecture that a weights file names in its metadata; "" if it names none, or is no such file."""
+    """Read the architecture from the metadata of a weights file; "" if there is none."""
     if not path.is_file():
         return ""
     try:
         with safe_open(path, framework="pt") as file:
             return str((file.metadata() or {}).get("architecture", ""))
-    except Exception:  # what is no weights file may raise anything
+    except Exception:  # files of other formats can raise anything
         return ""
 
 
 def _path_of(name_or_path: str) -> Path:
-    """The weights file of a name or path.
+    """Return the weights file of a name or path.
 
     Raises:
-        WeightsError: it is missing.
-        UnknownNetworkError: neither a known name nor a weights file's.
+        WeightsError: the file is missing or too large.
+        UnknownNetworkError: neither a known name nor the path of a weights file.
     """
     path = Path(name_or_path)
     if name_or_path in NETWORKS or name_or_path in shipped_networks():
@@ -73,7 +73,7 @@ def _path_of(name_or_path: str) -> Path:
         raise WeightsError(f"weights {name_or_path!r} are missing: check the path")
     if path.stat().st_size > LARGEST_FILE:
         raise WeightsError(
-            f"weights {path.name} have more than {LARGEST_FILE // 2**20} MiB: expected those of a network"
+            f"weights {path.name} have more than {LARGEST_FILE // 2**20} MiB: expected the weights of a network"
         )
     return path
 
@@ -82,7 +82,7 @@ def load_network(name_or_path: str) -> nn.Module:
     """Load a shipped network by name, or a weights file by path; in evaluation mode, float32.
 
     Raises:
-        WeightsError: the file is missing, truncated, of another program, or does not fit its architecture.
+        WeightsError: the file is missing, damaged, in another format, or does not fit its architecture.
         UnknownNetworkError: neither a known name nor an existing file.
     """
     path = _path_of(name_or_path)
@@ -103,7 +103,7 @@ def load_network(name_or_path: str) -> nn.Module:
             tensors = {name: file.get_tensor(name).float() for name in found}
     except WeightsError:
         raise
-    except Exception as error:  # damage makes the reader raise more than its own errors
+    except Exception as error:  # damaged files make the reader raise arbitrary errors
         raise WeightsError(
             f"weights {path.name} cannot be read ({' '.join(str(error).split()):.200}): the file is damaged, copy it "
             "again"
