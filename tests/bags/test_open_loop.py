@@ -232,7 +232,7 @@ def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_pa
 
 @pytest.mark.graph
 def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_path: Path) -> None:
-    """Our driver as a node of its own; it crops nothing here, so neither does what it is held against."""
+    """The node asks for the crop of the recording, so the network that it is held against sees the same rows."""
     from ds_driver.networks.network_driver import NetworkDriver
 
     domain = RosDomain()
@@ -255,6 +255,7 @@ def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_p
     assert json.loads(done.stdout)["groups"][0]["answered"] == 12
     network = NetworkDriver("dave2")
     recording = open_recording(bags / "raw", Reading())
-    expected = evaluate_recording(recording, lambda frame, _: network.steering(_image(frame), Crop()), limit=12)
+    assert recording.crop != Crop()
+    expected = evaluate_recording(recording, lambda frame, crop: network.steering(_image(frame), crop), limit=12)
     with (tmp_path / "answers.csv").open() as file:
         assert [float(row["answered"]) for row in csv.DictReader(file)] == expected.answered.tolist()
