@@ -182,6 +182,8 @@ def test_grey_images_and_what_is_no_image() -> None:
         rgb_of(grey.reshape(-1), encoding="32FC1", height=30, width=40, step=40)
     with pytest.raises(ImageError, match="does not fit"):
         rgb_of(grey.reshape(-1), encoding="rgb8", height=30, width=40, step=120)
+    with pytest.raises(ImageError, match="yuyv needs an even width"):
+        rgb_of(np.zeros(4 * 10, np.uint8), encoding="yuyv", height=4, width=5, step=10)
     with pytest.raises(ImageError, match="damaged"):
         rgb_of_file(b"no picture")
 

@@ -1,4 +1,4 @@
-"""Spreads independent work over processes, in order, so that the result does not depend on their number."""
+"""Distributes independent jobs over processes, with results in order and independent of the number of processes."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
 Job = TypeVar("Job")
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
 def map_in_processes(
-    work: Callable[[Job], Answer], jobs: Sequence[Job], *, workers: int | None = None
-) -> Iterator[Answer]:
-    """Do every job in worker processes with one maths thread each.
+    work: Callable[[Job], Result], jobs: Sequence[Job], *, workers: int | None = None
+) -> Iterator[Result]:
+    """Run jobs in worker processes with one OpenMP thread each.
 
     Args:
-        work: a function of a module, that draws on nothing but its argument.
-        jobs: its arguments.
-        workers: processes; the processors of this machine if left out.
+        work: module-level function that depends on its argument only.
+        jobs: arguments of `work`.
+        workers: number of processes; the number of available processors if None.
 
     Yields:
-        Each job's answer as soon as it and all before it are there.
+        Result of each job, in order.
     """
     count = min(workers or len(os.sched_getaffinity(0)), max(len(jobs), 1))
     context = multiprocessing.get_context("spawn")
     threads = os.environ.get("OMP_NUM_THREADS")
-    os.environ["OMP_NUM_THREADS"] = "1"  # children inherit it; set in the child it would come after its imports
+    os.environ["OMP_NUM_THREADS"] = "1"  # inherited; in the child it would come after the imports
     try:
-        with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
+        with ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker) as pool:
             try:
                 yield from pool.map(work, jobs)
             except BaseException:
@@ -45,14 +45,14 @@ def map_in_processes(
             os.environ["OMP_NUM_THREADS"] = threads
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the parent, which stops the pool, and die with it."""
+def _start_worker() -> None:
+    """Ignore Ctrl-C, on which the parent stops the pool, and exit with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    """A parent that was killed cannot stop its pool."""
+def _exit_with_parent() -> None:
+    """Exit when the parent ends; a parent that was killed cannot stop its pool."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""Labelled driving data from the autopilot (paper 3.2.1, 4.2.2): every road in both directions on every simulator."""
+"""Collects driving data labelled by the autopilot (paper 3.2.1, 4.2.2): each road in both directions."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from ds_sim.registry import make_simulator
 from ds_sim.simulator import Command, Outcome, Simulator
 
 Progress = Callable[[int, int, str], None]
-"""Called with drives done, drives in all, and a line about the last one."""
+"""Called with the number of finished drives, the total, and a line about the last drive."""
 
 DIRECTIONS = ("forward", "reverse")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CollectionPlan:
-    """What to collect.
+    """Settings of a collection.
 
     Attributes:
-        roads: random roads, each driven in both directions (paper 4.2.2: 25).
-        seed: of the roads and of the disturbances.
-        max_angle: degrees, of the roads (paper 4.2.2: 270).
-        disturbance: largest steering added to the autopilot's while its own stays the label, in [0, 1]; the paper has
-            none. With 0.5 a network learns to come back to its lane and hardly ever fails.
-        every: keep one frame of so many.
+        roads: number of random roads, each driven in both directions (paper 4.2.2: 25).
+        seed: seed of roads and disturbances.
+        max_angle: largest angle of the roads, degrees (paper 4.2.2: 270).
+        disturbance: largest steering in [0, 1] that is added to the autopilot's but not to the label; 0 in the paper.
+            With 0.5 a network learns to return to its lane and hardly ever fails.
+        every: keep every n-th frame.
     """
 
     roads: int = 25
@@ -45,17 +45,17 @@ class CollectionPlan:
 
 
 def training_roads(plan: CollectionPlan) -> list[Road]:
-    """The roads of a plan, valid in both directions; the same seed gives the same roads."""
+    """Generate the roads of a plan, valid in both directions; the same seed gives the same roads."""
     return roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)
 
 
 def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
-    """Random roads that are valid in both directions; the same seed gives the same roads."""
+    """Generate random roads that are valid in both directions; the same seed gives the same roads."""
     rng = np.random.default_rng(seed)
     roads: list[Road] = []
     while len(roads) < count:
         road = generate(rng, max_angle=max_angle)
-        # The edge of a sharp bend may fold in one direction only, since it is drawn sample by sample.
+        # The edge of a sharp bend is built sample by sample, so it may fold in one direction only.
         if road.reversed().validity.valid:
             roads.append(road)
     return roads
@@ -77,7 +77,13 @@ class _Job:
 
 
 def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
-    """Drive every road; a drive whose file exists is not driven again, so that a stopped collection goes on.
+    """Drive every road; skip drives whose file exists, so a stopped collection resumes.
+
+    Args:
+        plan: settings of the collection.
+        simulators: names of the simulators to drive on.
+        folder: folder of the data set, created if missing.
+        progress: called after each drive.
 
     Raises:
         ds_driver.data.dataset.DatasetError: the folder holds drives of another plan.
@@ -107,12 +113,12 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
 
 @cache
 def _simulator(name: str) -> Simulator:
-    """One per worker: they take a while to make."""
+    """Create a simulator once per worker, as this takes seconds."""
     return make_simulator(name)
 
 
 def _collect(job: _Job) -> str:
-    """Drive one road and write its file; what a person wants to read of it."""
+    """Drive one road and write its file; return a line for the user."""
     simulator = _simulator(job.simulator)
     rng = np.random.default_rng([job.plan.seed, job.index, job.direction == "reverse", crc32(job.simulator.encode())])
     rows, outcome = _drive(simulator, job.road, rng, job.plan)
@@ -125,7 +131,7 @@ def _collect(job: _Job) -> str:
 def _drive(
     simulator: Simulator, road: Road, rng: np.random.Generator, plan: CollectionPlan
 ) -> tuple[list[dict[str, object]], Outcome]:
-    """One drive: the autopilot's answer to every frame as label, its disturbed answer to the vehicle."""
+    """Drive a road with disturbed autopilot commands; label each frame with the undisturbed one."""
     gains = simulator.spec.autopilot
     autopilot = Autopilot(gains)
     observation = simulator.load(road, seed=int(rng.integers(2**31)))
@@ -143,7 +149,7 @@ def _drive(
                     "step": observation.step,
                 }
             )
-        # A push of random strength that comes about every second second and lasts about half of one.
+        # A push of random strength, about every two seconds for about half a second.
         if rng.random() < 0.025:
             push = float(rng.uniform(-plan.disturbance, plan.disturbance))
         elif rng.random() < 0.1:

@@ -1,4 +1,4 @@
-"""Image rows that networks do not see, for each simulator of a data set."""
+"""Finds the crop of each simulator in a data set."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from ds_driver.networks.preprocessing import Crop
 from ds_sim.registry import received_simulator, spec_of
 
 TRUST = "--trust"
-"""Option with which a user confirms code that a file names."""
+"""Command line option that confirms code named by a file."""
 
 
 def crops_of(data: Path, names: Iterable[str], *, trusted: Collection[str] = ()) -> dict[str, Crop]:
-    """Rows to cut off for each name in a data set: the simulator's own, none of a recording, which is whole.
+    """Return the crop for each name in a data set: that of the simulator, or none for recordings.
 
     Args:
         data: folder of the data set.
-        names: simulators that its samples name.
-        trusted: simulators of the user's own whose code may run.
+        names: names of simulators or recordings in its samples.
+        trusted: user-provided simulators whose code may run.
 
     Raises:
-        ds_sim.registry.UnknownSimulatorError: a name is neither a simulator's nor a recording's.
-        ds_sim.registry.UntrustedSimulatorError: a name is code that is neither shipped nor trusted.
+        ds_sim.registry.UnknownSimulatorError: a name denotes neither a simulator nor recordings.
+        ds_sim.registry.UntrustedSimulatorError: a name denotes code that is neither shipped nor trusted.
     """
     recorded = imported_names(data)
     return {
@@ -33,6 +33,6 @@ def crops_of(data: Path, names: Iterable[str], *, trusted: Collection[str] = ())
 
 
 def simulator_crop(name: str) -> Crop:
-    """Rows that a network does not see on a simulator."""
+    """Return the crop for the images of a simulator."""
     spec = spec_of(name)
     return Crop(spec.crop_top, spec.crop_bottom)

@@ -1,4 +1,4 @@
-"""Data sets on disk: one Parquet file per drive with JPEG images inside, readable with pandas, Arrow or DuckDB."""
+"""Reads and writes data sets: one Parquet file with JPEG images per drive, readable by pandas, Arrow or DuckDB."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ds_driver.networks.preprocessing import ImageError
 
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 MOST_UNEQUAL = 2.0
-"""Images of the simulator with the most over those of the one with the least; chosen: more means that drives failed."""
+"""Largest ratio between the numbers of images of two simulators; chosen: a larger one means that drives failed."""
 IMPORTED = "imported.json"
-"""In the folder of a name that stands for recordings."""
+"""File that marks the folder of imported recordings."""
 SCHEMA = pa.schema(
     [
         ("image", pa.binary()),
@@ -33,22 +33,20 @@ SCHEMA = pa.schema(
         ("direction", pa.string()),
     ]
 )
-"""image: JPEG of (160, 320, 3) RGB; steering: the autopilot's label in [-1, 1], or what was recorded; speed: m/s;
-lateral_position: m, null in a recording, as is the throttle."""
-
-
+"""image: JPEG of (160, 320, 3) RGB; steering: label of the autopilot in [-1, 1], or recorded; speed: m/s;
+lateral_position: m; recordings have neither throttle nor lateral position."""
 LARGEST_FILE = 2**30
-"""Bytes of one drive's file; chosen: a drive of 2000 frames has 20 MiB."""
+"""Largest file of a drive, bytes; chosen: a drive of 2000 frames has 20 MiB."""
 LARGEST_DATASET = 8 * 2**30
-"""Bytes of all images together, which training holds in memory; chosen: five times the paper's data."""
+"""Largest size of all images, which training holds in memory, bytes; chosen: five times the paper's data."""
 MOST_ROWS = 1_000_000
-"""Rows of one drive."""
+"""Largest number of rows of a drive."""
 LONGEST_NAME = 4096
-"""Characters of a simulator's name, which may hold a path, or of a road's id."""
+"""Longest name of a simulator, which may contain a path, or road id, characters."""
 
 
 class DatasetError(ValueError):
-    """Data set that cannot be used."""
+    """The data set cannot be used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +56,8 @@ class Sample:
     Attributes:
         jpeg: JPEG of (160, 320, 3) RGB.
         steering: label in [-1, 1].
-        simulator: name of its simulator, or of the recordings it comes from.
-        road_id: road on which it was taken.
+        simulator: name of the simulator or of the recordings.
+        road_id: id of the road, or of a block of a recording.
     """
 
     jpeg: bytes
@@ -81,15 +79,15 @@ def decode(jpeg: bytes) -> NDArray[np.uint8]:
 
 
 def drive_path(folder: Path, simulator: str, road_id: str, direction: str) -> Path:
-    """Path of the file of one drive."""
+    """Return the path of the file of one drive."""
     return folder / simulator / f"{road_id}-{direction}.parquet"
 
 
 def keep_plan(folder: Path, plan: dict[str, object]) -> None:
-    """Store the plan with which a data set is collected.
+    """Store the plan of a data set, or compare it with the stored one.
 
     Raises:
-        DatasetError: the folder was begun with another plan.
+        DatasetError: the folder holds drives of another plan.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
@@ -100,12 +98,12 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
 
 
 def keep_import(folder: Path, name: str, about: dict[str, object]) -> None:
-    """Store that images under a name come from recordings, uncropped, and not from a simulator of that name."""
+    """Mark a name as imported recordings, whose images are not cropped."""
     (folder / name / IMPORTED).write_text(json.dumps(about, indent=1) + "\n")
 
 
 def imported_names(folder: Path) -> set[str]:
-    """Names in a data set that stand for recordings instead of simulators."""
+    """Return the names in a data set that denote recordings instead of simulators."""
     return {path.parent.name for path in folder.glob(f"*/{IMPORTED}")}
 
 
@@ -121,8 +119,8 @@ def read_samples(folder: Path) -> list[Sample]:
     """Read every sample of a data set, ordered by simulator, road, direction and step.
 
     Raises:
-        DatasetError: nothing there, a file of another program or with other types, an image missing or cut, a label
-            out of range, a number that is not finite, or more than `LARGEST_DATASET`.
+        DatasetError: there are no drives, a file is damaged or has another schema, an image is missing or truncated, a
+            label is out of range, a number is not finite, or the data set exceeds `LARGEST_DATASET`.
     """
     files = sorted(folder.glob("*/*.parquet"))
     if not files:
@@ -133,7 +131,7 @@ def read_samples(folder: Path) -> list[Sample]:
         table = read_drive(file)
         size += int(table.nbytes)
         if size > LARGEST_DATASET:
-            raise DatasetError(f"{folder} has more than {LARGEST_DATASET // 2**30} GiB of images: divide it")
+            raise DatasetError(f"{folder} has more than {LARGEST_DATASET // 2**30} GiB of images: split it")
         columns = (table[name].to_pylist() for name in ("image", "steering", "simulator", "road_id"))
         samples += [
             Sample(jpeg=jpeg, steering=label, simulator=simulator, road_id=road_id)
@@ -143,7 +141,7 @@ def read_samples(folder: Path) -> list[Sample]:
 
 
 def read_drive(file: Path) -> pa.Table:
-    """Read and check the file of one drive; columns `image`, `steering`, `simulator` and `road_id`.
+    """Read and check the file of one drive; return the columns `image`, `steering`, `simulator` and `road_id`.
 
     Raises:
         DatasetError: see `read_samples`.
@@ -157,7 +155,7 @@ def read_drive(file: Path) -> pa.Table:
             table.validate(full=True)
     except DatasetError:
         raise
-    except Exception as error:  # a damaged file raises whatever its reader stumbles on
+    except Exception as error:  # damaged files make the reader raise arbitrary errors
         text = (" ".join(str(error).split()) or type(error).__name__)[:200]
         raise DatasetError(f"{file} cannot be read ({text}): collect it again") from None
     for name in ("steering", "throttle", "speed", "lateral_position"):
@@ -182,25 +180,25 @@ def read_drive(file: Path) -> pa.Table:
 
 
 def _is_like(found: pa.DataType, expected: pa.DataType) -> bool:
-    """Whether a column is of a type, in any width: pandas and others write wider ones."""
+    """Check the type of a column, of any width, as pandas and others write wider types."""
     kinds = (
         (pa.types.is_binary, pa.types.is_large_binary),
         (pa.types.is_string, pa.types.is_large_string),
         (pa.types.is_floating,),
         (pa.types.is_integer,),
     )
-    return any(any(k(found) for k in kind) and any(k(expected) for k in kind) for kind in kinds)
+    return any(any(is_kind(found) for is_kind in kind) and any(is_kind(expected) for is_kind in kind) for kind in kinds)
 
 
 def _check_schema(file: Path, parquet: pq.ParquetFile) -> None:
-    """Refuse other columns or types, and sizes beyond the limits, before anything is decompressed."""
+    """Check columns, types and sizes before anything is decompressed."""
     found = parquet.schema_arrow
     for name in ("image", "steering", "simulator", "road_id"):
         if found.names.count(name) != 1:
             raise DatasetError(f"{file} has no column {name}: collect it again")
     for field in found:
         if found.names.count(field.name) != 1 or field.name not in SCHEMA.names:
-            raise DatasetError(f"{file} has a column {field.name!r:.60} that no data set has: collect it again")
+            raise DatasetError(f"{file} has an unknown column {field.name!r:.60}: collect it again")
         expected = SCHEMA.field(field.name).type
         if not _is_like(field.type, expected):
             kind = f"{field.type}"[:60]
@@ -214,7 +212,7 @@ def _check_schema(file: Path, parquet: pq.ParquetFile) -> None:
 
 
 def check_equal(samples: list[Sample]) -> None:
-    """Refuse a data set in which one simulator is too rare to balance it by leaving images out.
+    """Refuse a data set in which a simulator has too few images to balance it.
 
     Raises:
         DatasetError: one has less than half the images of another.
@@ -228,12 +226,12 @@ def check_equal(samples: list[Sample]) -> None:
 
 
 def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | None = None) -> list[Sample]:
-    """The same number of samples from every simulator (paper 3.2.2), drawn without replacement.
+    """Draw the same number of samples from every simulator (paper 3.2.2), without replacement.
 
     Args:
         samples: samples, any number per simulator.
         rng: generator that draws the samples.
-        limit: samples per simulator at most.
+        limit: largest number of samples per simulator.
     """
     by_simulator: dict[str, list[Sample]] = {}
     for sample in samples:
@@ -247,7 +245,7 @@ def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | Non
 
 
 def write_manifest(folder: Path, about: dict[str, object]) -> None:
-    """Write `manifest.json`: how the data set was made, and the histogram of its steering."""
+    """Write `manifest.json`: the given facts, image counts and steering histograms."""
     edges = np.linspace(-1.0, 1.0, 11)
     counts: dict[str, int] = {}
     histograms: dict[str, list[int]] = {}

@@ -1,4 +1,4 @@
-"""Recorded drives of a real car, or anybody's bags, as a data set to train on beside the simulators' (paper 3.2.2)."""
+"""Imports recorded drives, such as those of a real car, into a data set for training (paper 3.2.2)."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from ds_sim.camera.jpeg import encode
 from ds_sim.registry import SIMULATORS, label_of
 
 BLOCK = 100
-"""Frames that are trained on or held out together; chosen: 5 s at 20 Hz. Neighbours look alike, and one in each part
-would make the validation too easy."""
+"""Frames that are used together for training or for validation; chosen: 5 s at 20 Hz. Consecutive frames look alike,
+so splitting them would make the validation too easy."""
 DIRECTION = "recorded"
 UNFINISHED = ".importing"
-"""Where an import grows in the data set, deeper than what is read of one; it appears whole or not at all."""
+"""Folder of an unfinished import, which readers of data sets ignore; an import appears whole or not at all."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """What became of some recordings.
+    """Result of an import.
 
     Attributes:
-        name: that stands in place of a simulator's.
-        images: with a label, now in the data set.
-        unlabelled: without a steering, left out.
-        files: of the data set.
+        name: name of the recordings, in place of a simulator's.
+        images: number of labelled images, now in the data set.
+        unlabelled: number of images without steering, which are left out.
+        files: number of files written.
     """
 
     name: str
@@ -41,15 +41,15 @@ class Imported:
 def import_recordings(
     recordings: list[Recording], out: Path, name: str, progress: Callable[[int, int, str], None]
 ) -> Imported:
-    """Write recordings into a data set, under a name of their own beside the simulators.
+    """Write recordings into a data set under a name of their own.
 
-    The images are brought to (160, 320, 3) RGB and are whole: nothing is cropped from them in training.
+    Images are resized to (160, 320, 3) RGB; training does not crop them.
 
     Args:
         recordings: bags or tubs.
-        out: folder of a data set, new or with simulators' drives.
-        name: to train and report under.
-        progress: told after every recording.
+        out: folder of a data set, new or with drives on simulators.
+        name: name of the recordings in training and reports.
+        progress: called after each recording.
 
     Raises:
         DatasetError: the name is taken, an image is damaged, or nothing has a label.

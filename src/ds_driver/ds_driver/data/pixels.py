@@ -1,4 +1,4 @@
-"""Anybody's camera images as the (160, 320, 3) RGB that our networks take."""
+"""Converts camera images of any encoding and size to (160, 320, 3) RGB."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 Pixels = NDArray[np.uint8]
 MAX_PIXELS = 2**26
-"""Pixels of one image; chosen: 8192 x 8192, more than any camera on a vehicle has."""
+"""Largest number of pixels of an image; chosen: 8192 x 8192, more than any vehicle camera has."""
 _TO_RGB = {
     "rgb8": (3, None),
     "8UC3": (3, cv2.COLOR_BGR2RGB),
@@ -25,21 +25,21 @@ _TO_RGB = {
     "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
     "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
 }
-"""sensor_msgs/image_encodings -> bytes per pixel and OpenCV's conversion; yuv422 is UYVY there."""
+"""sensor_msgs/image_encodings -> bytes per pixel and OpenCV conversion; `yuv422` means UYVY."""
 
 
 def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int) -> Pixels:
-    """The image of a `sensor_msgs/Image`, (height, width, 3) uint8 RGB.
+    """Convert the data of a `sensor_msgs/Image` to (height, width, 3) uint8 RGB.
 
     Args:
         data: (n,) bytes.
-        encoding: as `sensor_msgs/image_encodings` names it.
-        height: rows.
-        width: columns.
-        step: bytes from one row to the next.
+        encoding: name in `sensor_msgs/image_encodings`.
+        height: number of rows.
+        width: number of columns.
+        step: bytes from one row to the next; 0 for rows without padding.
 
     Raises:
-        ImageError: an encoding that is not known here, or a size that does not fit.
+        ImageError: the encoding is unknown, or the size does not match the data or the encoding.
     """
     if encoding not in _TO_RGB:
         raise ImageError(f"image of encoding {encoding!r}, expected one of {', '.join(_TO_RGB)}")
@@ -49,14 +49,16 @@ def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int) -
         raise ImageError(f"image of {width} x {height} px, {step} bytes a row and {data.size} bytes: does not fit")
     rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, : width * channels])
     image = rows.reshape(height, width, channels) if channels > 1 else rows
+    if channels == 2 and width % 2:
+        raise ImageError(f"image of {width} x {height} px: {encoding} needs an even width")
     return image if conversion is None else np.asarray(cv2.cvtColor(image, conversion), np.uint8)
 
 
 def rgb_of_file(data: bytes) -> Pixels:
-    """Decode the bytes of a JPEG or PNG, to (height, width, 3) uint8 RGB.
+    """Decode a JPEG or PNG file to (height, width, 3) uint8 RGB.
 
     Raises:
-        ImageError: the bytes are damaged, of another format, or of an image of more than `MAX_PIXELS`.
+        ImageError: the file is damaged, in another format, or has more than `MAX_PIXELS` pixels.
     """
     size = _declared_size(data)
     if size is not None and size[0] * size[1] > MAX_PIXELS:
@@ -71,7 +73,7 @@ def rgb_of_file(data: bytes) -> Pixels:
 
 
 def _declared_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height by the header of a JPEG or PNG, before memory is taken for them; None for anything else."""
+    """Read width and height from the header of a JPEG or PNG, before decoding; None for other formats."""
     if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     if data[:2] != b"\xff\xd8":
@@ -94,17 +96,17 @@ def _declared_size(data: bytes) -> tuple[int, int] | None:
 
 
 def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels:
-    """Cut and resize an image to (160, 320, 3).
+    """Crop and resize an image to (160, 320, 3).
 
-    Without `rows` the shape of things is kept: of an image that is taller than 1:2 the lower part is taken, as the
-    road is there, of a wider one the middle.
+    Without `rows` the aspect ratio is kept: of images taller than 1:2 the lower part is used, which shows the road, of
+    wider ones the middle.
 
     Args:
         image: (rows, columns, 3) uint8 RGB.
-        rows: first row to keep, and the one after the last; counted from the top.
+        rows: first row to keep and the row after the last one, counted from the top.
 
     Raises:
-        ImageError: there are no such rows.
+        ImageError: the image does not have these rows.
     """
     height, width = image.shape[:2]
     if rows is not None:

@@ -1,4 +1,4 @@
-"""Recorded camera images with the steering that went with them: our bags, a real car's, Donkey Car tubs."""
+"""Reads camera images and steering from recordings: bags of this project, other bags, Donkey Car tubs."""
 
 from __future__ import annotations
 
@@ -24,23 +24,26 @@ from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.registry import received_simulator, spec_of
 
 NEAR = 0.1
-"""s that an image and a steering value may be apart in someone else's bag; chosen: two frames at 20 Hz."""
+"""Largest time between an image and its steering value in other bags, s; chosen: two frames at 20 Hz."""
 MAX_IMAGE_FILE = 64 * 2**20
-"""Bytes of one image of a tub."""
+"""Largest image file of a tub, bytes."""
+_PROJECT_BAG = "bag of ours"
+"""Kind of a bag of this project; existing data sets store this text."""
 Truth = Literal["recorded", "autopilot"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """How a recording is to be read.
+    """Settings for reading a recording.
 
     Attributes:
         camera: topic of the images; None if there is only one.
-        steering: topic and field of the steering, such as `/cmd:drive.steering_angle`; None for our own commands.
-        factor: that makes of it a steering from -1 full left to +1 full right.
-        rows: of the images that are kept, see `ds_driver.data.pixels.fit_to_network`.
-        truth: what a driver is compared with: the recorded steering, or the autopilot's (bags of this project).
-        trusted: simulators of the user's own whose code may run.
+        steering: topic and field of the steering, such as `/cmd:drive.steering_angle`; None for the
+            commands in a bag of this project or a tub.
+        factor: converts the field to steering, -1 full left to +1 full right.
+        rows: image rows to keep, see `ds_driver.data.pixels.fit_to_network`.
+        truth: reference for a driver: the recorded steering, or the autopilot's (bags of this project).
+        trusted: user-provided simulators whose code may run.
     """
 
     camera: str | None = None
@@ -56,12 +59,12 @@ class RecordedFrame:
     """One recorded image.
 
     Attributes:
-        index: of the image in its recording.
-        seconds: since the first image.
+        index: index of the image in its recording.
+        seconds: time since the first image.
         image: (160, 320, 3) uint8 RGB; None if it cannot be read.
-        steering: to compare with, -1 full left to +1 full right, or None.
-        speed: m/s, 0 where the recording does not say.
-        trouble: why there is no image.
+        steering: reference steering, -1 full left to +1 full right, or None.
+        speed: speed of the vehicle, m/s; 0 if not recorded.
+        trouble: reason why there is no image.
     """
 
     index: int
@@ -74,14 +77,14 @@ class RecordedFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """A bag or tub whose images can be read, again and again.
+    """Bag or tub whose images can be read any number of times.
 
     Attributes:
-        path: of it.
-        group: recordings of one group are pooled: the simulator of a bag of ours, else the recording's own name.
-        kind: `bag of ours`, `bag` or `tub`.
-        crop: what a network need not see.
-        reading: how it is read.
+        path: folder of the recording.
+        group: name under which recordings are pooled: the simulator for a bag of this project, else the folder's name.
+        kind: `_PROJECT_BAG`, `bag` or `tub`.
+        crop: image rows hidden from networks.
+        reading: settings for reading.
     """
 
     path: Path
@@ -91,35 +94,35 @@ class Recording:
     reading: Reading
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """Every image in its order.
+        """Iterate over the images in order.
 
         Raises:
-            ds_bags.layout.BagError: it is damaged, or has no such topic.
+            ds_bags.layout.BagError: the recording is damaged, or has no such topic.
         """
         return _tub_frames(self) if self.kind == "tub" else _bag_frames(self)
 
 
 def open_recording(path: Path, reading: Reading) -> Recording:
-    """Find out what a folder is.
+    """Open a bag or a tub.
 
     Raises:
-        ds_bags.layout.BagError: neither a bag nor a tub, or it has no images.
+        ds_bags.layout.BagError: the folder is neither a bag nor a tub, or has no images.
     """
     if is_tub(path):
         if reading.truth == "autopilot":
-            raise BagError(f"{path} is a tub: what the autopilot would do is known for bags of ours alone")
+            raise BagError(f"{path} is a tub: the autopilot's commands are known only for bags of this project")
         return Recording(path=path, group=path.resolve().name, kind="tub", crop=Crop(), reading=reading)
     with BagReader(path) as bag:
         _camera(bag, reading)
-        ours = "simulator" in bag.facts and bool(bag.of_type(STATE))
-        if not ours and reading.truth == "autopilot":
-            raise BagError(f"{path} is no bag of ours: what the autopilot would do is known for those alone")
-        if not ours:
+        is_project_bag = "simulator" in bag.facts and bool(bag.of_type(STATE))
+        if not is_project_bag and reading.truth == "autopilot":
+            raise BagError(f"{path} is no bag of this project: the autopilot's commands are known only for those")
+        if not is_project_bag:
             return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
         name = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
         spec = spec_of(name)
         crop = Crop(spec.crop_top, spec.crop_bottom)
-        return Recording(path=path, group=name, kind="bag of ours", crop=crop, reading=reading)
+        return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=crop, reading=reading)
 
 
 def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
@@ -187,7 +190,7 @@ class _Labels:
     Args:
         steering: time in ns -> value.
         speed: time in ns -> m/s.
-        exact: only the value of the very time counts.
+        exact: use only values with the same time, instead of the nearest within `NEAR`.
     """
 
     def __init__(self, steering: dict[int, float], speed: dict[int, float], *, exact: bool) -> None:
@@ -197,7 +200,7 @@ class _Labels:
         self._times = np.array(sorted(steering), dtype=np.int64)
 
     def at(self, time: int) -> tuple[float | None, float]:
-        """Steering, or None, and speed at a time."""
+        """Return steering, or None, and speed at a time in ns."""
         if self._exact or not self._times.size:
             return self._steering.get(time), self._speed.get(time, 0.0)
         after = int(np.searchsorted(self._times, time))
@@ -208,20 +211,18 @@ class _Labels:
 def _labels(bag: BagReader, recording: Recording) -> _Labels:
     if recording.reading.steering is not None:
         return _Labels(_field(bag, recording.reading), {}, exact=False)
-    if recording.kind != "bag of ours":
+    if recording.kind != _PROJECT_BAG:
         return _Labels({}, {}, exact=True)
     recorded = read_run(bag, trusted=recording.reading.trusted)
-    speed = {t: seen.vehicle.speed for t, seen in zip(recorded.stamps, recorded.run.observations, strict=True)}
+    observations = recorded.run.observations
+    speed = {stamp: o.vehicle.speed for stamp, o in zip(recorded.stamps, observations, strict=True)}
     if recording.reading.truth == "autopilot":
         pilot = Autopilot(spec_of(recorded.simulator).autopilot)
-        told = [
-            pilot.command(seen.lane.preview_lateral_position, seen.vehicle.speed).steering
-            for seen in recorded.run.observations
-        ]
+        steering = [pilot.command(o.lane.preview_lateral_position, o.vehicle.speed).steering for o in observations]
     else:
-        told = [command.steering for command in recorded.run.commands]
-    # The last frame of a run is not answered any more.
-    return _Labels(dict(zip(recorded.stamps, told, strict=False)), speed, exact=True)
+        steering = [command.steering for command in recorded.run.commands]
+    # The last frame of a run has no command.
+    return _Labels(dict(zip(recorded.stamps, steering, strict=False)), speed, exact=True)
 
 
 def _field(bag: BagReader, reading: Reading) -> dict[int, float]:

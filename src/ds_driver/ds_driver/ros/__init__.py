@@ -1,1 +1,1 @@
-"""The nodes that drive."""
+"""ROS nodes of the drivers."""

@@ -1,4 +1,4 @@
-"""Reference driver as a node: it reads the lane state instead of the camera (paper, equation 1)."""
+"""Runs the reference driver as a node, which steers by the lane state instead of images (paper, equation 1)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import AutopilotGains, Command
 
 ASK = -1.0
-"""Value of a gain that asks the simulator."""
+"""Value of a gain parameter that asks the simulator."""
 GAINS = (
     ("proportional", 0.0, 100.0, "On the lateral position, 1/m (K_P)"),
     ("derivative", 0.0, 100.0, "On its difference from frame to frame, 1/m (K_D)"),
@@ -29,15 +29,15 @@ GAINS = (
     ("max_speed", 1.0, 200.0, "Threshold and K = H of equation 2, km/h"),
     ("min_speed", 1.0, 200.0, "K = L of equation 2, km/h"),
 )
-"""Name, bounds and meaning of the gains of equations 1 and 2; the bounds keep out typing errors."""
+"""Name, bounds and meaning of the gains of equations 1 and 2; the bounds catch typing errors."""
 
 
 class AutopilotNode(Node):
-    """Drives one simulator or several by the lateral position, with gains for which it asks before each run."""
+    """Drives one or more simulators by the lateral position; asks them for the gains before each run."""
 
     def __init__(self) -> None:
         super().__init__("autopilot")
-        self._namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
+        self._namespaces = declare(self, "namespaces", [""], 'Namespaces of the simulators; "" is the node\'s own.')
         count, rest = len(self._namespaces), ", one for each namespace; -1 asks the simulator."
         columns = {
             name: declare(self, name, [ASK] * count, about + rest, low=ASK, high=high, length=count)
@@ -49,7 +49,7 @@ class AutopilotNode(Node):
                     raise ValueError(f"parameter {name} is {value}: expected at least {low:g}, or -1")
         self._given = [{name: values[i] for name, values in columns.items()} for i in range(count)]
         self._gains: list[AutopilotGains | None] = [None] * count
-        purpose = "for the autopilot's gains (the parameters of the gains do without)"
+        purpose = "for the autopilot's gains (not needed if the gains are parameters)"
         self._info = SimulatorInfo(self, self._namespaces, purpose, self._on_info)
         self._simulators = []
         for index, (namespace, given) in enumerate(zip(self._namespaces, self._given, strict=True)):
@@ -68,7 +68,7 @@ class AutopilotNode(Node):
         self._use(index, replace(gains_of(info), **given), f"from {info.name}")
 
     def _use(self, index: int, gains: AutopilotGains, source: str) -> None:
-        """Drive a simulator with gains, and log them when they change."""
+        """Drive a simulator with the given gains, and log them when they change."""
         if gains != self._gains[index]:
             name = self._namespaces[index] or self.get_namespace()
             shown = ", ".join(f"{key} {value:g}" for key, value in asdict(gains).items())

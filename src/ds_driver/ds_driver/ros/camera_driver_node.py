@@ -1,4 +1,4 @@
-"""Our network on someone's stack: any camera's images in, the messages that the vehicle understands out."""
+"""Runs a network on another ROS stack: any camera's images in, the vehicle's command messages out."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import MAX_SPEED, Command
 
 MAX_CROP = 152
-"""Rows; of 160, the eight that `Crop` wants to be left."""
+"""Largest number of cropped rows; `Crop` leaves at least eight of 160."""
 
 
 class CameraDriver(Node):
-    """Answers each image of one camera; needs nothing of a simulator, and no `state`."""
+    """Answers each image of one camera; needs neither a simulator nor its `state`."""
 
     def __init__(self) -> None:
         super().__init__("camera_driver")
@@ -49,14 +49,14 @@ class CameraDriver(Node):
         def drive(image: NDArray[np.uint8], speed: float) -> Command:
             return driver.command(image, speed, crop)
 
-        self._eyes = CameraSubscriber(
+        self._camera = CameraSubscriber(
             self, drive, sender, compressed=compressed, speed_from_odometry=speed_from == "odom"
         )
         self.get_logger().info(f"{network} answers images with {output}")
 
 
 def main() -> None:
-    """Run the driver until it is told to stop."""
+    """Run the driver until a signal stops it."""
     sys.exit(run_node(CameraDriver))
 
 

@@ -1,4 +1,4 @@
-"""A camera of any stack as a driver sees it: images of any encoding and size, speed from odometry or none."""
+"""Feeds a driver with the images of any camera, in any encoding and size, and the speed of the odometry."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from ds_driver.ros.latency_diagnostics import LatencyDiagnostics
 from ds_sim.simulator import Command
 
 Drive = Callable[[NDArray[np.uint8], float], Command]
-"""From an image (160, 320, 3) uint8 RGB and a speed in m/s to a command."""
+"""Maps an image, (160, 320, 3) uint8 RGB, and a speed in m/s to a command."""
 
 CAMERA_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Hears reliable and best-effort cameras alike, and never an old image (REP-2003)."""
+"""Matches reliable and best-effort cameras, and keeps only the newest image (REP-2003)."""
 
 
 class CameraSubscriber:
     """Subscribes to `camera/image_raw`, or to `camera/image_raw/compressed`, and answers each image.
 
     Args:
-        node: that owns the subscriptions.
-        drive: called once per image; a ValueError leaves it unanswered and is told in one line.
-        output: sends the answers.
+        node: node that owns the subscriptions.
+        drive: called once per image; a ValueError leaves the image unanswered and is logged in one line.
+        output: publishes the commands.
         compressed: subscribe to compressed images instead of raw ones.
         speed_from_odometry: subscribe to `odom`; otherwise the speed is 0.
     """

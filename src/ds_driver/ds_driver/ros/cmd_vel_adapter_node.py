@@ -1,4 +1,4 @@
-"""Converts the commands of a driver that knows only standard messages into `DriveCommand`s for a simulator."""
+"""Converts standard command messages of another stack's driver to `DriveCommand`s for a simulator."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ from ds_sim.ros.runtime import run_node
 class CmdVelAdapter(Node):
     """Subscribes to the commands of another stack, and answers each frame of the simulator in its namespace.
 
-    The simulator's `state` brings stamp and speed of each frame; `get_info` the vehicle's geometry.
+    Stamp and speed of each frame come from the simulator's `state`, the vehicle's geometry from `get_info`.
     """
 
     def __init__(self) -> None:
         super().__init__("cmd_vel_adapter")
-        name = declare(self, "message", "twist_stamped", "Message by which the driver drives.", choices=tuple(KINDS))
+        name = declare(self, "message", "twist_stamped", "Message type of the driver's commands.", choices=tuple(KINDS))
         about = "copied: a command's stamp is that of the image it answers; ignored: it answers the newest image."
         self._ignore = declare(self, "stamps", "copied", about, choices=("copied", "ignored")) == "ignored"
-        wheelbase = declare(self, "wheelbase", 0.0, "m; 0 asks the simulator.", low=0.0, high=100.0)
-        about = "At the wheels for full steering, rad; 0 asks the simulator."
+        wheelbase = declare(
+            self, "wheelbase", 0.0, "Wheelbase of the vehicle, m; 0 asks the simulator.", low=0.0, high=100.0
+        )
+        about = "Wheel angle at full steering, rad; 0 asks the simulator."
         angle = declare(self, "max_steering_angle", 0.0, about, low=0.0, high=1.5)
         self._kind = KINDS[name]
         self._geometry = Geometry(wheelbase, angle) if wheelbase and angle else None
@@ -42,7 +44,7 @@ class CmdVelAdapter(Node):
         self.create_subscription(VehicleState, "state", self._on_state, 5)
         self.create_subscription(message_type(self._kind), self._kind.topic, self._on_command, 5)
         if self._geometry is None:
-            purpose = "for the vehicle's geometry (parameters wheelbase and max_steering_angle do without)"
+            purpose = "for the vehicle's geometry (not needed with parameters wheelbase and max_steering_angle)"
             self._info = SimulatorInfo(self, [""], purpose, self._on_info)
             self._info.ask(0)
         self.get_logger().info(f"{self._kind.type_name} on {self._kind.topic} drives")
@@ -67,7 +69,7 @@ class CmdVelAdapter(Node):
         try:
             self._answer(self._matching.command(stamp, motion))
         except KeyError:
-            text = "command without effect: its stamp is of no open image; copy the image's, or set stamps:=ignored"
+            text = "command ignored: no unanswered image has its stamp; copy the image's stamp, or set stamps:=ignored"
             self.get_logger().warning(text, throttle_duration_sec=5.0)
 
     def _answer(self, pair: tuple[VehicleState, Motion | MotionError] | None) -> None:
@@ -77,7 +79,7 @@ class CmdVelAdapter(Node):
         header = Header(stamp=state.header.stamp, frame_id=state.header.frame_id)
         if isinstance(motion, MotionError):
             self.get_logger().warning(f"command refused: {motion}", throttle_duration_sec=1.0)
-            # An invalid command, so that the result of the run says why it ended.
+            # An invalid command, so that the result of the run states why it ended.
             self._drive.publish(DriveCommand(header=header, steering=math.nan, throttle=math.nan))
             return
         if motion.throttle is not None:

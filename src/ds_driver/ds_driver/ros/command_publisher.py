@@ -1,4 +1,4 @@
-"""Sends a driver's commands as the messages that a stack understands."""
+"""Publishes a driver's commands as `DriveCommand` or as another stack's messages."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ds_sim.simulator import Command
 
 DRIVE_COMMAND = "drive_command"
 OUTPUTS = (DRIVE_COMMAND, *KINDS)
-"""Messages by which a driver can drive, by the name that the parameter `output` has."""
+"""Values of the parameter `output`: names of the message types."""
 
 
 def message_type(kind: MessageKind) -> Any:
-    """The class of a message.
+    """Import the class of a message type.
 
     Raises:
         ValueError: its package is not installed.
@@ -33,14 +33,17 @@ def message_type(kind: MessageKind) -> Any:
 class CommandOutput:
     """Publishes commands as `DriveCommand`, or as another stack's message.
 
-    A throttle becomes a speed where the message wants one: the speed at which the paper's equation 2 asks for no more
-    throttle, top speed times the root of 1 - steering^2.
+    For messages with a speed, the throttle is replaced by the speed at which the paper's equation 2 gives throttle 0:
+    `max_speed` times the square root of 1 - steering^2.
 
     Args:
-        node: that owns the publisher.
+        node: node that owns the publisher.
         output: one of `OUTPUTS`.
-        geometry: of the vehicle; `DriveCommand` and `servo` do without.
-        max_speed: m/s at steering 0.
+        geometry: geometry of the vehicle; not needed for `DriveCommand` and `servo`.
+        max_speed: speed at steering 0, m/s.
+
+    Raises:
+        ValueError: the geometry is missing, or the package of the message is not installed.
     """
 
     def __init__(self, node: Node, output: str, geometry: Geometry | None, max_speed: float) -> None:
@@ -64,7 +67,7 @@ class CommandOutput:
         if self._kind.needs_throttle:
             motion = Motion(command.steering, throttle=command.throttle)
         else:
-            motion = Motion(command.steering, speed=wanted_speed(command.steering, self._max_speed))
+            motion = Motion(command.steering, speed=target_speed(command.steering, self._max_speed))
         message = self._type()
         self._kind.fill(part(message, self._kind.body), motion, self._geometry)
         if self._kind.stamp:
@@ -73,6 +76,6 @@ class CommandOutput:
         self._publisher.publish(message)
 
 
-def wanted_speed(steering: float, max_speed: float) -> float:
-    """The speed in m/s at which equation 2's throttle, 1 - steering^2 - (speed / max_speed)^2, comes to 0."""
+def target_speed(steering: float, max_speed: float) -> float:
+    """Compute the speed, m/s, at which equation 2's throttle, 1 - steering^2 - (speed / max_speed)^2, is 0."""
     return max_speed * math.sqrt(max(0.0, 1.0 - steering**2))

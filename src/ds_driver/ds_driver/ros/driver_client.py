@@ -1,4 +1,4 @@
-"""Plays a simulator towards a driver node: shows it recorded images one by one and waits for each answer."""
+"""Queries a driver node in place of a simulator: publishes recorded images one by one and waits for each answer."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from ds_sim.ros import conversions as messages
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import FRAME_TIME
 
-PATIENCE = 10.0
-"""s that a driver gets for one image: what `ds drive` gives it."""
+ANSWER_LIMIT = 10.0
+"""Longest wait for the answer to one image, s; as in `ds drive`."""
 REPEAT = 0.5
-"""s after which an unanswered image is sent again, as a simulator's node does."""
+"""Time after which an unanswered image is sent again, s; as in a simulator's node."""
 
 
 class NoDriverError(RuntimeError):
-    """No driver node takes images in the namespace."""
+    """No driver node subscribes to images in the namespace."""
 
 
 class DriverClient:
-    """Driver node as a function of frames; publishes and serves what it needs of a simulator.
+    """Calls a driver node as a function of frames; provides the topics and the service of a simulator.
 
     Args:
-        namespace: where the driver looks for a simulator.
+        namespace: namespace in which the driver expects a simulator.
     """
 
     def __init__(self, namespace: str) -> None:
@@ -49,7 +49,7 @@ class DriverClient:
         self._crop: Crop | None = None
 
     def wait_for_driver(self, limit: float = 20.0) -> None:
-        """Wait until a node takes images and gives commands.
+        """Wait until a node subscribes to images and publishes commands.
 
         Raises:
             NoDriverError: there is none within `limit` seconds.
@@ -61,14 +61,14 @@ class DriverClient:
             rclpy.spin_once(self._node, timeout_sec=0.05)
 
     def __call__(self, frame: RecordedFrame, crop: Crop) -> float | None:
-        """Steering of the node for one image, (160, 320, 3), or None if it does not answer in time.
+        """Return the node's steering for one image, (160, 320, 3), or None if it does not answer in time.
 
-        With another crop another run begins, before which the node asks for the crop.
+        A change of the crop begins another run, as the node asks for the crop only then.
         """
         assert frame.image is not None
         self._step = self._step + 1 if crop == self._crop else 0
         self._crop = crop
-        # Stamps never repeat, so a late answer to one image is none to the next.
+        # Stamps never repeat, so a late answer is not taken for the next image's.
         self._count += 1
         self._asked = Header(stamp=messages.to_time(1.0 + self._count * FRAME_TIME), frame_id="camera")
         self._answer = None
@@ -76,7 +76,7 @@ class DriverClient:
         image = Image(header=self._asked, height=rows, width=columns, encoding="rgb8", step=columns * channels)
         image.data = frame.image.tobytes()
         state = VehicleState(header=self._asked, step=self._step, speed=frame.speed)
-        deadline, again = time.monotonic() + PATIENCE, 0.0
+        deadline, again = time.monotonic() + ANSWER_LIMIT, 0.0
         while self._answer is None and time.monotonic() < deadline:
             if time.monotonic() >= again:
                 self._state.publish(state)

@@ -1,4 +1,4 @@
-"""Driver node: images in, a network's commands out, for one simulator or several."""
+"""Runs a network as a driver node for one or more simulators."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ ASK = -1
 
 
 class DriverNode(Node):
-    """Runs a network on images and speeds; of a simulator it knows only the crop, for which it asks before each run."""
+    """Drives one or more simulators with a network; asks each simulator for its crop before each run."""
 
     def __init__(self) -> None:
         super().__init__("driver")
         network = declare(self, "network", "dave2", "Shipped network, or what docs/bring_your_own_network.md names.")
-        about = "What computes the network."
+        about = "Backend that runs the network."
         backend = declare(self, "backend", "auto", about, choices=("auto", "torch", "onnx", "openvino"))
-        device = declare(self, "device", "cpu", "Where it is computed.", choices=("cpu", "cuda"))
-        self._namespaces = declare(self, "namespaces", [""], 'Of the simulators; "" is the node\'s own.')
+        device = declare(self, "device", "cpu", "Device that runs the network.", choices=("cpu", "cuda"))
+        self._namespaces = declare(self, "namespaces", [""], 'Namespaces of the simulators; "" is the node\'s own.')
         count = len(self._namespaces)
         about = "Image rows at the {} that the network does not see, one for each namespace; -1 asks the simulator."
         tops, bottoms = (
@@ -46,7 +46,7 @@ class DriverNode(Node):
         self._crops: list[Crop | None] = [None] * count
         self._driver = NetworkDriver(with_backend(network, backend, device))
         self._milliseconds: list[float] = []
-        purpose = "for the crop of its images (parameters crop_top and crop_bottom do without)"
+        purpose = "for the crop of its images (not needed with parameters crop_top and crop_bottom)"
         self._info = SimulatorInfo(self, self._namespaces, purpose, self._on_info)
         self._simulators = []
         for index, (namespace, crop) in enumerate(zip(self._namespaces, self._given, strict=True)):
@@ -61,11 +61,11 @@ class DriverNode(Node):
 
     def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
         pairs = zip(self._given[index], crop_of(info), strict=True)
-        top, bottom = (told if given == ASK else given for given, told in pairs)
+        top, bottom = (reported if given == ASK else given for given, reported in pairs)
         self._use(index, Crop(top, bottom), f"from {info.name}")
 
     def _use(self, index: int, crop: Crop, source: str) -> None:
-        """Drive a simulator with a crop, and log the crop when it changes."""
+        """Drive a simulator with the given crop, and log it when it changes."""
         if crop != self._crops[index]:
             name = self._namespaces[index] or self.get_namespace()
             rows = f"{crop.top} rows cut off at the top, {crop.bottom} at the bottom"
@@ -83,10 +83,10 @@ class DriverNode(Node):
         return answer
 
     def destroy_node(self) -> None:
-        """Print how long the answers took."""
+        """Print the latency of the answers."""
         if self._milliseconds:
             median, slow, longest = np.percentile(self._milliseconds, (50, 99, 100))
-            # By now ROS may be shut down, and its logger with it.
+            # ROS and its logger may be shut down by now.
             print(
                 f"{len(self._milliseconds)} frames answered: median {median:.1f} ms, 99 % within {slow:.1f} ms, "
                 f"longest {longest:.1f} ms",

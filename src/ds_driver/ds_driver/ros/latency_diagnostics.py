@@ -1,4 +1,4 @@
-"""Tells once a second, as diagnostics, how fast a driver answers."""
+"""Publishes a driver's latency as diagnostics once a second."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rclpy.node import Node
 from ds_driver.control.latency import Latency
 
 EVERY = 1.0
-"""Seconds between two reports, as diagnostic_updater has it."""
+"""Period of the reports, s; the default of diagnostic_updater."""
 
 
 class LatencyDiagnostics:
     """Publishes `latency` on `/diagnostics`.
 
     Args:
-        node: that drives.
+        node: node of the driver.
     """
 
     def __init__(self, node: Node) -> None:
@@ -24,9 +24,9 @@ class LatencyDiagnostics:
         self._node = node
         self._last = (0, 0)
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
-        node.create_timer(EVERY, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(EVERY, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         latency = self.latency
         answered, refused = latency.answered - self._last[0], latency.refused - self._last[1]
         self._last = (latency.answered, latency.refused)

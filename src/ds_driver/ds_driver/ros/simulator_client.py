@@ -1,4 +1,4 @@
-"""One simulator as a driver sees it: pairs each image with the state of the same step, and sends commands back."""
+"""Connects a driver to one simulator: pairs each image with the state of its step, and publishes commands."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ds_driver.networks.preprocessing import ImageError
 from ds_sim.simulator import Command
 
 Answer = Callable[[NDArray[np.uint8], VehicleState], Command]
-"""From an image (rows, columns, 3) uint8 RGB and the state of the same step to a command."""
+"""Maps an image, (rows, columns, 3) uint8 RGB, and the state of the same step to a command."""
 
 LOCKSTEP_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -27,13 +27,13 @@ LOCKSTEP_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 class SimulatorClient:
     """Subscribes to the camera and the state of one simulator and publishes the answer to each frame.
 
-    It appears in the ROS graph when it can answer, with the first call of `drive_with`.
+    Its topics appear in the ROS graph with the first call of `drive_with`, when it can answer.
 
     Args:
         node: node that owns the subscriptions.
-        namespace: of the simulator; "" for topics relative to the node's own.
-        on_start: called at the first frame of each run, which then waits for `drive_with`; None if every run is driven
-            by the same answer.
+        namespace: namespace of the simulator; "" for the node's own.
+        on_start: called at the first frame of each run, which then waits for `drive_with`; None to answer all runs
+            alike.
     """
 
     def __init__(self, node: Node, namespace: str, on_start: Callable[[], None] | None = None) -> None:
@@ -47,12 +47,12 @@ class SimulatorClient:
         self._start: Time | None = None
 
     def drive_with(self, answer: Answer) -> None:
-        """Answer frames from now on, a frame that waits included.
+        """Answer frames from now on, including one that is waiting.
 
         Args:
-            answer: called once per frame. A ValueError leaves the frame unanswered and is logged in one line. At a
-                DriverError, which would come again with every frame, an invalid command is sent, so that the result of
-                the run says so.
+            answer: called once per frame. A ValueError leaves the frame unanswered and is logged in one line. After a
+                DriverError, which would recur with every frame, an invalid command is published, so that the result
+                of the run states the cause.
         """
         self._answer = answer
         if self._drive is None:

@@ -1,4 +1,4 @@
-"""Asks simulators to describe themselves, and says for what a driver waits."""
+"""Asks simulators for their description, and logs what a driver waits for."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 ASK_EVERY = 0.5
-"""s between two requests; one to a process that has just died is never answered."""
+"""Time between two requests, s; a request to a process that has just died is never answered."""
 REPORT_EVERY = 30.0
-"""s between two lines that say what is missing."""
+"""Time between two log lines about missing answers, s."""
 LIMIT = 600.0
-"""s after which a driver that has found no simulator at all gives up; chosen: a coffee break before the simulators."""
+"""Time after which a driver that has found no simulator gives up, s; chosen: leaves time to start them by hand."""
 
 OnInfo = Callable[[int, GetSimulatorInfo.Response], None]
 
@@ -25,8 +25,8 @@ class SimulatorInfo:
 
     Args:
         node: node that owns the clients.
-        namespaces: of the simulators; "" for the node's own.
-        purpose: what the answer is for, and how to do without, for the log.
+        namespaces: namespaces of the simulators; "" for the node's own.
+        purpose: for the log: what the answer is for, and how to avoid the request.
         on_info: called with the index of the namespace and the answer.
     """
 
