@@ -1,4 +1,4 @@
-"""Options of the tests."""
+"""Command-line options of the tests."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import pytest
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--simulator module:Class` runs the conformance suite over that simulator alone; may be given again.
+    """Add `--simulator` and `--moments`.
 
-    `--moments 25` with `-m long` kills a campaign's processes that often; `python -m benchmarks.kill` prints a table.
+    `--simulator module:Class` runs the conformance suite on that simulator alone; it may be repeated. `--moments 25`
+    with `-m long` kills a campaign's processes 25 times; `python -m benchmarks.kill` prints a table.
     """
     parser.addoption("--simulator", action="append", default=[], help="simulator for the conformance suite")
     parser.addoption("--moments", type=int, default=7, help="moments at which a campaign's processes are killed")

@@ -26,7 +26,7 @@ def test_every_simulator_has_a_file_and_every_file_a_simulator() -> None:
 
 
 def test_the_one_driver_of_all_asks_every_simulator() -> None:
-    """Siblings in the order of the demo, then the twin, as the README starts them by hand; no crop is repeated."""
+    """Siblings in the order of the demo, then the twin, as the README starts them; no crop is repeated."""
     driver = yaml.safe_load((FOLDER.parent / "driver.yaml").read_text())["/driver"]["ros__parameters"]
     assert driver == {"network": "dave2_short", "namespaces": ["/ds1", "/ds2", "/twin"]}
 
@@ -43,7 +43,7 @@ LAUNCH_FILES = sorted((FOLDER.parents[1] / "launch").glob("*.launch.py"))
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name.partition(".")[0])
 def test_a_launch_ends_with_its_simulator(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With stand-ins for `launch`, which is not on PyPI; a campaign's simulators are started again instead."""
+    """With stand-ins for `launch`, which is not on PyPI; a campaign's simulators are restarted instead."""
     made: list[dict[str, Any]] = []
 
     class Anything:

@@ -1,4 +1,4 @@
-"""`ds` from outside: one JSON document on standard output, one line per problem, and the exit status."""
+"""`ds` as a command: one JSON document on standard output, one line per error, and the exit status."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """`ds` in this process, as its imports take longer than most verbs."""
+    """Run `ds` in this process, since its imports take longer than most verbs."""
     given = [str(argument) for argument in arguments]
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
@@ -43,13 +43,13 @@ def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def in_process(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """`ds` in a process of its own."""
+    """Run `ds` in a new process."""
     return subprocess.run([*DS, *map(str, arguments)], capture_output=True, text=True, timeout=120)
 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign of four roads on two siblings and a twin, the second and third of which fail everywhere."""
+    """A campaign of four roads on two siblings and a twin; the second and third road fail everywhere."""
     folder = tmp_path_factory.mktemp("campaign")
     raw = {"siblings": ["bullet", "softbody"], "twin": "donkey", "driver": "autopilot"}
     store = Store(folder / "campaign.sqlite", config=parse_config(raw, "here").identity())
@@ -278,7 +278,7 @@ def test_drive_answers_with_one_document_and_repeats_itself() -> None:
     assert first["simulated_seconds"] == pytest.approx(first["steps"] / 20)
 
 
-def test_a_tub_that_says_nothing_of_the_motion_is_refused(tmp_path: Path) -> None:
+def test_a_tub_without_motion_is_refused(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text('[]\n[]\n{}\n{}\n{"paths": ["catalog_0.catalog"], "deleted_indexes": []}')
     row = {"_index": 0, "_timestamp_ms": 5, "user/angle": 0.1, "user/throttle": 0.2}
     (tmp_path / "catalog_0.catalog").write_text(json.dumps(row))

@@ -1,4 +1,4 @@
-"""What can be known of the containers without an engine: their commands, names and paths fit the workspace."""
+"""Container files, checked without a container engine: commands, names and paths exist in the workspace."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_entry_point_finds_ros_and_the_verbs_in_an_empty_environment() -> No
     assert '"dave2"' in run("ds", "models", "--json")
 
 
-def test_the_image_starts_what_is_there() -> None:
+def test_the_image_starts_existing_files() -> None:
     text = (ROOT / "docker/Dockerfile").read_text()
     assert "FROM ros:jazzy\n" in text
     inside = text.split('ENTRYPOINT ["/opt/digital_siblings/')[1].split('"')[0]

@@ -1,4 +1,4 @@
-"""The documentation says what the code does: every block of the Python API runs, every key and error line exists."""
+"""The documentation matches the code: every block of the Python API runs, every key and error line exists."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DOCS = ROOT / "docs"
 
 @pytest.mark.timeout(600)
 def test_the_python_api_runs_as_written(tmp_path: Path) -> None:
-    """In a process where ROS cannot be imported; with shorter searches and a faster driver."""
+    """In a process in which ROS cannot be imported, with shorter searches and a faster driver."""
     blocks = re.findall(r"^```python\n(.*?)^```", (DOCS / "python_api.md").read_text(), re.MULTILINE | re.DOTALL)
     script = "import sys\nsys.modules['rclpy'] = None\n" + "\n".join(blocks)
     short = script
@@ -39,7 +39,7 @@ def test_the_python_api_runs_as_written(tmp_path: Path) -> None:
 
 
 def keys(model: type[BaseModel], prefix: str = "") -> dict[str, Any]:
-    """Every key of a configuration with its default, sections flattened."""
+    """List every key of a configuration with its default, sections flattened."""
     found: dict[str, Any] = {}
     for name, field in model.model_fields.items():
         default = field.get_default(call_default_factory=True)
@@ -56,7 +56,7 @@ def test_the_configuration_page_has_every_key_with_its_default() -> None:
 
 
 def test_the_lines_of_the_troubleshooting_page_are_lines_of_the_code() -> None:
-    """A heading's words between values (an ellipsis) stand together in some source file."""
+    """The words between the values of a heading (an ellipsis) occur together in some source file."""
     headings = re.findall(r"^### `(.*)`$", (DOCS / "troubleshooting.md").read_text(), re.MULTILINE)
     sources = [path.read_text() for folder in ("src", "tools") for path in (ROOT / folder).rglob("*.py")]
     joined = [re.sub(r'"\s*\n\s*f?"', "", text) for text in [*sources, (ROOT / "ds").read_text()]]

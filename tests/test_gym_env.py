@@ -1,4 +1,4 @@
-"""The Gymnasium environment: Gymnasium's own checker, episodes that end as the simulator's runs do, same bytes."""
+"""The Gymnasium environment: Gymnasium's checker, episodes that equal the simulator's runs, reproducible bytes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_gymnasiums_own_checker_has_no_complaint() -> None:
     env = gymnasium.make("DigitalSiblings-v0", simulator="donkey")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Its advice to scale every action to [-1, 1] is a matter of taste: a throttle has no negative half here.
+        # Its advice to scale every action to [-1, 1] does not apply: the throttle has no negative half.
         warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
         check_env(env.unwrapped)
     env.close()
@@ -54,7 +54,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_road(env: g
 
 
 def test_an_episode_is_the_run_of_the_simulator(env: gymnasium.Env) -> None:
-    """Fed with the reference run's commands, it passes through the same states, and the rewards sum up its progress."""
+    """Given the reference run's commands, it passes through the same states, and the rewards sum to its progress."""
     simulator = make_simulator("donkey")
     run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 5)
     simulator.close()
@@ -63,7 +63,7 @@ def test_an_episode_is_the_run_of_the_simulator(env: gymnasium.Env) -> None:
     for index, command in enumerate(run.commands):
         before, after = run.observations[index].lane, run.observations[index + 1].lane
         expected += (after.arc_length - before.arc_length) * (1 - abs(after.lateral_position) / 2.0)
-        # Past the wrappers, which want float32: the simulator computes with the numbers that it is given.
+        # Bypass the wrappers, which convert to float32: the simulator computes in float64.
         _, reward, terminated, truncated, info = env.unwrapped.step(np.array([command.steering, command.throttle]))
         total += float(reward)
         assert info["lateral_position"] == after.lateral_position

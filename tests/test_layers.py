@@ -1,4 +1,4 @@
-"""The science runs without ROS: only the files that are named here may import it."""
+"""Architecture of the packages: only folders named here import ROS, folders stay small, and nodes thin."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def imports(path: Path) -> set[str]:
 
 
 def modules() -> dict[str, Path]:
-    """Every module of every package, by its path below its package's folder."""
+    """List every module of every package, by its path below the package's folder."""
     return {"/".join(path.parts[2:]): path for path in Path("src").glob("*/ds_*/**/*.py")}
 
 

@@ -1,4 +1,4 @@
-"""Packages agree on one version and install their type information."""
+"""All packages have the same version and install their type information."""
 
 from __future__ import annotations
 

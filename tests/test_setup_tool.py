@@ -1,4 +1,4 @@
-"""Set-up's own logic: what it asks of the machine, when it does a step again, and that two never meet."""
+"""Logic of the set-up: system requirements, when a step is repeated, and the lock between two set-ups."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_another_compiler_than_gcc_will_do() -> None:
     assert machine.find_needs(python(), which=which) == []
 
 
-def test_a_user_who_is_not_root_is_told_to_use_sudo(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_for_a_user_who_is_not_root_uses_sudo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     assert machine.missing_line([Need("a C compiler", "gcc")]).endswith("Type: sudo apt-get install -y gcc")
 

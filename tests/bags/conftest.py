@@ -19,7 +19,7 @@ ROAD = Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)])
 
 
 def drive(frames: int = FRAMES, *, seed: int = 3) -> RunRecord:
-    """The autopilot on the twin, cut after so many frames."""
+    """Drive the twin with the autopilot, for a number of frames."""
     simulator = make_simulator("donkey")
     driver, session = make_driver("autopilot", simulator.spec), Session(simulator)
     observation = session.start(ROAD, seed)
@@ -38,7 +38,7 @@ def run() -> RunRecord:
 
 @pytest.fixture(scope="session")
 def bags(run: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a bag of each level, named after it; never written to by a test."""
+    """A folder with a bag of each level, named after it; tests must not write to it."""
     folder = tmp_path_factory.mktemp("bags")
     for level in LEVELS:
         write_bag(folder / level, "/twin", "donkey", run, {"driver": "autopilot"}, level)

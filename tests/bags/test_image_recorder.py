@@ -1,4 +1,4 @@
-"""Images taken from the graph, of a simulator that counts as somebody else's, are those that its driver saw."""
+"""Images recorded from the graph of a user-defined simulator equal those that its driver received."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.graph
 
 
 def test_a_subscribed_bag_has_every_image_bit_by_bit(tmp_path: Path) -> None:
-    """The twin under its class's name is not in the registry, so it is recorded and not driven again."""
+    """The twin under its class's name is not in the registry, so it is recorded instead of re-simulated."""
     road = Road([(125.0, 25.0 * i) for i in range(4)])
     (tmp_path / "road.json").write_text(json.dumps(road.control_points))
     bag = tmp_path / "bag"

@@ -1,4 +1,4 @@
-"""Recorded drives become a data set that training and RQ1 take, whole images and all."""
+"""Recorded drives become a data set for training and RQ1."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COUNT = 250
 
 @pytest.fixture
 def tub(tmp_path: Path) -> Path:
-    """A drive of 250 images of 160 x 120, brighter from one to the next; the last one without a steering."""
+    """A drive of 250 images of 160 x 120, each brighter than the one before; the last one without steering."""
     folder = tmp_path / "tub"
     (folder / "images").mkdir(parents=True)
     rows = []
@@ -45,7 +45,7 @@ def imported(tub: Path, out: Path, name: str = "car") -> Imported:
     return import_recordings([open_recording(tub, Reading())], out, name, lambda *_: None)
 
 
-def test_a_tub_is_a_part_of_a_data_set(tub: Path, tmp_path: Path) -> None:
+def test_a_tub_becomes_part_of_a_data_set(tub: Path, tmp_path: Path) -> None:
     assert imported(tub, tmp_path / "data") == Imported(name="car", images=COUNT - 2, unlabelled=1, files=3)
     samples = read_samples(tmp_path / "data")
     kept = [i for i in range(COUNT - 1) if i != 2]
@@ -58,7 +58,7 @@ def test_a_tub_is_a_part_of_a_data_set(tub: Path, tmp_path: Path) -> None:
     assert crops_of(tmp_path / "data", ["donkey"])["donkey"] != Crop()
 
 
-def test_what_cannot_be_imported_is_told_in_one_line(tub: Path, tmp_path: Path) -> None:
+def test_a_failed_import_is_reported_in_one_line(tub: Path, tmp_path: Path) -> None:
     for name in ("donkey", "../car", "my car", ".."):
         with pytest.raises(DatasetError, match=r"choose another --name$"):
             imported(tub, tmp_path / "data", name)
@@ -70,7 +70,7 @@ def test_what_cannot_be_imported_is_told_in_one_line(tub: Path, tmp_path: Path) 
     (tub / "images" / "7.png").write_bytes(b"\x89PNG cut")
     with pytest.raises(DatasetError, match=r"7\.png: an image is damaged, or neither JPEG nor PNG: remove that record"):
         imported(tub, tmp_path / "other")
-    assert not list((tmp_path / "other").glob("*/*.parquet"))  # nothing half
+    assert not list((tmp_path / "other").glob("*/*.parquet"))  # no incomplete file
     rows = [json.loads(line) for line in (tub / "catalog_0.catalog").read_text().splitlines()]
     for row in rows:
         row.pop("user/angle", None)

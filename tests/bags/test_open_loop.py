@@ -1,4 +1,4 @@
-"""A driver answers recorded images: none is lost, the errors are right, whoever recorded them."""
+"""Open-loop evaluation on recordings of any origin: no image is lost, and the errors are correct."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PICTURE = RNG.integers(0, 255, (30, 40, 3), dtype=np.uint8)
 
 
 def brightness(frame: RecordedFrame, crop: Crop) -> float:
-    """A driver whose answer anybody can work out."""
+    """Answer with a steering that is easy to compute by hand."""
     assert frame.image is not None and frame.image.shape == (160, 320, 3)
     return float(frame.image.mean()) / 255.0
 
@@ -71,7 +71,7 @@ def test_a_tub_is_read_with_its_sign_and_without_what_was_deleted(tub: Path) -> 
         read_tub(tub)
 
 
-def test_no_image_of_a_tub_is_lost_and_a_missing_one_is_told(tub: Path) -> None:
+def test_no_image_of_a_tub_is_lost_and_a_missing_one_is_reported(tub: Path) -> None:
     answers = evaluate_recording(open_recording(tub, Reading()), brightness)
     assert answers.index.tolist() == [0, 1, 3] and answers.images == 4
     np.testing.assert_allclose(answers.errors, [0.0, 50 / 255 - 0.1, 150 / 255 + 0.7], atol=0.003)
@@ -102,7 +102,7 @@ def _image(frame: RecordedFrame) -> Any:
 
 @pytest.fixture(params=["Image", "CompressedImage"])
 def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A real car's bag by another writer, in SQLite: a camera, and a command of a type that nobody here knows."""
+    """A real car's bag by another writer, in SQLite: a camera, and a command of an unknown type."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg("float32 angle", "my_car/msg/Wheel"))
     store.register(get_types_from_msg("std_msgs/Header header\nmy_car/Wheel wheel", "my_car/msg/Cmd"))
@@ -127,7 +127,7 @@ def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
                 data = cv2.imencode(".jpg", grey)[1].reshape(-1)
                 message = types["sensor_msgs/msg/CompressedImage"](header=header(time), format="jpeg", data=data)
             writer.write(camera, time, bytes(store.serialize_cdr(message, camera.msgtype)))
-            # The wheel speaks 20 ms later, and falls silent after the fourth image.
+            # The command comes 20 ms after the image, and there is none after the fourth image.
             if number < 4:
                 told = types["my_car/msg/Cmd"](
                     header=header(time + 20_000_000), wheel=types["my_car/msg/Wheel"](angle=-0.1 * number)
@@ -136,7 +136,7 @@ def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return tmp_path / "car"
 
 
-def test_anybody_s_bag_with_steering_from_any_field(foreign: Path) -> None:
+def test_a_foreign_bag_with_steering_from_any_field(foreign: Path) -> None:
     reading = Reading(steering="/cmd:wheel.angle", factor=-2.0)
     answers = evaluate_recording(open_recording(foreign, reading), brightness)
     np.testing.assert_allclose(answers.seconds, np.arange(6) * 0.2)
@@ -165,7 +165,7 @@ def test_a_bag_without_images_says_what_to_do(bags: Path) -> None:
     ],
 )  # fmt: skip
 def test_encodings_against_opencv_s_conversion_the_other_way(encoding: str, code: int | None) -> None:
-    """Rows are padded, as some drivers do; YUV with half the colour is compared on a picture of one colour a row."""
+    """Rows are padded, as by some drivers; subsampled YUV is compared on an image with one colour per row."""
     picture = PICTURE if "yuv" not in encoding else np.repeat(PICTURE[:, :1], 40, axis=1)
     raw = picture if code is None else np.asarray(cv2.cvtColor(picture, code))
     rows = raw.reshape(30, -1)
@@ -174,7 +174,7 @@ def test_encodings_against_opencv_s_conversion_the_other_way(encoding: str, code
     assert np.abs(back.astype(int) - picture).max() <= (3 if "yuv" in encoding else 0)
 
 
-def test_grey_images_and_what_is_no_image() -> None:
+def test_grey_and_invalid_images() -> None:
     grey = np.ascontiguousarray(PICTURE[..., 0])
     back = rgb_of(grey.reshape(-1), encoding="mono8", height=30, width=40, step=40)
     assert all(np.array_equal(back[..., channel], grey) for channel in range(3))
@@ -234,7 +234,7 @@ def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_pa
 
 @pytest.mark.graph
 def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_path: Path) -> None:
-    """The node asks for the crop of the recording, so the network that it is held against sees the same rows."""
+    """The node asks for the crop of the recording, so that it and the reference network see the same rows."""
     from ds_driver.networks.network_driver import NetworkDriver
 
     domain = RosDomain()

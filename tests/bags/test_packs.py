@@ -1,4 +1,4 @@
-"""Many bags in one and back: the same bytes, and a pack that other readers open."""
+"""Packing bags into one and unpacking: the same bytes, and a pack that other readers open."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_campaign_s_bags_are_grouped_by_its_own_features_or_by_run(run: RunRec
     assert {name: len(found) for name, found in groups_of(tmp_path, "run").items()} == {"bullet-0": 2, "softbody-0": 1}
 
 
-def test_what_cannot_be_packed_or_unpacked_is_told(bags: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_packed_or_unpacked_is_reported(bags: Path, tmp_path: Path) -> None:
     with pytest.raises(BagError, match="it is no pack"):
         unpack(bags / "telemetry", tmp_path)
     with pytest.raises(BagError, match="no whole bag"):

@@ -1,4 +1,4 @@
-"""Replaying: order, pace and keys with a clock that the test turns; the same bytes to a real subscriber."""
+"""Playback: order, pace and keys on a simulated clock; the same bytes for a real subscriber."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MESSAGES: list[tuple[Any, int, bytes]] = [
 
 
 class Stage:
-    """A wall clock that only goes on while somebody waits, keys at given times, and what was published when."""
+    """A simulated wall clock that advances on waits only, keys at given times, and a record of what is published."""
 
     def __init__(self, keys: dict[float, str] | None = None) -> None:
         self.time = 0.0
@@ -65,7 +65,7 @@ def test_messages_come_in_order_at_their_time_over_the_rate(rate: float) -> None
     assert [at for at, _ in stage.sent] == pytest.approx([0.0, 0.0, 0.05 / rate, 0.2 / rate])
 
 
-def test_the_clock_tells_every_moment_first_and_never_goes_back() -> None:
+def test_the_clock_precedes_every_message_and_never_goes_back() -> None:
     stage = Stage()
     stage.play(0.5)
     times = [nanoseconds for _, nanoseconds in stage.clocks]
@@ -83,7 +83,7 @@ def test_as_fast_as_it_goes_takes_no_time_at_all() -> None:
 def test_pause_and_go_on_shift_what_is_left() -> None:
     stage = Stage({0.02: PAUSE, 5.02: PAUSE})
     stage.play(1.0)
-    # After the pause the clock goes on from the last message.
+    # After the pause the clock continues from the last message.
     assert [at for at, _ in stage.sent] == pytest.approx([0.0, 0.0, 5.07, 5.22])
     assert stage.said == ["paused at 0.000 s", "resumed at 0.000 s"]
 
@@ -99,7 +99,7 @@ def test_a_step_sends_one_moment_and_stays_paused() -> None:
 
 @pytest.fixture
 def listener() -> Iterator[Callable[[dict[str, Any]], tuple[dict[str, str], list[tuple[str, bytes]]]]]:
-    """Subscribes to topics of a domain of its own; its environment, and what comes, in the order of arrival."""
+    """Subscribe to topics in a separate domain; gives its environment, and the messages in order of arrival."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
@@ -156,7 +156,7 @@ def test_a_subscriber_gets_every_byte_in_order_with_the_clock(bags: Path, listen
     assert process.returncode == 0, err
     for topic in wanted:
         got = [raw for name, raw in heard if name == topic]
-        # DDS fills a message up to four bytes.
+        # DDS pads messages to four bytes.
         padded = [raw + bytes(-len(raw) % 4) for raw in expected[topic]]
         assert got == padded, topic
     document = json.loads(out)

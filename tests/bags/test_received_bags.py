@@ -1,4 +1,4 @@
-"""Bags that somebody sends: nothing they name runs, nothing is written outside, and memory and time are bounded."""
+"""Received bags: no code that they name runs, nothing is written outside, memory and time are bounded."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FOOTER = b"\x0f" + struct.pack("<Q", 4) + bytes(4) + b"\x02" + struct.pack("<Q",
 
 @pytest.fixture
 def bag(bags: Path, tmp_path: Path) -> Path:
-    """A copy of a bag, to be changed."""
+    """A copy of a bag that the test may change."""
     return Path(shutil.copytree(bags / "telemetry", tmp_path / "sent" / "telemetry"))
 
 
@@ -51,7 +51,7 @@ def change(bag: Path, change: Callable[[dict[str, Any]], object]) -> None:
 
 
 def refused(act: Callable[[], object], match: str, kind: type[Exception] = BagError) -> None:
-    """The act is refused with one line, within seconds."""
+    """Check that an action is refused with one line, within seconds."""
     begun = time.process_time()
     with pytest.raises(kind, match=match) as found:
         act()
@@ -165,7 +165,7 @@ def test_metadata_bombs_are_refused(bag: Path, text: str, match: str) -> None:
     refused(lambda: describe(bag), match)
 
 
-def test_files_that_are_no_files_are_refused_at_once(bag: Path) -> None:
+def test_special_files_are_refused_at_once(bag: Path) -> None:
     for name in ("telemetry.mcap", "metadata.yaml"):
         kept = (bag / name).read_bytes()
         (bag / name).unlink()
@@ -247,7 +247,7 @@ def test_a_state_that_is_not_a_number_is_refused(bags: Path, tmp_path: Path) -> 
 
 
 def test_a_converted_bag_is_redriven_with_what_it_has_lost(bags: Path, tmp_path: Path) -> None:
-    """`rosbags-convert` drops custom data; the road is in a message, simulator and seed have to be given."""
+    """`rosbags-convert` drops custom data; the road is in a message, simulator and seed must be given."""
     convert([bags / "telemetry"], tmp_path / "converted", "mcap", 9, None, "none", None, None, (), (), (), ())
     refused(lambda: verify_bag(tmp_path / "converted"), r"does not say its simulator, seed.*give --sim NAME --seed N")
     refused(lambda: verify_bag(tmp_path / "converted", "donkey"), r"does not say its seed.*give --seed N")

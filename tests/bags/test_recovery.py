@@ -1,4 +1,4 @@
-"""A writer that is killed loses nothing that it flushed, and a campaign knows such a bag for what it is."""
+"""A killed writer loses nothing that it flushed, and a campaign recognises its unfinished bag."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ KIND = "sensor_msgs/msg/CompressedImage"
 
 
 def in_child(work: Callable[[], None], moment: Callable[[], bool]) -> None:
-    """Fork, and kill the child the hard way when its moment has come, or when it is done."""
+    """Fork, and kill the child with SIGKILL when its moment has come or it is done."""
     child = multiprocessing.get_context("fork").Process(target=work)
     child.start()
     assert child.pid is not None
@@ -49,7 +49,7 @@ def payloads(folder: Path) -> list[bytes]:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
-    """Frames of random size, flushed at random; the child tells what it has flushed by a file's length."""
+    """Frames of random size, flushed at random; a file's length tells the test what the child has flushed."""
     rng = np.random.default_rng(seed)
     sizes = rng.integers(100, 60_000, 400)
     flushed = rng.random(400) < 0.3
@@ -93,7 +93,7 @@ def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
 
 
 def test_a_killed_campaign_s_bag_is_unfinished_and_can_be_driven_again(run: RunRecord, tmp_path: Path) -> None:
-    """`write_bag` itself, killed while its hidden file grows: no bag appears, what is there redrives bit for bit."""
+    """`write_bag`, killed while its hidden file grows: no bag appears, and what is there re-simulates bit for bit."""
     hidden = partial_path(tmp_path / "bag") / "bag" / "bag.mcap"
 
     def moment() -> bool:
@@ -123,7 +123,7 @@ def test_a_bag_without_its_folder_s_metadata_keeps_its_outcome(bags: Path, tmp_p
     assert payloads(found.folder) == payloads(bags / "compressed")
 
 
-def test_what_cannot_be_recovered_is_told(bags: Path, run: RunRecord, tmp_path: Path) -> None:
+def test_what_cannot_be_recovered_is_reported(bags: Path, run: RunRecord, tmp_path: Path) -> None:
     with pytest.raises(BagError, match="nothing to recover"):
         recover(tmp_path)
     with pytest.raises(BagError, match="is whole"):
@@ -140,7 +140,7 @@ def test_what_cannot_be_recovered_is_told(bags: Path, run: RunRecord, tmp_path: 
 
 
 def test_a_changed_byte_ends_what_is_kept(bags: Path, tmp_path: Path) -> None:
-    """The chunk with the wrong byte is left out, and so is what follows: its order would be wrong."""
+    """The chunk with the changed byte is left out, and so are the following ones, which would be out of order."""
     data = bytearray((bags / "raw" / "raw.mcap").read_bytes())
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "broken.mcap").write_bytes(data)

@@ -1,4 +1,4 @@
-"""What a bag holds, by the word of other people's readers; needs the installed message definitions."""
+"""Content of a bag, read by independent readers; needs the installed message definitions."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_images_are_those_that_the_driver_saw(bags: Path, run: RunRecord) -> Non
 
 
 def test_transforms_and_camera_info_put_the_road_where_the_camera_draws_it() -> None:
-    """A body that leans and nods: the chain of transforms against the pose that the camera itself draws with."""
+    """With roll and pitch: the chain of transforms against the pose with which the camera renders."""
     spec = make_simulator("donkey").spec
     vehicle = VehicleState(
         x=31.0, y=-7.0, yaw=2.1, speed=0.0, yaw_rate=0.0, steering_angle=0.0, roll=0.05, pitch=-0.08, heave=0.03
@@ -135,7 +135,7 @@ def test_transforms_and_camera_info_put_the_road_where_the_camera_draws_it() -> 
 
 
 def test_messages_are_those_of_the_graph_byte_for_byte(run: RunRecord) -> None:
-    """Serialised by rclpy from the graph's own messages, against the bag's writer, which knows no ROS."""
+    """Messages of the graph serialised by rclpy, against the bag's writer, which works without ROS."""
     pytest.importorskip("rclpy")
     from rclpy.serialization import serialize_message
     from std_msgs.msg import Header
@@ -170,12 +170,12 @@ def test_messages_are_those_of_the_graph_byte_for_byte(run: RunRecord) -> None:
         (messages.road_to_message(run.road), maker.road(run.road), "ds_interfaces/msg/Road"),
     ]
     for theirs, ours, kind in pairs:
-        # rclpy leaves anything in the gaps between fields: written again they are zero.
+        # rclpy leaves arbitrary padding bytes between fields; they are zero after rewriting.
         again = store.deserialize_cdr(serialize_message(theirs), kind)
         assert bytes(store.serialize_cdr(again, kind)) == bytes(store.serialize_cdr(ours, kind)), kind
 
 
-def test_a_bag_alone_tells_what_happened(bags: Path, run: RunRecord) -> None:
+def test_a_bag_describes_its_run(bags: Path, run: RunRecord) -> None:
     with BagReader(bags / "telemetry") as bag:
         recorded = read_run(bag)
     found = recorded.run
@@ -210,7 +210,7 @@ def test_images_of_a_run_that_does_not_come_out_the_same_are_refused(run: RunRec
     assert not (tmp_path / "bag").exists()
 
 
-def test_what_is_no_bag_is_told_in_one_line(bags: Path, tmp_path: Path) -> None:
+def test_what_is_no_bag_is_reported_in_one_line(bags: Path, tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no such bag"):
         describe(tmp_path / "none")
     with pytest.raises(BagError, match=r"expected a folder with metadata\.yaml"):

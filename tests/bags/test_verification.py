@@ -1,4 +1,4 @@
-"""Recorded commands given again: the same bits, or the step and by how much."""
+"""Re-simulation of recorded runs: the same bits, or the step and size of the first difference."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def test_a_recorded_run_comes_out_the_same(bags: Path, level: Level) -> None:
     assert (found.step, found.frames, found.images) == (None, 41, 0 if level == "telemetry" else 41)
 
 
-def test_the_step_and_the_distance_of_a_changed_command_are_told(run: RunRecord, tmp_path: Path) -> None:
-    """A bag that says another throttle than was driven: the car stands, so the difference shows a little later."""
+def test_the_step_and_the_distance_of_a_changed_command_are_reported(run: RunRecord, tmp_path: Path) -> None:
+    """A bag with another throttle than was driven: the car is at rest, so the difference shows a little later."""
     commands = list(run.commands)
     commands[20] = Command(commands[20].steering, 0.0)
     write_bag(tmp_path / "bag", "/twin", "donkey", replace(run, commands=commands), {})
@@ -51,7 +51,7 @@ def test_one_bit_is_a_difference(run: RunRecord) -> None:
     assert "heave by 0" in difference_between(signed, replace(seen, vehicle=replace(seen.vehicle, heave=0.0)))
 
 
-def test_another_simulator_and_another_bag_are_told(bags: Path, tmp_path: Path) -> None:
+def test_another_simulator_and_another_bag_are_reported(bags: Path, tmp_path: Path) -> None:
     found = verify_bag(bags / "raw", "softbody")
     assert found.step == 1 and found.simulator == "softbody"
     with pytest.raises(BagError, match="no such bag"):

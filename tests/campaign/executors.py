@@ -1,4 +1,4 @@
-"""Executors for campaigns without ROS, and a listener that says nothing."""
+"""Executors for campaigns without ROS, and a listener that ignores everything."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome
 
 
 class LocalExecutor:
-    """Drives in this process; stops after so many runs, and has so many errors to hand out first."""
+    """Drives in this process.
+
+    Args:
+        runs: number of runs after which it raises `Stopped`.
+        errors: number of runs that end in an error.
+        errors_after: number of runs before the first error.
+    """
 
     def __init__(self, *, runs: int = 10_000, errors: int = 0, errors_after: int = 0) -> None:
         self.roads: list[tuple[str, str]] = []
@@ -49,7 +55,7 @@ class LocalExecutor:
 
 
 class MadeUpExecutor(LocalExecutor):
-    """Drives nothing: an outcome that is made of simulator, road and seed alone, in no time."""
+    """Drives nothing: generates an outcome from simulator, road and seed at once."""
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         if self._left == 0:

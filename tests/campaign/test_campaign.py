@@ -1,4 +1,4 @@
-"""The whole method without ROS: the twin plays every part, driven by its autopilot in this process."""
+"""The whole method without ROS: the twin takes every role, driven by its autopilot in this process."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
     assert len(executor.roads) == len(store.executions()) == CONFIG.executions_at_most == 16
     assert len(set(executor.roads)) == 16
     assert len(store.tests()) == 8 and campaign.failed_executions == 0
-    # The same vehicle under two names: whatever it does alone, both unions hold the same tests in the same cells.
+    # The same vehicle under two names: both unions hold the same tests in the same cells.
     maps = maps_of(read_campaign(store))
     assert maps[MapId.union(DONKEYS[0])].cells == maps[MapId.union(DONKEYS[1])].cells
 
@@ -71,19 +71,19 @@ def test_a_stopped_campaign_goes_on_and_ends_the_same(tmp_path: Path, stop_after
     assert len(first.roads) + len(second.roads) == 16 and not set(first.roads) & set(second.roads)
 
 
-def test_errors_are_retried_so_often_and_never_enter_a_map(tmp_path: Path) -> None:
+def test_errors_are_retried_and_never_enter_a_map(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
     campaign, store = run(tmp_path / "a", LocalExecutor(errors=3), config)
     assert campaign.failed_executions == 1 and len(store.executions()) == 3
     assert [error[3] for error in store.errors()] == ["DRIVER_SILENT"] * 3
-    # A later run tries again what ended in an error, and nothing else.
+    # A later session repeats only executions that ended in an error.
     again = LocalExecutor()
     campaign, store = run(tmp_path / "a", again, config)
     assert campaign.failed_executions == 0 and len(store.executions()) == 4
 
 
-def test_a_search_that_went_on_without_an_outcome_does_so_again(tmp_path: Path) -> None:
-    """The second test has no outcome at first; when it has one, the roads that followed are still those."""
+def test_a_search_that_continued_without_an_outcome_does_so_again(tmp_path: Path) -> None:
+    """The second test has no outcome at first; once it has one, the following roads stay the same."""
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
     _, store = run(tmp_path / "a", LocalExecutor(errors=2, errors_after=1), config)
     roads = [test.road.road_id for test in store.tests()]
@@ -93,7 +93,7 @@ def test_a_search_that_went_on_without_an_outcome_does_so_again(tmp_path: Path) 
     assert again.roads == [(DONKEYS[1], roads[1])]
     assert [test.road.road_id for test in store.tests()] == roads
     assert len(store.executions()) == 4
-    # Each outcome belongs to the road that the store holds for it.
+    # Each outcome belongs to the road in the store.
     driven = {e.test_id: e.trajectory for e in store.executions()}
     for test in store.tests():
         start = test.road.right_lane_centre[0]
@@ -101,7 +101,7 @@ def test_a_search_that_went_on_without_an_outcome_does_so_again(tmp_path: Path) 
 
 
 def test_a_simulator_without_any_outcome_stops_the_campaign_and_spoils_nothing(tmp_path: Path) -> None:
-    """Two attempts each at five tests in a row; mended, the campaign is the one that nothing ever disturbed."""
+    """Two attempts each at five tests in a row; once fixed, the campaign equals an undisturbed one."""
     config = CONFIG.model_copy(
         update={
             "siblings": [DONKEYS[1]],
@@ -119,7 +119,7 @@ def test_a_simulator_without_any_outcome_stops_the_campaign_and_spoils_nothing(t
     assert [t.road.road_id for t in store.tests()] == [t.road.road_id for t in whole.tests()]
 
 
-def test_a_run_that_somebody_cancelled_is_tried_again(tmp_path: Path) -> None:
+def test_a_cancelled_run_is_repeated(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
     executor = LocalExecutor(errors=1)
     executor.error = Outcome.CANCELLED
@@ -128,7 +128,7 @@ def test_a_run_that_somebody_cancelled_is_tried_again(tmp_path: Path) -> None:
     assert [row[3] for row in store.errors()] == ["CANCELLED"]
 
 
-def test_a_test_that_has_become_another_road_is_noticed(tmp_path: Path) -> None:
+def test_a_test_whose_road_has_changed_is_refused(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
     run(tmp_path / "a", LocalExecutor(runs=2), config)[1].close()
     db = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
@@ -150,7 +150,7 @@ def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> Non
         def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
             if simulator == DONKEYS[1]:
                 raise OSError("no space left")
-            assert self.stopped.wait(20.0), "the run under way was not stopped"
+            assert self.stopped.wait(20.0), "the active run was not stopped"
             return RunRecord(road=road, seed=seed, outcome=Outcome.CANCELLED)
 
     with pytest.raises(OSError, match="no space left"):
@@ -230,7 +230,7 @@ def test_a_file_that_is_no_configuration_is_refused(tmp_path: Path, text: str | 
 def test_the_shipped_configurations_are_what_they_say() -> None:
     folder = Path("src/ds_bringup/config")
     demo, paper, first_run = (read_config(folder / f"{name}.yaml") for name in ("demo", "paper", "first_run"))
-    # Paper 4.2.4; every key is written out, and with the value that it has by default.
+    # Paper 4.2.4; every key is written out, with its default value.
     search = paper.search
     assert (search.method, search.population, search.iterations, search.runs) == ("deephyperion", 20, 150, 5)
     assert set(yaml.safe_load((folder / "paper.yaml").read_text())) == set(CampaignConfig.model_fields)
@@ -245,7 +245,7 @@ def test_the_shipped_configurations_are_what_they_say() -> None:
 
 
 def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
-    """Two runs of the search on each sibling: one after the other, or at the same time."""
+    """Two search runs on each sibling, in sequence or in parallel."""
     search = CONFIG.search.model_copy(update={"runs": 2})
     one = CONFIG.model_copy(update={"search": search})
     many = one.model_copy(update={"workers": 3})
@@ -257,7 +257,7 @@ def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> 
     assert [t.road.road_id for t in first.tests()] == [t.road.road_id for t in second.tests()]
     hashes = [{(e.test_id, e.simulator): e.trajectory_sha256 for e in s.executions()} for s in (first, second)]
     assert hashes[0] == hashes[1]
-    # A campaign that was begun by one worker goes on with three.
+    # A campaign that started with one worker resumes with three.
     first.close()
     _, again = run(tmp_path / "one", MadeUpExecutor(runs=0), many)
     assert maps_text(again) == maps_text(second)
@@ -293,7 +293,7 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
 
 @pytest.mark.parametrize("method", ["deephyperion_cs", "random"])
 def test_every_search_goes_on_where_it_was_stopped(tmp_path: Path, method: str) -> None:
-    """With a feature of the run, whose cell the store's execution decides on the way back."""
+    """With a feature of the run, whose cell is computed from the stored execution on replay."""
     search = CONFIG.search.model_copy(update={"method": method, "iterations": 4})
     config = CONFIG.model_copy(
         update={"siblings": [DONKEYS[1]], "search": search, "features": ["turns_count", "steering_deviation:2"]}
@@ -315,7 +315,7 @@ def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_a
     assert len(mutants) == 2 * 3 and all(len(test.road.points) == 96 for test in mutants)
     driven = {e.test_id: e.trajectory for e in store.executions()}
     for test in mutants:
-        # What is driven begins where the mutant begins, though a simulator is sent control points alone.
+        # The driven road starts where the mutant starts, although a simulator receives only control points.
         assert driven[test.test_id][0, :2] == pytest.approx(test.road.right_lane_centre[0], abs=1e-9)
     plan = config.map_plan()
     cells = cells_of(tests, store.executions(), features=plan.features, maxitwo_compatible=True)

@@ -1,4 +1,4 @@
-"""A campaign whose twin is a fitted car: its file may not change on the way, and its path may be a long one."""
+"""Campaigns whose twin is a fitted car: its file must not change between sessions, and its path may be long."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch:
 
 
 class ShortDrives:
-    """Twenty steps of the autopilot in this process."""
+    """Drives twenty steps with the autopilot in this process."""
 
     def stop(self) -> None: ...
 
@@ -104,5 +104,5 @@ def test_labels_are_file_names_and_no_two_names_share_one(tmp_path: Path) -> Non
     assert len(set(labels)) == len(names)
     for first in labels:
         for second in labels:
-            (tmp_path / f"{first}-0-0001-on-{second}").touch()  # the longest name that is made of them
+            (tmp_path / f"{first}-0-0001-on-{second}").touch()  # the longest file name with these labels
     assert [label_of(name) for name in ("bullet", "donkey")] == ["bullet", "donkey"]

@@ -1,4 +1,4 @@
-"""Campaign folders from somebody else: no code of theirs runs, and what cannot have been written is refused."""
+"""Received campaign folders: they run no code, and content that no campaign writes is refused."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BAG = "bags/donkey-0-0001-on-donkey"
 
 
 def make(folder: Path, config: CampaignConfig = CONFIG) -> Path:
-    """A campaign of two tests, all driven."""
+    """Create a finished campaign of two tests."""
     folder.mkdir()
     store = Store(folder / "campaign.sqlite", config=config.identity())
     for test, executions in make_tests(config, 2):
@@ -51,7 +51,7 @@ def change(folder: Path, statement: str, *values: object) -> None:
 
 @pytest.fixture
 def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A module that leaves a trace when it is imported, where Python finds it."""
+    """An importable module that leaves a trace when it is imported."""
     code = tmp_path / "code"
     code.mkdir()
     (code / "evilmod.py").write_text(
@@ -175,7 +175,7 @@ def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path, ds
     folder = make(tmp_path / "received")
     packer = zlib.compressobj(9)
     first, again = (packer.compress(bytes(2**22)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
-    bomb = first + again * 255  # nothing in a block refers to the one before
+    bomb = first + again * 255  # no block refers to the previous one
     change(folder, "UPDATE executions SET trajectory=?", bomb)
     tracemalloc.start()
     status, said = ds("campaign", "status", folder)
@@ -201,7 +201,7 @@ def test_only_regular_files_are_opened_and_nothing_is_written_through_links(tmp_
 
 
 def test_a_journal_that_names_another_file_is_not_replayed(tmp_path: Path, ds: Ds) -> None:
-    """SQLite deletes the file that a left-over rollback journal calls its super-journal."""
+    """SQLite deletes the file that a left-over rollback journal names as its super-journal."""
     folder = make(tmp_path / "received")
     victim = tmp_path / "victim"
     victim.write_bytes(b"nothing\0")

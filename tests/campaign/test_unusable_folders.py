@@ -1,4 +1,4 @@
-"""Folders that cannot be used: one clear line, an exit status that is not 0, and not a byte changed."""
+"""Unusable folders: one clear line, a non-zero exit status, and no byte changed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Ds = Callable[..., tuple[int, str]]
 
 @pytest.fixture
 def ds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Ds]:
-    """`ds` in this process: its exit status, and what it wrote on standard error."""
+    """Run `ds` in this process; returns its exit status and standard error."""
     before = {number: signal.getsignal(number) for number in stopping.SIGNALS}
 
     def call(*arguments: object) -> tuple[int, str]:
@@ -51,7 +51,7 @@ def ds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> I
 
 @pytest.fixture
 def mount(tmp_path: Path) -> Iterator[Callable[..., Path]]:
-    """Mounts something on a folder, where that is allowed."""
+    """Mount something on a folder; skips if that is not allowed."""
     mounted: list[Path] = []
 
     def begin(folder: Path, *arguments: str) -> Path:
@@ -76,13 +76,13 @@ def config(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def campaign(tmp_path: Path, config: Path) -> Path:
-    """One that was stopped after two of four tests."""
+    """A campaign that was stopped after two of four tests."""
     run(tmp_path / "out", MadeUpExecutor(runs=2), read_config(config))[1].close()
     return tmp_path / "out"
 
 
 def content(folder: Path) -> dict[str, str]:
-    """Every file and the hash of what is in it; the lock holds nothing."""
+    """Map every file to the hash of its content; the empty lock is left out."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
@@ -94,7 +94,7 @@ def change(folder: Path, statement: str) -> None:
 
 
 def tear(folder: Path) -> None:
-    """Overwrite the second page, which holds what the first one's table of contents names."""
+    """Overwrite the second page, to which the schema in the first page refers."""
     with (folder / "campaign.sqlite").open("r+b") as file:
         file.seek(4096)
         file.write(b"\xff" * 4096)
@@ -161,7 +161,7 @@ def test_a_folder_in_use_is_refused(campaign: Path, config: Path, ds: Ds) -> Non
     assert content(campaign) == before
 
 
-def test_a_folder_with_somebody_elses_files_is_refused(tmp_path: Path, config: Path, ds: Ds) -> None:
+def test_a_folder_with_foreign_files_is_refused(tmp_path: Path, config: Path, ds: Ds) -> None:
     (tmp_path / "mine" / "maps").mkdir(parents=True)
     (tmp_path / "mine" / "maps" / "maps.json").write_text("[]")
     before = content(tmp_path)
@@ -192,7 +192,7 @@ def test_a_read_only_folder_is_read_and_not_run(
 def test_a_full_disk_ends_the_run_and_loses_nothing(
     tmp_path: Path, mount: Callable[..., Path], record: str, half: int, size: str
 ) -> None:
-    """The store itself finds no room, or a bag does; with more room the campaign ends as if nothing had been."""
+    """The disk is full for the store, or for a bag; with more space the campaign ends like an undisturbed one."""
     settings = SearchConfig(population=half, iterations=half, runs=1, min_angle=40, max_angle=90)
     config = CampaignConfig(siblings=["donkey"], twin=None, driver="autopilot", seed=7, record=record, search=settings)  # type: ignore[arg-type]
     _, whole = run(tmp_path / "whole", MadeUpExecutor(), config)

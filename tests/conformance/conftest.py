@@ -1,6 +1,6 @@
-"""Which simulators the suite runs over: all that are registered, the document's example, and any that is named.
+"""Simulators under test: all registered ones, the example of the documentation, and those named by option.
 
-`pytest tests/conformance --simulator module:Class` tests one of your own, and nothing else.
+`pytest tests/conformance --simulator module:Class` tests only your simulator.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ EXAMPLE = "bicycle:BicycleSimulator"
 
 @pytest.fixture(scope="session", autouse=True)
 def _examples_on_path() -> Iterator[None]:
-    """Let this process and its children import the example."""
+    """Make the example importable in this process and its children."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(EXAMPLES)
         patch.setenv("PYTHONPATH", str(EXAMPLES), prepend=os.pathsep)
@@ -27,7 +27,7 @@ def _examples_on_path() -> Iterator[None]:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run every test that asks for a simulator once per simulator."""
+    """Run every test with the fixture of a simulator once per simulator."""
     if "simulator_name" in metafunc.fixturenames:
         metafunc.parametrize("simulator_name", _names(metafunc.config))
 

@@ -1,4 +1,4 @@
-"""The example of docs/add_a_simulator.md as a third sibling, by the one line that the document shows."""
+"""The example of docs/add_a_simulator.md as a third sibling, with the line that the document shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every simulator promises through its node: the same bits as without ROS, REP-103 signs, honest information."""
+"""Contract of every simulator's node: the same bits as without ROS, signs of REP-103, correct information."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from ds_sim.simulator import FRAME_TIME, Outcome
 pytestmark = pytest.mark.graph
 
 ROAD = Road([(120.0, 30.0), (120.0, 55.0), (126.0, 79.0), (142.0, 98.0), (165.0, 107.0)])
-"""50 m that end in a right turn of 45 degrees."""
+"""Road of 50 m that ends in a right turn of 45 degrees."""
 
 
 @pytest.fixture(scope="module")
 def graph(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Every simulator with the autopilot, in one graph; gives (executor, simulator -> namespace)."""
+    """Every simulator with the autopilot, in one graph; yields (executor, simulator -> namespace)."""
     from ds_orchestrator.graph.session import running_graph
 
     names = request.getfixturevalue("all_simulator_names")
@@ -50,7 +50,7 @@ def test_a_node_drives_as_its_simulator_does(graph: Any, simulator_name: str) ->
     assert runs[0].fitness == here.fitness
 
 
-def test_a_node_tells_what_its_simulator_is(graph: Any, simulator_name: str) -> None:
+def test_a_node_describes_its_simulator(graph: Any, simulator_name: str) -> None:
     executor, _ = graph
     simulator = make_simulator(simulator_name)
     spec, info = simulator.spec, executor.info(simulator_name)
@@ -95,7 +95,7 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
             time.sleep(0.05)
         return run
 
-    # Until both sides of every topic know of each other, nothing is promised: at most four runs to get acquainted.
+    # Messages may be lost until both sides of every topic have discovered each other: repeat at most four runs.
     for _ in range(5):
         run = drive_and_hear()
         if len(heard["odom"]) == len(heard["info"]) == run.steps + 1 and heard["image"]:
@@ -123,7 +123,7 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     assert info.distortion_model in ("plumb_bob", "rational_polynomial")
     assert len(info.d) == {"plumb_bob": 5, "rational_polynomial": 8}[info.distortion_model]
     assert list(info.d[: len(camera.distortion)]) == pytest.approx(list(camera.distortion))
-    # Against the recorded run: x, y as they are, the yaw rate left positive, the quaternion the heading's.
+    # Against the recorded run: equal x and y, yaw rate positive to the left, quaternion of the heading.
     for message, observation in zip(heard["odom"], run.observations, strict=True):
         vehicle, place, q = observation.vehicle, message.pose.pose.position, message.pose.pose.orientation
         assert (place.x, place.y) == pytest.approx((vehicle.x, vehicle.y), abs=1e-9)

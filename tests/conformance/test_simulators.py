@@ -1,4 +1,4 @@
-"""What every simulator promises: `ds_sim.testing` on each of them, and on simulators that break a promise."""
+"""Contract of every simulator: `ds_sim.testing` on each of them, and on simulators that violate it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def test_a_simulator_keeps_its_promise(simulator_name: str, check: str) -> None:
 
 
 class MirroredSimulator(SoftbodySimulator):
-    """Steers right where it should steer left."""
+    """Steers right when it should steer left."""
 
     def step(self, command: Command) -> Observation:
         return super().step(Command(-command.steering, command.throttle))
 
 
 class RestlessSimulator(SoftbodySimulator):
-    """Moves the world by a centimetre with every run."""
+    """Shifts its world by a centimetre with every run."""
 
     def __init__(self) -> None:
         super().__init__()

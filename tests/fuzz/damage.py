@@ -22,11 +22,11 @@ STRANGE: Sequence[Any] = (
     "a/b", "a\\b", "evilmod:S", "donkey@/dev/zero", "donkey@none.yaml", "bullet@x", [], {}, [[]], [None], {"": None},
     {"a": {"b": {"c": 1}}}, [1, 2, 3], ["a"] * 50, [[0.0, 0.0]] * 5, "[[0,0],[1,1],[2,2],[3,3]]", "{}", "[1e400]",
 )  # fmt: skip
-"""Values that programs stumble over."""
+"""Values that often break programs."""
 
 
 def damaged_bytes(data: bytes, rng: Rng) -> bytes:
-    """One to four changes to bytes: flips, cuts, splices, repeats, and extreme numbers written over them."""
+    """Apply one to four changes to bytes: flips, cuts, splices, repeats, and overwriting with extreme numbers."""
     made = bytearray(data)
     for _ in range(int(rng.integers(1, 5))):
         if not made:
@@ -57,7 +57,7 @@ def damaged_bytes(data: bytes, rng: Rng) -> bytes:
 
 
 def damaged_value(value: Any, rng: Rng) -> Any:
-    """One to three changes to a JSON value: another type, a missing or extra entry, an extreme number."""
+    """Apply one to three changes to a JSON value: another type, a missing or extra entry, an extreme number."""
     made = copy.deepcopy(value)
     for _ in range(int(rng.integers(1, 4))):
         made = _changed(made, rng)
@@ -86,7 +86,7 @@ def _strange(rng: Rng) -> Any:
 
 
 def _other(value: Any, rng: Rng) -> Any:
-    """A strange value, or the value as another type."""
+    """Return an unusual value, or the value as another type."""
     if rng.random() < 0.7:
         return copy.deepcopy(STRANGE[int(rng.integers(len(STRANGE)))])
     if rng.random() < 0.3:
@@ -98,7 +98,7 @@ def _other(value: Any, rng: Rng) -> Any:
 
 
 def damaged_json(text: str, rng: Rng) -> bytes:
-    """Damage to a JSON document, or to one of its lines if each is one: to its values mostly, else to its bytes."""
+    """Damage a JSON document, or one line of JSON Lines: mostly its values, else its bytes."""
     lines = text.splitlines()
     if len(lines) > 1 and not lines[0].rstrip().endswith(("{", "[", ",")):
         at = int(rng.integers(len(lines)))
@@ -113,7 +113,7 @@ def damaged_json(text: str, rng: Rng) -> bytes:
 
 
 def damaged_yaml(text: str, rng: Rng) -> bytes:
-    """Damage to a YAML document: to its values mostly, else to its bytes, or aliases that expand."""
+    """Damage a YAML document: mostly its values, else its bytes, or add aliases that expand."""
     if rng.random() < 0.2:
         return damaged_bytes(text.encode(), rng)
     if rng.random() < 0.05:
@@ -123,7 +123,7 @@ def damaged_yaml(text: str, rng: Rng) -> bytes:
 
 
 def yaml_bomb(text: str, rng: Rng) -> bytes:
-    """Brackets without end, or aliases that expand to billions of values, alone or before a document."""
+    """Create deeply nested brackets, or aliases that expand to billions of values, alone or before a document."""
     if rng.random() < 0.2:
         return b"[" * 200_000
     laughs = "z0: &z0 [lol]\n" + "".join(f"z{i}: &z{i} [{', '.join([f'*z{i - 1}'] * 9)}]\n" for i in range(1, 10))
@@ -131,7 +131,7 @@ def yaml_bomb(text: str, rng: Rng) -> bytes:
 
 
 def damaged_file(path: Path, rng: Rng) -> None:
-    """Damage one file in place, as its ending suggests; sometimes replace it with something that is no file."""
+    """Damage one file in place, by its extension; sometimes replace it with something that is not a file."""
     if rng.random() < 0.02:
         replace_with_no_file(path, rng)
         return
@@ -147,7 +147,7 @@ def damaged_one_of(folder: Path, rng: Rng) -> None:
 
 
 def replace_with_no_file(path: Path, rng: Rng) -> None:
-    """Put a folder, an empty file, a FIFO, a link to a device or a dangling link in a file's place, or nothing."""
+    """Replace a file with a folder, an empty file, a FIFO, a link to a device, a dangling link, or nothing."""
     path.unlink()
     match int(rng.integers(6)):
         case 0:

@@ -1,8 +1,9 @@
-"""Feeds seeded damage to the readers of received files, and says what is wrong with a reader's answer.
+"""Feeds seeded damage to the readers of received files, and reports defects in their answers.
 
 A damaged input must be accepted, or refused with one of the errors that its reader documents, in one line. Any other
-exception, more than a few seconds of CPU time, more than half a gigabyte of memory, or a file written beside the input
-is a defect. A module `kinds_*.py` in this folder lists the kinds of files in `KINDS`; `test_fuzz.py` runs them all.
+exception, more than a few seconds of CPU time, more than half a gigabyte of memory, or a file written outside the
+input's folder is a defect. A module `kinds_*.py` in this folder lists the kinds of files in `KINDS`; `test_fuzz.py`
+runs them all.
 """
 
 from __future__ import annotations
@@ -20,29 +21,29 @@ from types import FrameType
 import numpy as np
 
 SECONDS = 5.0
-"""CPU time that one input may take at most."""
+"""Limit for the CPU time of one input, s."""
 MEMORY = 512 * 2**20
-"""Bytes by which one input may raise the process's peak memory."""
+"""Limit by which one input may raise the process's peak memory, bytes."""
 ADDRESS_SPACE = 8 * 2**30
-"""Bytes of address space beside what is mapped already: a blow-up fails here instead of taking the machine with it."""
+"""Address space in addition to what is mapped, bytes: an explosion fails here before it exhausts the machine."""
 LONGEST = 2000
-"""Characters of an error message at most."""
+"""Limit for the length of an error message, characters."""
 
 
 class Hang(BaseException):
-    """A reader took too long; no reader can catch it as an Exception."""
+    """Reader that took too long; a BaseException, so that no reader catches it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """One kind of received file and the reader under test.
+    """Kind of received file and the reader under test.
 
     Attributes:
-        name: for the test's id.
+        name: name in the test's id.
         write: writes an undamaged, small file or folder into an empty folder and returns its path; called once.
         damage: changes the copy at a path in place, by the generator alone.
-        read: reads a path as the command line would; may write only below the folder that the path lies in.
-        errors: that the reader documents.
+        read: reads a path as the command line would; may write only below the folder of the path.
+        errors: errors that the reader documents.
     """
 
     name: str
@@ -54,12 +55,12 @@ class Kind:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What became of one input.
+    """Result of one input.
 
     Attributes:
-        seed: of the damage.
-        refused: whether the reader refused it as documented.
-        defect: in one line, or "".
+        seed: seed of the damage.
+        refused: whether the reader refused the input as documented.
+        defect: defect in one line, or "".
     """
 
     seed: int
@@ -73,8 +74,8 @@ def try_inputs(kind: Kind, base: Path, work: Path, seeds: range) -> Iterator[Fin
     Args:
         kind: kind of file.
         base: undamaged file or folder.
-        work: empty folder to work in; empty again afterwards.
-        seeds: one input each.
+        work: empty working folder; empty again afterwards.
+        seeds: seeds of the inputs.
     """
     inside = work / "inside"
     with _bounded_address_space():
@@ -106,7 +107,7 @@ def _judge(kind: Kind, path: Path, seed: int) -> Finding:
             defect = f"{type(error).__name__} is {len(text)} characters long: {text[:100]!r}..."
     except Hang:
         defect = f"took more than {SECONDS:g} s"
-    except BaseException as error:  # whatever it is, it is the finding
+    except BaseException as error:  # any other exception is a defect
         where = error.__traceback__
         while where is not None and where.tb_next is not None:
             where = where.tb_next
@@ -120,7 +121,7 @@ def _judge(kind: Kind, path: Path, seed: int) -> Finding:
 
 
 def _listing(folder: Path) -> list[str]:
-    """What lies beside the input's folder."""
+    """List what is next to the input's folder."""
     return sorted(path.name for path in folder.iterdir())
 
 
@@ -130,7 +131,7 @@ def _peak() -> int:
 
 @contextmanager
 def _limited_time() -> Iterator[None]:
-    """Raise `Hang` after too much CPU time; the wall clock is left to pytest's own limit."""
+    """Raise `Hang` after too much CPU time; pytest limits the wall-clock time."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise Hang

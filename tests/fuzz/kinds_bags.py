@@ -1,4 +1,4 @@
-"""Bags, packs, what killed writers left, Donkey Car tubs, and YAML as such."""
+"""Kinds of received files: bags, packs, bags of killed writers, Donkey Car tubs, and plain YAML."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _write_pack(folder: Path) -> Path:
 
 
 def _write_foreign(folder: Path) -> Path:
-    """A rosbag2 of SQLite, as other projects have it."""
+    """Write a rosbag2 in SQLite, as other projects do."""
     store = get_typestore(Stores.ROS2_JAZZY)
     make = store.types["std_msgs/msg/String"]
     with Ros2Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
@@ -130,7 +130,7 @@ def _write_tub(folder: Path) -> Path:
 
 
 def _damage_lines(folder: Path, rng: Rng) -> None:
-    """Damage to one file of a tub: to the values of a line where it is text."""
+    """Damage one file of a tub: the values of a line if it is text."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     file = files[int(rng.integers(len(files)))]
     if file.suffix == ".jpg" or rng.random() < 0.2:
@@ -143,7 +143,7 @@ def _damage_lines(folder: Path, rng: Rng) -> None:
 
 
 def _damage_records(folder: Path, rng: Rng) -> None:
-    """Damage to what is inside the records of a bag's MCAP file, whose checksums are right afterwards."""
+    """Damage the content of records in a bag's MCAP file, and make its checksums valid again."""
     if rng.random() < 0.3:
         damaged_one_of(folder, rng)
         return
@@ -204,7 +204,7 @@ def _damage_records(folder: Path, rng: Rng) -> None:
 
 
 def _read_everything(path: Path) -> None:
-    """What `ds bag info` does, and every message deserialised."""
+    """Read as `ds bag info` does, and deserialise every message."""
     in_words(describe(path))
     with BagReader(path) as bag:
         for connection, _, raw in bag.messages():

@@ -1,4 +1,4 @@
-"""Configurations, stores, roads, networks, data sets and parameter files."""
+"""Kinds of received files: configurations, stores, roads, networks, data sets and parameter files."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
 
 
 def _write_store(folder: Path) -> Path:
-    """A small campaign with errors, drives, notes and results."""
+    """Write a small campaign with errors, drives, notes and results."""
     from report_campaigns import make_tests
 
     _text("config.yaml", _CONFIG)(folder)
@@ -87,7 +87,7 @@ def _write_store(folder: Path) -> Path:
 
 
 def _damage_store(path: Path, rng: Rng) -> None:
-    """Another value in one cell mostly, else another table, or damage to bytes."""
+    """Damage a store: mostly another value in one cell, else another table, or its bytes."""
     chance = rng.random()
     if chance < 0.02:
         replace_with_no_file(path, rng)
@@ -101,7 +101,7 @@ def _damage_store(path: Path, rng: Rng) -> None:
             for _ in range(int(rng.integers(1, 4))):
                 _change_store(db, tables[int(rng.integers(len(tables)))], rng)
         except (sqlite3.IntegrityError, sqlite3.OperationalError, OverflowError):
-            pass  # SQLite itself does not take this value
+            pass  # SQLite refuses this value
         db.close()
 
 
@@ -128,7 +128,7 @@ def _change_store(db: sqlite3.Connection, table: str, rng: Rng) -> None:
 
 
 def _cell(value: Any, rng: Rng) -> Any:
-    """Another value for a cell: of another type, a damaged blob, or one that opens to much more."""
+    """Return another value for a cell: of another type, a damaged blob, or a decompression bomb."""
     chance = rng.random()
     if isinstance(value, str) and value[:1] in ("{", "[") and chance < 0.7:
         return damaged_json(value, rng)[:1_000_000].decode("utf-8", "replace")
@@ -146,14 +146,14 @@ def _cell(value: Any, rng: Rng) -> Any:
 
 @cache
 def _bomb() -> bytes:
-    """A gigabyte of zeros in a megabyte; no block refers to the one before, so that they can be repeated."""
+    """Compress a gigabyte of zeros to a megabyte; no block refers to the previous one, so that they can be repeated."""
     packer = zlib.compressobj(9)
     first, again = (packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
     return first + again * 63
 
 
 def _read_store(path: Path) -> object:
-    """As `ds campaign status`, `ds maps` and `ds report` read it."""
+    """Read a store as `ds campaign status`, `ds maps` and `ds report` do."""
     store = Store(path)
     try:
         data = read_campaign(store)
@@ -173,7 +173,7 @@ def _write_weights(folder: Path) -> Path:
 
 
 def _damage_weights(path: Path, rng: Rng) -> None:
-    """Damage to the header, a JSON document, mostly."""
+    """Damage a weights file: mostly its header, a JSON document."""
     if rng.random() < 0.4:
         damaged_file(path, rng)
         return
@@ -225,7 +225,7 @@ def _write_data(folder: Path) -> Path:
 
 
 def _damage_data(folder: Path, rng: Rng) -> None:
-    """Columns of other types and strange values mostly, else damage to bytes."""
+    """Damage a data set: mostly columns of other types and unusual values, else its bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -242,7 +242,7 @@ def _damage_data(folder: Path, rng: Rng) -> None:
         try:
             column = pa.array(values, table.schema.field(name).type if rng.random() < 0.5 else None)
         except (pa.ArrowException, OverflowError, ValueError, TypeError):
-            continue  # Arrow itself does not take this value
+            continue  # Arrow refuses this value
         table = table.drop_columns([name]) if rng.random() < 0.1 else table.set_column(at, name, column)
         if not table.num_columns:
             break
@@ -250,7 +250,7 @@ def _damage_data(folder: Path, rng: Rng) -> None:
     try:
         pq.write_table(table, content)
     except pa.ArrowException:
-        damaged_file(path, rng)  # Parquet itself does not take this table
+        damaged_file(path, rng)  # Parquet refuses this table
     else:
         path.write_bytes(content.getvalue().to_pybytes())
 

@@ -1,6 +1,6 @@
-"""Every reader of received files accepts a damaged input, or refuses it in one line; it never does anything else.
+"""Every reader of received files accepts a damaged input, or refuses it in one line.
 
-DS_FUZZ=N tries N inputs of each kind (200 if unset), DS_FUZZ_FIRST=SEED begins at another one than 0. One input again:
+DS_FUZZ=N tries N inputs of each kind (200 if unset), DS_FUZZ_FIRST=SEED starts at SEED, not 0. Repeat one input:
 DS_FUZZ=1 DS_FUZZ_FIRST=SEED pytest tests/fuzz -k KIND
 """
 
@@ -34,7 +34,7 @@ def test_every_damaged_input_is_accepted_or_refused_in_one_line(
     work.mkdir()
     whole = try_inputs(replace(kind, damage=lambda path, rng: None), base, work, range(1))
     assert list(whole) == [Finding(seed=0, refused=False, defect="")], "the undamaged input is not accepted"
-    monkeypatch.chdir(work)  # a relative path that is written to shows here
+    monkeypatch.chdir(work)  # writes to relative paths are detected here
     findings = list(try_inputs(kind, base, work, range(FIRST, FIRST + COUNT)))
     defects = [f"seed {finding.seed}: {finding.defect}" for finding in findings if finding.defect]
     assert not defects, f"{len(defects)} of {COUNT}:\n" + "\n".join(defects[:20])

@@ -1,4 +1,4 @@
-"""Graphs of real nodes in real processes for the tests, each in a ROS domain of its own."""
+"""Fixtures for graphs of real nodes in real processes, each in a separate ROS domain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 @pytest.fixture
 def spin() -> Iterator[Callable[..., None]]:
-    """Spins nodes of the test's own process in the background."""
+    """Spin nodes of the test's process in the background."""
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
@@ -42,7 +42,7 @@ def spin() -> Iterator[Callable[..., None]]:
 
 @pytest.fixture
 def join() -> Iterator[Callable[..., None]]:
-    """Lets nodes of the test's own process join an executor's graph; the executor has a context of its own."""
+    """Let nodes of the test's process join an executor's graph, which has a separate context."""
     import rclpy
 
     def start(executor: Any) -> None:

@@ -1,4 +1,4 @@
-"""A driver in a process of its own that drives straight on and fails as a parameter or a file asks for.
+"""Driver node that drives straight on and fails as a parameter or a file requests.
 
 Parameters: `fault`, or `orders`, a file that is read at the start of each run; `at`, the frame at which it fails;
 `delay`, s by which `late` answers late; `once`, a file that is created at the failure and prevents another one.
@@ -21,7 +21,7 @@ FAULTS = ("none", "crash", "hang", "twice", "late", "old", "nan", "range", "beyo
 
 
 class FaultyDriver(Node):
-    """Answers the state of each frame, which comes with the stamp of its image, at half throttle."""
+    """Answers the state of each frame, which has the stamp of its image, at half throttle."""
 
     def __init__(self) -> None:
         super().__init__("faulty_driver")

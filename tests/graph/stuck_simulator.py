@@ -1,4 +1,4 @@
-"""A simulator that hangs in the midst of a run, for the tests of shutting down."""
+"""Simulator that hangs during a run, for the tests of node shutdown."""
 
 from __future__ import annotations
 

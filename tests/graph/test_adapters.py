@@ -1,4 +1,4 @@
-"""Drivers that know only standard messages drive a simulator through the adapter, in lock-step and in real time."""
+"""Drivers with standard messages drive a simulator through the adapter, in lock-step and in real time."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None
 
 @pytest.mark.parametrize("adapted", [("lockstep", {})], indirect=True)
 def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any, spin: Callable[..., None]) -> None:
-    """It copies the image's header, and sees the speed that it asked for; turned left, it leaves the lane there."""
+    """It copies the image's header, and sees the requested speed; turning left, it leaves the lane on the left."""
     from geometry_msgs.msg import TwistStamped
     from rclpy.node import Node
     from sensor_msgs.msg import Image
@@ -78,7 +78,7 @@ def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any
 
 @pytest.mark.parametrize("adapted", [("realtime", {"message": "twist"})], indirect=True)
 def test_a_twist_without_stamp_drives_in_real_time_and_silence_ends_it(adapted: Any, spin: Callable[..., None]) -> None:
-    """The message of the result tells the jitter; the watchdog ends a run whose driver stops sending."""
+    """The result's message states the jitter; the watchdog ends a run whose driver stops sending."""
     from geometry_msgs.msg import Twist
     from rclpy.node import Node
 

@@ -1,4 +1,4 @@
-"""Our network on someone's stack: remapped topics, any camera, a message of the stack's choice, its latency told."""
+"""The camera driver in another ROS stack: remapped topics, any camera, a chosen message type, reported latency."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
         "rgb8 large": large,
         "16UC1": np.zeros((160, 320, 2), np.uint8),
     }
-    # What the stack must hear, from the network in this process: the speed of equation 2, the bicycle's yaw rate.
+    # Expected commands, from the network in this process: the speed of equation 2, the bicycle model's yaw rate.
     steering = NetworkDriver("dave2").steering(rgb, Crop())
     speed = 2.0 * (1.0 - steering**2) ** 0.5
     yaw_rate = Geometry(0.3, 0.4).yaw_rate_of(speed, -0.4 * steering)

@@ -1,4 +1,4 @@
-"""A campaign whose driver crashes or hangs: it goes on with a new one, and status and report say what happened."""
+"""A campaign whose driver crashes or hangs: it continues with a restarted one, and reports the error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CONFIG = {
 def test_a_campaign_outlives_its_driver(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, outcome: str, message: str
 ) -> None:
-    """The driver goes once, in the midst of a run; the test is driven again, and nothing of it enters a map."""
+    """The driver fails once, during a run; the test is repeated, and the error enters no map."""
     from ds_orchestrator.cli.campaigns import status
     from ds_orchestrator.graph import session as running
     from ds_orchestrator.graph.supervisor import ProcessSpec

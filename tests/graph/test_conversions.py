@@ -54,7 +54,7 @@ def test_the_numbers_of_outcomes_and_reasons_are_those_of_the_messages() -> None
 
 
 def test_odometry_is_marked_as_ground_truth() -> None:
-    """Tiny variances where it is exact, huge ones where it says nothing; zeros would mean unknown."""
+    """Tiny variances for exact values, huge ones for missing values; zeros would mean unknown."""
     from std_msgs.msg import Header
 
     from ds_sim.ros.conversions import odometry_message

@@ -17,13 +17,13 @@ pytestmark = pytest.mark.graph
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
 SPACE = {"donkey": "/ds1"}
 LIMIT = 2.0
-"""Seconds that the simulator waits for an answer."""
+"""Command timeout of the simulator, s."""
 BUSY = 10.0
-"""Seconds that a run of the straight road and its services take at most, beside the waits, on a busy machine."""
+"""Limit for a run of the straight road and its services on a busy machine, in addition to the timeouts, s."""
 
 
 class Bench:
-    """A simulator, and a faulty driver that takes orders; both processes are started again when they end."""
+    """A simulator and a faulty driver that follows orders; processes that end are restarted."""
 
     def __init__(self, folder: Path) -> None:
         from ds_orchestrator.graph.executor import GraphExecutor
@@ -35,7 +35,7 @@ class Bench:
         self.order("none")
         self._domain = RosDomain()
         driver = ProcessSpec(
-            name="faulty",  # not "driver": the executor knows nothing of it, as of a user's own node
+            name="faulty",  # not "driver": unknown to the executor, like a user's node
             module="tests.graph.faulty_driver",
             namespace="/ds1",
             parameters={"orders": str(self._orders)},
@@ -51,13 +51,13 @@ class Bench:
         self._orders.write_text(f"{fault} {at} {delay}")
 
     def drive(self) -> tuple[Any, float]:
-        """A run of the straight road, and how long it took, s."""
+        """Drive the straight road; return the run and its wall-clock time, s."""
         began = time.monotonic()
         run = self.executor.execute("donkey", STRAIGHT, 1)
         return run, time.monotonic() - began
 
     def drive_until_completed(self) -> None:
-        """A driver that has just started may miss the first runs."""
+        """Drive until a run completes: a driver that has just started may miss the first runs."""
         self.order("none")
         deadline = time.monotonic() + 60.0
         while (outcome := self.drive()[0].outcome) is not Outcome.COMPLETED:
@@ -99,7 +99,7 @@ def test_a_driver_that_gives_no_usable_answer_ends_the_run_in_time(
 
 
 def test_only_the_first_answer_to_a_frame_counts(bench: Bench) -> None:
-    """Lock-step by stamp: neither a second answer nor one to the frame before is executed."""
+    """Lock-step by stamp: neither a second answer nor one to the previous frame is executed."""
     bench.order("twice", at=0)
     run, _ = bench.drive()
     assert run.outcome is Outcome.COMPLETED
@@ -118,7 +118,7 @@ def test_a_late_answer_within_the_limit_changes_nothing(bench: Bench) -> None:
 
 
 def test_an_answer_after_the_limit_counts_neither_then_nor_in_the_next_run(bench: Bench) -> None:
-    """The next run begins while the late answer is still to come."""
+    """The next run starts before the late answer arrives."""
     bench.order("late", delay=2.0 * LIMIT)
     run, seconds = bench.drive()
     assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 20

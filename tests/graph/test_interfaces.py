@@ -20,13 +20,13 @@ NODES: dict[str, tuple[str, dict[str, object]]] = {
     "cmd_vel_adapter": ("ds_driver.ros.cmd_vel_adapter_node", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
     "camera_driver": ("ds_driver.ros.camera_driver_node", {}),
 }
-"""Node -> module and parameters under which all of its documented interfaces are there."""
+"""Node -> module and parameters with which it has all of its documented interfaces."""
 OPTIONAL = {
     "simulator": {("publishes", "/tf"), ("publishes", "/tf_static")},  # tf2_msgs is not on PyPI
     "cmd_vel_adapter": {("calls", "get_info")},
     "camera_driver": {("subscribes", "camera/image_raw/compressed"), ("publishes", "cmd_vel")},
 }
-"""What a node has under other parameters only, as its table says."""
+"""Interfaces that a node has only with other parameters, as its table says."""
 EVERY_NODE = ("/parameter_events", "/rosout")
 TYPES = {
     1: "bool", 2: "int", 3: "double", 4: "string", 6: "bool[]", 7: "int[]", 8: "double[]", 9: "string[]",
@@ -35,7 +35,7 @@ TYPES = {
 
 
 def tables(node: str) -> tuple[set[tuple[str, ...]], set[tuple[str, ...]]]:
-    """The rows of a node's two tables: its interfaces, and its parameters."""
+    """Read the rows of a node's two tables: its interfaces and its parameters."""
     section = DOCUMENT.read_text().partition(f"\n## `{node}`\n")[2].partition("\n## ")[0]
     rows = [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in section.splitlines() if "|" in line]
     rows = [tuple(cell.replace("`", "") for cell in row) for row in rows if set(row[0]) - {"-"} or len(row) < 3]
@@ -46,7 +46,7 @@ def tables(node: str) -> tuple[set[tuple[str, ...]], set[tuple[str, ...]]]:
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """All nodes in one domain, each in a namespace of its own; and a node that asks."""
+    """All nodes in one domain, each in a separate namespace, and a node that queries them."""
     import rclpy
     from rclpy.node import Node
 
@@ -83,7 +83,7 @@ def qos_of(infos: list[Any], node: str) -> str:
 
 
 def interfaces_of(asker: Any, node: str) -> set[tuple[str, ...]]:
-    """(kind, relative name, type, reliability and durability); Fast DDS tells no depth."""
+    """List (kind, relative name, type, reliability and durability); Fast DDS does not report the depth."""
     space = f"/{node}_space"
     found: set[tuple[str, ...]] = set()
 
@@ -161,7 +161,7 @@ def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any
 
 
 def shown(value: Any) -> str:
-    """A parameter's value as the document writes it."""
+    """Format a parameter's value as the document does."""
     found = {
         1: value.bool_value, 2: value.integer_value, 3: value.double_value, 4: value.string_value,
         7: list(value.integer_array_value), 8: list(value.double_array_value), 9: list(value.string_array_value),

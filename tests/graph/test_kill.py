@@ -1,4 +1,4 @@
-"""Nothing lost: processes are killed at seeded moments, the campaign goes on, and ends as if nothing had been."""
+"""Nothing is lost: processes are killed at seeded moments, and the resumed campaign equals an undisturbed one."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ pytestmark = pytest.mark.graph
 
 SEED = 2
 ORDER = ("orchestrator", "driver", "sigint", "simulator", "worker", "two", "sigterm")
-"""What is killed at each moment, in turn. The first one is in every run of the tests, the others are marked `long`."""
+"""Process killed at each moment, in turn. The first is in every run of the tests, the others are marked `long`."""
 PROCESSES = 4
-"""Of a graph: three simulators and a driver."""
+"""Processes of a graph: three simulators and a driver."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -39,10 +39,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="module")
 def campaigns(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[float], list[set[str]]]:
-    """Two campaigns at the same time, one by one worker and one by two.
+    """Two campaigns at the same time, one with one worker and one with two.
 
     Returns:
-        Their folder; the seconds at which the lines of the first came; the ROS domains of each.
+        Their folder; the seconds at which the first printed its lines; the ROS domains of each.
     """
     folder = tmp_path_factory.mktemp("kill")
     two = Session(folder / "two", DRIVER, 2)
@@ -68,7 +68,7 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[floa
 def test_two_campaigns_and_any_number_of_workers_give_the_same_bytes(
     campaigns: tuple[Path, list[float], list[set[str]]],
 ) -> None:
-    """Each worker in a ROS domain of its own, the names in it the same."""
+    """Each worker has a separate ROS domain with the same names."""
     folder, _, (of_one, of_two) = campaigns
     assert len(stored(folder / WHOLE)) == EXECUTIONS
     assert differences(folder / "two", folder / WHOLE, {}) == []

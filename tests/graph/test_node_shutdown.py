@@ -19,13 +19,13 @@ pytestmark = pytest.mark.graph
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 SECOND = 1.0
-"""The promise, on a machine that is not overloaded; see `seconds_to_end`."""
+"""Documented limit on a machine that is not overloaded, s; see `seconds_to_end`."""
 Start = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
 def start() -> Iterator[Start]:
-    """Starts a package's executable in a domain, as `ros2 run` does."""
+    """Start a package's executable in a domain, as `ros2 run` does."""
     processes = []
 
     def begin(executable: str, domain: int, *arguments: str) -> subprocess.Popen[str]:
@@ -80,13 +80,13 @@ def seconds_to_end(process: subprocess.Popen[str], number: signal.Signals) -> fl
 
 
 def processor_time(pid: int) -> float:
-    """Seconds that a process has run so far, which is what it gets done on a busy machine too."""
+    """Read the CPU time of a process, s, which measures its progress on a busy machine too."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
 
 def runnable() -> float:
-    """Processes that run or wait for a core: the average of the last minute, or those of this moment if more."""
+    """Count processes that run or wait for a core: the average of the last minute, or the current number if higher."""
     average, _, _, now, _ = Path("/proc/loadavg").read_text().split()
     return max(float(average), float(now.partition("/")[0]))
 
@@ -94,7 +94,7 @@ def runnable() -> float:
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("after", [0.1, 0.5, 1.2])
 def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal.Signals, after: float) -> None:
-    """While Python starts, while PyTorch is imported, while the network is loaded; in seconds of processor time."""
+    """While Python starts, while PyTorch is imported, while the network is loaded; in seconds of CPU time."""
     process = start("ds_driver/driver", domain)
     deadline = time.monotonic() + 60.0
     while processor_time(process.pid) < after and time.monotonic() < deadline:
@@ -112,7 +112,7 @@ def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal
     ],
 )
 def test_a_node_that_waits_ends(start: Start, domain: int, number: signal.Signals, executable: str, ready: str) -> None:
-    """Also with simulated time that nobody publishes."""
+    """Also with simulated time that is not published."""
     process = start(executable, domain, "-p", "use_sim_time:=true")
     read_until(process, ready)
     assert seconds_to_end(process, number) < SECOND
@@ -124,7 +124,7 @@ def test_a_node_that_waits_ends(start: Start, domain: int, number: signal.Signal
 def test_a_node_ends_in_the_midst_of_a_run(
     start: Start, domain: int, number: signal.Signals, simulator: str, logs: Path
 ) -> None:
-    """A sound one that runs at full speed, and one that hangs in its physics."""
+    """A healthy one at full speed, and one that hangs in its physics."""
     from ds_orchestrator.graph.executor import GraphExecutor
 
     process = start("ds_sim/simulator", domain, "-p", f"simulator:={simulator}", "-r", "__ns:=/a/b")

@@ -1,4 +1,4 @@
-"""One simulator and its drivers as separate processes: roads, runs, and everything that can be wrong with them."""
+"""One simulator and its drivers as separate processes: roads, runs, and their possible errors."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
 
 
 def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
-    """The goal's answer is there before the request has been noted down: a slow sender, as on a busy machine."""
+    """The goal's answer arrives before the request is registered: a slow sender, as on a busy machine."""
 
     class Slow:
         def __init__(self, handle: Any) -> None:
@@ -87,7 +87,7 @@ def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
 
 
 def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any) -> None:
-    """The second client waits, says for whom, and is refused; it ends the run when its client is gone."""
+    """The second client waits, reports for whom, and is refused; it ends the run once the first client is gone."""
     import rclpy
     from ds_interfaces.action import DriveRoad
     from rclpy.action import ActionClient
@@ -131,7 +131,7 @@ def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
 
 
 def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:
-    """What ds_road would not even build is sent as a message, as anybody could."""
+    """Roads that ds_road refuses are sent as messages, as any client could."""
     from ds_interfaces.msg import Road as RoadMessage
     from ds_interfaces.srv import LoadRoad
     from geometry_msgs.msg import Point
@@ -165,7 +165,7 @@ def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> 
 
 
 def test_another_driver_takes_the_wheel_without_touching_anything_else(lonely_simulator: Any) -> None:
-    """The README's driver, in a process of its own, drives a gentle road to its end."""
+    """The README's driver, in a separate process, drives a gentle road to its end."""
     executor, domain = lonely_simulator
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
     command = [sys.executable, "examples/line_driver.py", "--ros-args", "-r", "__ns:=/ds1"]
@@ -192,7 +192,7 @@ def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> 
 def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Somebody's class, found on PYTHONPATH by the driver's process; its log tells how long the answers took."""
+    """A user's class on PYTHONPATH; the log of the driver's process states the time of the answers."""
     from ds_orchestrator.graph.session import running_graph
 
     (tmp_path / "late.py").write_text(
@@ -263,7 +263,7 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
 
 
 def _answer_all(name: str, steering: float) -> Any:
-    """A driver in the test's process that answers every image."""
+    """Create a driver in the test's process that answers every image."""
     from ds_interfaces.msg import DriveCommand
     from rclpy.node import Node
     from sensor_msgs.msg import Image
@@ -281,7 +281,7 @@ def _answer_all(name: str, steering: float) -> Any:
 def test_two_drivers_are_noticed_and_named_and_give_no_verdict(
     lonely_simulator: Any, spin: Callable[..., None]
 ) -> None:
-    """They are found by their commands; one alone drives again."""
+    """They are detected by their commands; a single one drives again."""
     names = ("driver", "another")
     executor, _ = lonely_simulator
     nodes = [_answer_all(name, steering) for name, steering in zip(names, (0.0, 0.4), strict=True)]
@@ -299,7 +299,7 @@ def test_two_drivers_are_noticed_and_named_and_give_no_verdict(
 
 
 def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(graph: Any) -> None:
-    """Killed, so that ROS still lists it for a while."""
+    """The second is killed, so that ROS still lists it for a while."""
     domain = graph.context.get_domain_id()
     command = [sys.executable, "-m", "ds_sim.ros.simulator_node", "--ros-args", "-r", "__ns:=/ds1"]
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
@@ -309,7 +309,7 @@ def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(graph: An
         log = graph._supervisor._log("simulator_ds1")
         while "2 simulators live in /ds1" not in log.read_text() and time.monotonic() < deadline:
             time.sleep(0.1)
-        time.sleep(0.5)  # until the second one has found the first one, too
+        time.sleep(0.5)  # until the second has discovered the first, too
         run = graph.execute("donkey", ROAD, 1)
         assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.TWO_SIMULATORS, 0), run.message
     finally:

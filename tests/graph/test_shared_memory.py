@@ -27,14 +27,14 @@ def start(domain: int) -> subprocess.Popen[str]:
 
 
 def segments(process: subprocess.Popen[str]) -> set[str]:
-    """Names of the process's own segments; ports are shared between processes of a domain."""
+    """List the process's own segments; ports are shared between the processes of a domain."""
     lines = Path(f"/proc/{process.pid}/maps").read_text().splitlines()
     names = {line.partition(f"{FOLDER}/")[2] for line in lines if f"{FOLDER}/fastrtps_" in line}
     return {name for name in names if "_port" not in name}
 
 
 def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_uses_stays() -> None:
-    """In two domains: a process maps the segments of all that it talks to."""
+    """In two domains: a process maps the segments of all its peers."""
     from ds_orchestrator.graph.ros_domain import RosDomain
 
     domains = RosDomain(), RosDomain()
@@ -58,7 +58,7 @@ def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_uses_stay
 
 
 def test_young_locked_and_foreign_files_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A group goes as a whole or not at all; a lock on one of its files keeps the others."""
+    """A group is removed as a whole or not at all; a lock on one of its files keeps the others."""
     names = ("fastrtps_ab", "fastrtps_ab_el", "fastrtps_port7411", "sem.fastrtps_port7411_mutex", "other", "sem.other")
     for name in names:
         (tmp_path / name).touch()

@@ -23,7 +23,7 @@ search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 120}
 
 
 def executions(folder: Path) -> dict[tuple[str, str], tuple[str, str]]:
-    """Empty as long as the campaign has made no table."""
+    """Read outcome and digest of every execution; empty until the campaign has created its tables."""
     if not (folder / "campaign.sqlite").exists():
         return {}
     try:
@@ -36,9 +36,9 @@ def executions(folder: Path) -> dict[tuple[str, str], tuple[str, str]]:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(600)  # the machine is made busy on purpose
+@pytest.mark.timeout(600)  # the test loads both cores on purpose
 def test_the_same_seed_gives_the_same_bytes_also_on_a_busy_machine(tmp_path: Path) -> None:
-    """Two fresh graphs of all simulators with the network; both cores busy with something else the second time."""
+    """Two new graphs of all simulators with the network; the second time, other processes load both cores."""
     (tmp_path / "c.yaml").write_text(WHOLE)
     for name in ("first", "second"):
         busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * (name == "second"))]

@@ -1,4 +1,4 @@
-"""Manifests of the ROS packages: every import is declared, under a key that rosdep knows, and nothing else is."""
+"""Manifests of the ROS packages: they declare every import, and nothing else, under keys that rosdep knows."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ NO_KEY = {
     "safetensors": "safetensors",
     "statsmodels": "statsmodels",
 }
-"""Imported module -> its name on PyPI, where rosdep has no key."""
+"""Imported module -> name on PyPI, if rosdep has no key."""
 WITHOUT_IMPORT = {
     "ds_orchestrator": ("ds_sim_bullet", "ds_sim_softbody"),  # made by the names in ds_sim/registry.py
     "ds_sim_bullet": ("python3-pybullet-pip",),  # imported when the first vehicle is made
@@ -64,7 +64,7 @@ WITHOUT_IMPORT = {
 
 
 def imports_of(package: Path) -> set[str]:
-    """Top-level modules outside the package and the standard library that its modules import."""
+    """List the top-level modules that a package imports, except its own and the standard library's."""
     found: set[str] = set()
     for path in (package / package.name).rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -102,7 +102,7 @@ def test_every_key_is_one_of_this_workspace_or_known_to_rosdep(name: str) -> Non
 
 @pytest.mark.parametrize("name", PACKAGES)
 def test_a_manifest_has_a_maintainer_a_url_and_a_dated_changelog(name: str) -> None:
-    """The changelog as REP-132 has it: the newest version first, which is the project's or still to come."""
+    """The changelog follows REP-132: the newest version first, the project's or a forthcoming one."""
     root = manifest(name)
     assert root.findtext("maintainer") and root.findtext("url") and root.findtext("license") == "Apache-2.0"
     version = tomllib.loads((SOURCE.parent / "pyproject.toml").read_text())["project"]["version"]

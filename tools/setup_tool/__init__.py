@@ -1,1 +1,1 @@
-"""Sets the project up on a bare machine: plain standard library, run by the system's own Python."""
+"""Sets the project up on a bare machine; needs only the standard library of the system's Python."""

@@ -1,4 +1,4 @@
-"""What set-up says, and how it runs other programs: one line a step on screen, the rest in the log."""
+"""Output of the set-up and execution of programs: one line per step on screen, the rest in the log."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from contextlib import contextmanager
 from pathlib import Path
 
 SHOWN_LINES = 15
-"""Last lines of a program's output that a failure shows (chosen: a compiler's message with its context)."""
+"""Last lines of a failed program's output to show; chosen: a compiler's message with its context."""
 
 
 class SetupError(Exception):
-    """Set-up cannot go on; the text is one line that says what is wrong and what to do."""
+    """Set-up that cannot continue; the text is one line that says what is wrong and what to do."""
 
 
 class CommandFailedError(SetupError):
-    """A program that set-up ran has failed.
+    """Failure of a program that set-up ran.
 
     Attributes:
-        output: what it printed.
+        output: output of the program.
     """
 
     def __init__(self, message: str, output: str) -> None:
@@ -32,10 +32,10 @@ class CommandFailedError(SetupError):
 
 
 class Console:
-    """Says each step in one line, and keeps the log.
+    """Prints one line per step, and writes the log.
 
     Args:
-        log: file that takes the output of all programs; made anew when its folder is there.
+        log: file for the output of all programs; created anew if its folder exists.
         inherited_descriptor: open file that every program keeps open, so that its lock outlives this process.
     """
 
@@ -45,7 +45,7 @@ class Console:
 
     @contextmanager
     def step(self, what: str) -> Iterator[None]:
-        """Print what is done now, and its seconds when it is done."""
+        """Print a step, and its duration in seconds when it is done."""
         begin = time.monotonic()
         print(f"  {what} ...", end="", flush=True)
         self._write(f"\n=== {what}\n")
@@ -62,19 +62,19 @@ class Console:
         self._write(line + "\n")
 
     def run(self, command: Sequence[str | Path], *, environment: Mapping[str, str], folder: Path, advice: str) -> str:
-        """Run a program to its end, its output in the log.
+        """Run a program to its end, with its output in the log.
 
         Args:
-            command: the program and its arguments.
-            environment: all of its environment variables.
-            folder: where it runs.
-            advice: what the user can do when it fails, in a few words.
+            command: program and arguments.
+            environment: all environment variables of the program.
+            folder: working directory.
+            advice: what the user can do if it fails, in a few words.
 
         Returns:
-            What it printed on both of its outputs.
+            Standard output and standard error of the program.
 
         Raises:
-            CommandFailedError: it could not be started, or its exit status was not 0.
+            CommandFailedError: the program could not be started, or its exit status was not 0.
         """
         words = [str(word) for word in command]
         self._write("$ " + " ".join(words) + "\n")
@@ -99,7 +99,7 @@ class Console:
             raise CommandFailedError(f"{words[0]} cannot be run ({error.strerror}): {advice}", "") from None
         output = "".join(lines)
         if process.returncode in (-signal.SIGINT, 128 + signal.SIGINT):
-            raise KeyboardInterrupt  # Ctrl-C reached the program before it reached us
+            raise KeyboardInterrupt  # Ctrl-C reached the program before this process
         if process.returncode:
             name = os.path.basename(words[0])
             raise CommandFailedError(f"{name} ended with status {process.returncode}: {advice}", output)

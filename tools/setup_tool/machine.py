@@ -1,4 +1,4 @@
-"""What the machine itself must offer: a Python that fits, its headers, venv, and a compiler."""
+"""Requirements on the machine: a supported Python, its headers, venv, and a compiler."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from setup_tool.console import SetupError
 
 PYTHON_VERSIONS = ((3, 12), (3, 11))
-"""Versions for which all wheels exist, best first (3.12 is that of ROS 2 Jazzy)."""
+"""Versions for which all wheels exist, preferred first (ROS 2 Jazzy has 3.12)."""
 
 _DESCRIBE = """
 import importlib.util, json, os, sys, sysconfig
@@ -31,7 +31,7 @@ print(json.dumps({
 
 @dataclass(frozen=True)
 class Python:
-    """An interpreter, as it describes itself."""
+    """Python interpreter, as it describes itself."""
 
     executable: Path
     version: tuple[int, int, int]
@@ -41,24 +41,24 @@ class Python:
 
     @property
     def fits(self) -> bool:
-        """True for a version that the project supports."""
+        """Whether the project supports this version."""
         return self.version[:2] in PYTHON_VERSIONS
 
 
 @dataclass(frozen=True)
 class Need:
-    """Something the system lacks, and the Debian package that brings it."""
+    """Something that the system lacks, and the Debian package that provides it."""
 
     what: str
     package: str
 
 
 def describe(command: str | Path, variables: Mapping[str, str] | None = None) -> Python | None:
-    """Ask an interpreter about itself; None when it does not run.
+    """Ask an interpreter for its description; None if it does not run.
 
     Args:
-        command: the interpreter.
-        variables: its environment variables; those of this process when left out.
+        command: interpreter.
+        variables: environment variables of the interpreter; those of this process if None.
     """
     try:
         answer = subprocess.run(
@@ -83,12 +83,12 @@ def describe(command: str | Path, variables: Mapping[str, str] | None = None) ->
 
 
 def find_python(wanted: str, *, with_rclpy: bool = False, variables: Mapping[str, str] | None = None) -> Python:
-    """Choose the interpreter for the environment: the one asked for, else the first that fits.
+    """Choose the interpreter for the environment: the requested one, else the first that is supported.
 
     Args:
         wanted: the user's choice, "" for none.
-        with_rclpy: only take one that finds rclpy, for a sourced ROS.
-        variables: environment variables of the interpreter; those of this process when left out.
+        with_rclpy: accept only one that finds rclpy, for a sourced ROS.
+        variables: environment variables of the interpreter; those of this process if None.
 
     Raises:
         SetupError: there is none.
@@ -115,10 +115,10 @@ def find_python(wanted: str, *, with_rclpy: bool = False, variables: Mapping[str
 
 
 def find_needs(python: Python, which: Callable[[str], str | None] = shutil.which) -> list[Need]:
-    """Everything that the system lacks for this interpreter.
+    """List everything that the system lacks for an interpreter.
 
     Args:
-        python: the interpreter for the environment.
+        python: interpreter for the environment.
         which: finds a program by its name.
     """
     needs = []
@@ -135,7 +135,7 @@ def find_needs(python: Python, which: Callable[[str], str | None] = shutil.which
 
 
 def debian_series(python: Python) -> str:
-    """Start of the names of an interpreter's Debian packages: `python3`, or `python3.12` beside another."""
+    """Name the prefix of an interpreter's Debian packages: `python3`, or `python3.12` if it is not the system's."""
     default = describe("/usr/bin/python3")
     if default is not None and default.version[:2] != python.version[:2]:
         return f"python{python.version[0]}.{python.version[1]}"
@@ -143,12 +143,12 @@ def debian_series(python: Python) -> str:
 
 
 def apt_command(needs: Iterable[Need]) -> list[str]:
-    """The command that installs what is missing."""
+    """Build the command that installs what is missing."""
     return ["apt-get", "install", "-y", *(need.package for need in needs)]
 
 
 def missing_line(needs: Sequence[Need]) -> str:
-    """One line that names all that is missing, with the command to type."""
+    """Describe in one line what is missing, with the command to type."""
     prefix = "" if os.geteuid() == 0 else "sudo "
     return f"missing: {', '.join(need.what for need in needs)}. Type: {prefix}{' '.join(apt_command(needs))}"
 
@@ -157,7 +157,7 @@ def check_platform() -> None:
     """Refuse a machine for which there are no wheels.
 
     Raises:
-        SetupError: it is not Linux on x86-64.
+        SetupError: the machine is not Linux on x86-64.
     """
     if platform.system() != "Linux" or platform.machine() != "x86_64":
         raise SetupError(

@@ -1,4 +1,4 @@
-"""Where ROS 2 comes from: a real ROS 2 Jazzy that the user has sourced, or wheels in .venv."""
+"""Finds ROS 2: an installed ROS 2 Jazzy that the user has sourced, or wheels in .venv."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from setup_tool.console import SetupError
 
 DISTRIBUTION = "jazzy"
 BOOTSTRAP_DONE = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""Says that LD_LIBRARY_PATH holds the wheels' libraries; without it, Python starts itself once more."""
+"""States that LD_LIBRARY_PATH holds the wheels' libraries; without it, Python restarts itself."""
 
 _ROS_VARIABLES = re.compile(
     r"AMENT_|COLCON_|ROS_(DISTRO|VERSION|PYTHON_VERSION|ETC_DIR|PACKAGE_PATH)|CMAKE_PREFIX_PATH$"
@@ -20,18 +20,18 @@ _ROS_VARIABLES = re.compile(
 _PYTHON_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", BOOTSTRAP_DONE)
 
 
-def sourced_prefix(environment: Mapping[str, str], ours: Path) -> Path | None:
-    """Folder of the ROS 2 Jazzy that the environment has sourced, if it is a real one.
+def sourced_prefix(environment: Mapping[str, str], root: Path) -> Path | None:
+    """Find the folder of an installed ROS 2 Jazzy that the environment has sourced.
 
     Args:
         environment: variables of the user's shell.
-        ours: the project's root; prefixes in it don't count, so that our own set-up file can be sourced.
+        root: root of the project; prefixes in it do not count, so that its own set-up file may be sourced.
     """
     if environment.get("ROS_DISTRO") != DISTRIBUTION:
         return None
     for entry in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         prefix = Path(entry)
-        if not entry or ours in prefix.parents or not (prefix / "setup.bash").is_file():
+        if not entry or root in prefix.parents or not (prefix / "setup.bash").is_file():
             continue
         if (prefix / "share/ament_index/resource_index/packages/rclpy").is_file():
             return prefix
@@ -39,7 +39,7 @@ def sourced_prefix(environment: Mapping[str, str], ours: Path) -> Path | None:
 
 
 def clean_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """The user's environment without any ROS or Python environment in it."""
+    """Copy the user's environment without any ROS or Python environment."""
     prefixes = [Path(p) for p in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     clean = {}
     for name, value in environment.items():
@@ -55,7 +55,7 @@ def clean_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def environment_after(script: Path, environment: Mapping[str, str]) -> dict[str, str]:
-    """The variables after a bash script has been sourced.
+    """Read the environment variables after sourcing a bash script.
 
     Raises:
         SetupError: the script is missing or fails.

@@ -1,4 +1,4 @@
-"""Which steps are done, and for which inputs: a file per step holds the hash of what it depends on."""
+"""Records which steps are done, and for which inputs: a file per step holds the hash of its inputs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 UNFINISHED = "unfinished"
-"""File that names the step that runs now; found at the start, it tells of a step that was cut off."""
+"""File that names the running step; if present at the start, that step was interrupted."""
 
 
 def digest(parts: Iterable[str | bytes | Path]) -> str:
@@ -27,18 +27,18 @@ def digest(parts: Iterable[str | bytes | Path]) -> str:
 
 
 class Stamps:
-    """The stamps in one folder. Deleting the folder with the product deletes the memory of it."""
+    """Stamps in one folder, which is deleted together with the product."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def is_done(self, step: str, inputs: str) -> bool:
-        """True when the step was finished for just these inputs (their hash)."""
+        """Check whether the step was finished for these inputs (their hash)."""
         stamp = self.folder / step
         return stamp.is_file() and stamp.read_text() == inputs
 
     def begin(self, step: str) -> None:
-        """Take the step's stamp away and note that it runs."""
+        """Remove the step's stamp, and record that it runs."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self.clear(step)
         self._replace(UNFINISHED, step)
@@ -49,11 +49,11 @@ class Stamps:
         self.clear(UNFINISHED)
 
     def clear(self, step: str) -> None:
-        """Forget that a step was done, or, with `UNFINISHED`, that one was cut off."""
+        """Forget that a step was done, or, with `UNFINISHED`, that one was interrupted."""
         (self.folder / step).unlink(missing_ok=True)
 
     def unfinished(self) -> str | None:
-        """The step that was cut off, if any."""
+        """Name of the interrupted step, if any."""
         note = self.folder / UNFINISHED
         return note.read_text() if note.is_file() else None
 
@@ -68,8 +68,8 @@ def one_at_a_time(folder: Path, on_wait: Callable[[], None]) -> Iterator[int]:
     """Hold the folder's lock, which ends with the last process that has the yielded descriptor open.
 
     Args:
-        folder: an existing folder; the lock is on the folder itself, no file is made.
-        on_wait: called once when someone else holds the lock, before waiting for it.
+        folder: existing folder; the lock is on the folder itself, no file is created.
+        on_wait: called once if another process holds the lock, before waiting for it.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:

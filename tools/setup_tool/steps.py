@@ -1,4 +1,4 @@
-"""The steps of set-up, in order; each is done once and again only when its inputs change."""
+"""Steps of the set-up, in order; each is done once, and repeated only if its inputs change."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from setup_tool.console import CommandFailedError, Console, SetupError
 from setup_tool.stamps import Stamps, digest
 
 BUILD_JOBS = 2
-"""Compilers at once (chosen: the generated C++ takes up to 1 GB of memory each)."""
+"""Parallel compilers; chosen: the generated C++ takes up to 1 GB of memory each."""
 COMPILED_FROM_SOURCE = "pybullet"
-"""Has wheels up to Python 3.11 only; its compilation is a step of its own because it takes minutes."""
+"""Has wheels up to Python 3.11 only; a separate step, because compiling it takes minutes."""
 EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
-"""Requirements that only some commands need, and what the user reads while they are installed."""
+"""Requirements that only some commands need -> their description for the user."""
 
 _NETWORK = "is the network there? see the log, then try again: what is done is kept"
 
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to do.
+    """Step of the set-up.
 
     Attributes:
-        name: of its stamp.
-        what: for the user.
-        inputs: hash of all that the step depends on.
-        run: does it.
-        alters_environment: true when a half-done step leaves the virtual environment in an unknown state.
+        name: name of its stamp.
+        what: description for the user.
+        inputs: hash of everything on which the step depends.
+        run: runs the step.
+        alters_environment: whether an interrupted step leaves the virtual environment in an unknown state.
     """
 
     name: str
@@ -43,13 +43,13 @@ class Step:
 
 
 class Setup:
-    """Everything that set-up knows about this checkout.
+    """Set-up of one checkout.
 
     Args:
-        root: the project's folder.
-        console: says what is done.
-        wanted_python: the interpreter that the user wants; "" takes the one in use, else one that fits.
-        extras: what else to install, of `EXTRAS`.
+        root: root of the project.
+        console: prints the steps.
+        wanted_python: interpreter that the user requests; "" for the one in use, else a supported one.
+        extras: keys of `EXTRAS` to install too.
     """
 
     def __init__(self, root: Path, console: Console, *, wanted_python: str, extras: Iterable[str] = ()) -> None:
@@ -64,10 +64,10 @@ class Setup:
         self._prefix = self._ros_prefix()
         self._python: machine.Python | None = None
 
-    # ------------------------------------------------------------------ what is to be done
+    # ------------------------------------------------------------------ steps
 
     def is_complete(self) -> bool:
-        """True when nothing is to be done; this takes milliseconds."""
+        """Check whether all steps are done; takes milliseconds."""
         return (
             self._stamps.unfinished() is None
             and self._package_stamps.unfinished() is None
@@ -78,18 +78,18 @@ class Setup:
         )
 
     def mark_as_fresh(self) -> None:
-        """Make the environment file younger than all inputs, which is what `./ds` looks at."""
+        """Make the environment file newer than all inputs, which `./ds` checks."""
         (self.environment / "env.sh").touch()
 
     def run(self) -> None:
-        """Do all that is to be done.
+        """Run all steps that are not done.
 
         Raises:
-            SetupError: it cannot go on; the text says what to do.
+            SetupError: a step cannot continue; the text says what to do.
         """
         machine.check_platform()
         if " " in str(self.root):
-            raise SetupError(f"the set-up files of ROS take no blanks in paths: move {self.root} to a path without")
+            raise SetupError(f"set-up files of ROS do not work in paths with spaces: move {self.root} to another path")
         self._provide_system_packages()
         self._forget_what_was_cut_off()
         for step in self._steps():
@@ -108,7 +108,7 @@ class Setup:
         files = {name: self.root / f"requirements/{name}.txt" for name in ("build", "ros", "project", *EXTRAS)}
         pins = self._pins(files["project"])
         base = digest([str(self.root), str(self._prefix), self._wanted_python])
-        # A sourced ROS comes with modules built for its own NumPy, which must therefore stay.
+        # A sourced ROS has modules built for its own NumPy, whose version must therefore stay.
         project = [line for name, line in pins.items() if not (self._prefix and name == "numpy")]
         bulk = [line for line in project if not line.startswith((COMPILED_FROM_SOURCE, "torch=="))]
         origin = f"on the ROS 2 of {self._prefix}" if self._prefix else "with ROS 2 as wheels"
@@ -152,12 +152,12 @@ class Setup:
         return Path(remembered) if remembered else None
 
     def _note(self, name: str) -> str:
-        """A choice that the virtual environment was made with; "" when there is none."""
+        """Read a choice with which the virtual environment was created; "" if there is none."""
         note = self.environment / f".setup/{name}"
         return note.read_text() if note.is_file() else ""
 
     def _environment_works(self) -> bool:
-        """False when the interpreter behind the virtual environment is gone, as after a system's upgrade."""
+        """Check that the interpreter of the virtual environment exists; a system upgrade may remove it."""
         return (self.environment / "bin/python").is_file()
 
     def _provide_system_packages(self) -> None:
@@ -182,7 +182,7 @@ class Setup:
         return machine.find_python(self._wanted_python, with_rclpy=self._prefix is not None, variables=variables)
 
     def _ros_variables(self) -> dict[str, str]:
-        """The variables after the underlying ROS has been sourced, whatever this shell has sourced."""
+        """Read the variables after sourcing the underlying ROS, independent of this shell."""
         prefix = self._prefix or self.environment
         return ros.environment_after(prefix / "setup.bash", ros.clean_environment(os.environ))
 
@@ -193,7 +193,7 @@ class Setup:
         elif cut_off is not None:
             risky = {step.name for step in self._steps() if step.alters_environment}
             if cut_off in risky:
-                self.console.note("  the last set-up was cut off while it installed: .venv is made anew")
+                self.console.note("  the last set-up was interrupted during an installation: .venv is created anew")
                 shutil.rmtree(self.environment, ignore_errors=True)
             self._stamps.clear("unfinished")
         package = self._package_stamps.unfinished()
@@ -224,15 +224,15 @@ class Setup:
 
     def _pip_step(self, name: str, what: str, base: str, pins: Iterable[str]) -> Step:
         wanted = list(pins)
-        # Without isolation a package that is compiled finds the pinned setuptools and NumPy.
+        # Without build isolation, compiled packages use the pinned setuptools and NumPy.
         options = ["--no-build-isolation"] if name == "compiled" else []
         return Step(name, what, digest([base, *wanted]), lambda: self._pip(*options, *wanted), True)
 
     def _pip(self, *arguments: str) -> None:
         """Install packages.
 
-        Without compiling modules to bytecode, which takes twice as long as all the rest, for modules of which few are
-        ever imported: Python compiles those when it first imports them.
+        Modules are not compiled to bytecode, which would take twice as long as the rest; Python compiles the few that
+        are used when it first imports them.
         """
         try:
             self.console.run(
@@ -247,11 +247,11 @@ class Setup:
             )
         except CommandFailedError as error:
             if "Installing collected packages" not in error.output:
-                self._stamps.clear("unfinished")  # nothing was touched yet
+                self._stamps.clear("unfinished")  # nothing has been changed
             raise
 
     def _install_torch(self, pin: str) -> None:
-        """Take the build without CUDA where pip's indexes have it, the other one only where they do not."""
+        """Install the build without CUDA if pip's indexes have it, otherwise the one with CUDA."""
         try:
             return self._pip(f"{pin}+cpu")
         except CommandFailedError as error:
@@ -281,7 +281,7 @@ class Setup:
 
     @staticmethod
     def _variables() -> dict[str, str]:
-        """The user's variables without any ROS or Python environment, for the programs in .venv."""
+        """Copy the user's variables without any ROS or Python environment, for the programs in .venv."""
         return {**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"}
 
     def _prepare_prefix(self) -> None:
@@ -317,7 +317,7 @@ class Setup:
         with self.console.step(f"colcon build of {which}"):
             for name in changed:
                 self._package_stamps.begin(name)
-                # Files that a package no longer has would stay installed.
+                # Files removed from a package would otherwise stay installed.
                 shutil.rmtree(self.workspace / "install" / name, ignore_errors=True)
             self.console.run(
                 [

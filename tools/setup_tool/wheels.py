@@ -1,4 +1,4 @@
-"""Makes a virtual environment with ROS wheels a ROS prefix: this machine's CMake paths, and a setup.bash."""
+"""Turns a virtual environment with ROS wheels into a ROS prefix: this machine's CMake paths, and a setup.bash."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ templates = os.path.dirname(prefix_level.__file__)
 print(json.dumps([sysconfig.get_paths()["include"], numpy.get_include(), templates]))
 """
 _BUILDER = r'/opt/python/[^/;"]+'
-"""Where Python lay on the machine that built the wheels; their exported CMake targets still say so."""
+"""Path of Python on the machine that built the wheels, as in their exported CMake targets."""
 _NUMPY_HEADERS = re.compile(_BUILDER + r"/lib/python[\d.]+/site-packages/numpy/_core/include")
 _PYTHON_HEADERS = re.compile(_BUILDER + r"/include/python[\d.]+")
 _TEMPLATES = (
@@ -33,11 +33,11 @@ _TEMPLATES = (
 
 
 def prepare_prefix(environment: Path, variables: Mapping[str, str]) -> int:
-    """Do all that a virtual environment needs to serve as a ROS prefix.
+    """Prepare a virtual environment to serve as a ROS prefix.
 
     Args:
-        environment: root of the virtual environment, wheels installed.
-        variables: environment variables, free of any other Python's.
+        environment: root of the virtual environment, with the wheels installed.
+        variables: environment variables, without those of another Python.
 
     Returns:
         Number of CMake files that were changed.
@@ -58,7 +58,7 @@ def prepare_prefix(environment: Path, variables: Mapping[str, str]) -> int:
 
 
 def use_headers(export: Path, python_headers: str, numpy_headers: str) -> bool:
-    """Replace the include folders of the builder in one exported CMake file; True when it had any."""
+    """Replace the builder's include folders in one exported CMake file; True if it had any."""
     text = export.read_text()
     fixed = _NUMPY_HEADERS.sub(lambda _: numpy_headers, text)
     fixed = _PYTHON_HEADERS.sub(lambda _: python_headers, fixed)

@@ -1,4 +1,4 @@
-"""The colcon workspace: which packages must be built again, and the environment they need as a flat file."""
+"""Colcon workspace: packages that must be rebuilt, and their environment as a flat file."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ _PATH_LISTS = (
     "PYTHONPATH",
 )
 _DISCOVERY_HOOK = "ds_bringup/share/ds_bringup/environment/one_machine.sh"
-"""Set-up file of ds_bringup that chooses how nodes find each other, under the workspace's install folder."""
+"""Set-up file of ds_bringup that selects the discovery profile, below the workspace's install folder."""
 _CHOSEN_BY_HOOK = ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 def packages(source: Path) -> dict[str, str]:
-    """Name and hash of each package, over the files whose change asks for another build.
+    """Map package -> hash of the files whose change requires a rebuild.
 
-    Python modules are linked, not copied: their change asks for none.
+    Python modules are linked, not copied, and need no rebuild.
     """
     return {manifest.parent.name: digest(_inputs(manifest.parent)) for manifest in sorted(source.glob("*/package.xml"))}
 
 
 def remove_build(workspace: Path, package: str) -> None:
-    """Delete what a package's build has made."""
+    """Delete everything that a package's build has created."""
     for folder in ("build", "install"):
         shutil.rmtree(workspace / folder / package, ignore_errors=True)
 
 
 def built_packages(workspace: Path) -> set[str]:
-    """Names of the packages that have something in the install folder."""
+    """List the packages with files in the install folder."""
     return {folder.name for folder in (workspace / "install").glob("*/") if not folder.name.startswith(".")}
 
 
 def write_environment_file(target: Path, *, root: Path, workspace: Path, wheels: Path | None) -> None:
-    """Write the workspace's environment as plain exports, for shells that must start at once.
+    """Write the workspace's environment as plain exports, which shells read fast.
 
     Args:
-        target: the file.
-        root: the project's folder.
-        workspace: the built colcon workspace.
-        wheels: root of the virtual environment when ROS comes from wheels.
+        target: file to write.
+        root: root of the project.
+        workspace: built colcon workspace.
+        wheels: root of the virtual environment if ROS comes from wheels, else None.
     """
     home = os.environ.get("HOME", "/")
     install = workspace / "install"

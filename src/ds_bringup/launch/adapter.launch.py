@@ -1,4 +1,4 @@
-"""One simulator, and the adapter for a driver of yours that knows only standard messages (docs/drivers.md).
+"""Launches one simulator and the adapter for a driver with standard messages (docs/drivers.md).
 
 ros2 launch ds_bringup adapter.launch.py [sim:=bullet|softbody|donkey] [namespace:=ds1]
                                          [message:=twist_stamped|twist|ackermann|servo|autoware]

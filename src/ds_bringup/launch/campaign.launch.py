@@ -1,4 +1,4 @@
-"""The simulators and the driver that a campaign file names, and the campaign on them; ends with the campaign.
+"""Launches a campaign with the simulators and the driver of its file; ends with the campaign.
 
 ros2 launch ds_bringup campaign.launch.py out:=DIR [config:=FILE]
 """
@@ -25,7 +25,7 @@ EXECUTABLES = {
 
 
 def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """The processes of the campaign file; one that ends is started again, but for the campaign's own."""
+    """List the processes of the campaign file; all but the campaign's own are restarted when they end."""
     path = LaunchConfiguration("config").perform(context)
     config = read_config(Path(path))
     namespaces = namespaces_of(config.siblings, config.twin)
@@ -58,11 +58,11 @@ def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe what is known before the campaign file is read."""
+    """Declare the arguments; the processes follow when the campaign file is read."""
     demo = PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "demo.yaml"])
     return LaunchDescription(
         [
-            DeclareLaunchArgument("out", description="folder of the campaign; an unfinished one goes on"),
+            DeclareLaunchArgument("out", description="campaign folder; an unfinished campaign resumes"),
             DeclareLaunchArgument("config", default_value=demo, description="campaign file"),
             OpaqueFunction(function=nodes_of),
         ]

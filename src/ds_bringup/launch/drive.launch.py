@@ -1,9 +1,9 @@
-"""One simulator and one driver.
+"""Launches one simulator and one driver.
 
 ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|donkey] [namespace:=ds1]
                                        [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
 
-A simulator of your own: sim:=module:Class parameters:=FILE, with FILE as those in config/simulators.
+For your own simulator: sim:=module:Class parameters:=FILE, with FILE like those in config/simulators.
 """
 
 from launch import LaunchDescription

@@ -1,4 +1,4 @@
-"""Both digital siblings and the twin, each in its own namespace with its own driver.
+"""Launches both digital siblings and the twin, each in its own namespace with its own driver.
 
 ros2 launch ds_bringup siblings.launch.py [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
 """
@@ -16,7 +16,7 @@ SIMULATORS = {
     "ds2": ("ds_sim_softbody", "softbody.yaml"),
     "twin": ("ds_twin_donkey", "donkey.yaml"),
 }
-"""Namespace -> package whose executable `simulator` runs there, and file with the parameters of its nodes."""
+"""Namespace -> package with the executable `simulator`, and parameter file of its nodes."""
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -1,4 +1,4 @@
-"""Campaigns without simulators, made for the tests of the report."""
+"""Synthetic campaigns, without simulators, for the tests of the report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ds_sim.registry import label_of
 from ds_sim.simulator import Outcome
 
 EVIL = "nowhere:</script><script>alert('&')</script>"
-"""The name of a simulator that cannot be made, and that no page may take at its word."""
+"""Name of a simulator that cannot be created; it holds HTML that the page must escape."""
 
 
 @cache
@@ -31,9 +31,9 @@ def road(seed: int) -> Road:
 
 
 def make_execution(test: Test, simulator: str, offset: float) -> Execution:
-    """Along the right lane, drifting to the right until `offset` m; the run ends when the lane is left.
+    """Create a drive along the right lane that drifts to the right until `offset` m; it ends outside the lane.
 
-    It steers as restlessly as a network, at random from the names of test and simulator.
+    Steering is as noisy as a network's, drawn from the names of test and simulator.
     """
     centre, across = test.road.right_lane_centre, (test.road.right_edge - test.road.left_edge) / (2 * 4.0)
     lateral = np.linspace(0.0, offset, len(centre))
@@ -52,7 +52,7 @@ def make_execution(test: Test, simulator: str, offset: float) -> Execution:
 
 
 def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> list[tuple[Test, list[Execution]]]:
-    """Tests that the searches found, each driven on every simulator."""
+    """Create the tests of the searches, each driven on every simulator."""
     rng = np.random.default_rng(5)
     made = []
     for k, sibling in enumerate(config.siblings):
@@ -66,7 +66,7 @@ def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> l
 
 
 def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int, *, bags: bool = False) -> Store:
-    """A store of such tests, which names a bag for each execution if wanted."""
+    """Create a store of such tests, with the name of a bag for each execution if `bags`."""
     store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
     store.note("version numpy", "1.2.3<b>")
     for test, driven in make_tests(config, per_sibling):

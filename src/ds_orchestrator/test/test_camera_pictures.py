@@ -1,4 +1,4 @@
-"""Pictures of drives in a report: those that the simulator has shown, chosen so that they tell most."""
+"""Pictures of drives in a report: equal to the simulator's images, of the most informative tests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_camera_pictures_repeat() -> None:
 
 
 def test_pictures_are_what_the_simulator_has_shown() -> None:
-    """Drawn again from the path alone, they are the frames of the drive but for noise and the body's small tilts."""
+    """Rendered from the path alone, they equal the frames of the drive except for noise and the body's small tilts."""
     session = Session(make_simulator("bullet"))
     autopilot = Autopilot(session.simulator.spec.autopilot)
     seen = session.start(TEST.road, TEST.seed)
@@ -73,7 +73,7 @@ def test_the_worst_of_every_cell_comes_first() -> None:
     def chosen(most: int) -> list[str]:
         return [test.test_id for test in telling_tests(tests, driven, cells, most=most)]
 
-    # t1 fails on two simulators, t4 comes nearer to the edge than t2, t3 only failed; t5 has no cell.
+    # t1 fails on two simulators, t4 comes closer to the edge than t2, t3 failed too; t5 has no cell.
     assert [chosen(most) for most in (0, 1, 2, 3, 4, 9)] == [
         [], ["t1"], ["t1", "t4"], ["t1", "t2", "t4"], ["t1", "t2", "t3", "t4"], ["t1", "t2", "t3", "t4"],
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Campaigns with hardly anything in them go through maps, evaluation and report like any other."""
+"""Maps, evaluation and report of campaigns with almost no data."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ds_sim.registry import label_of
 from ds_sim.simulator import Outcome
 
 TWO = CampaignConfig(siblings=["nowhere:A", "path_to_x:Sim"], twin="nowhere:Twin")
-"""Simulators that cannot be made, so that nothing is drawn; one of them looks like two in a migration's name."""
+"""Simulators that cannot be created, so that nothing is rendered; one has a name that looks like a migration."""
 ONE = CampaignConfig(siblings=["nowhere:A"], twin="nowhere:Twin")
 ALONE = CampaignConfig(siblings=["nowhere:A", "path_to_x:Sim"], twin=None)
 FAILS, PASSES = 2.5, 0.5
 
 
 def campaign(folder: Path, config: CampaignConfig, offsets: list[float], roads: list[int]) -> Store:
-    """A store of one test a road, alternately of each sibling, each with the same outcome on every simulator."""
+    """Create a store with one test per road, the siblings in turn, each with the same outcome on every simulator."""
     store = Store(folder / "campaign.sqlite", config=config.identity())
     for k, (offset, seed) in enumerate(zip(offsets, roads, strict=True)):
         sibling = config.siblings[k % len(config.siblings)]
@@ -75,10 +75,10 @@ def test_the_whole_chain(
     found = read_correlations(tmp_path, config)
     compared = 2 * (len(config.siblings) + 1)
     assert len(found) == (compared if config.twin else 0)
-    # Whatever r is of so few cells, it carries no conclusion, and no interval pretends that it does.
+    # With so few cells r allows no conclusion, and no interval is given.
     assert all(c.caution and c.r_interval is None and c.auc_interval is None for c in found)
     assert ("No conclusion from this campaign" in page) == bool(config.twin)
-    # The same again: the results are up to date, and nothing is lost by writing them twice.
+    # Write again: the results are up to date, and rewriting them loses nothing.
     assert write_all(tmp_path, store).read_text(encoding="utf-8") == page
     store.close()
 

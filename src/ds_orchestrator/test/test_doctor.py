@@ -17,7 +17,7 @@ def by_name(checks: list[Check]) -> dict[str, Check]:
     return {check.name: check for check in checks}
 
 
-def test_an_old_python_without_a_compiler_is_told_what_to_type() -> None:
+def test_an_old_python_without_a_compiler_gets_the_commands_to_type() -> None:
     checks = by_name(doctor.check_system(version=(3, 10), which=lambda _: None))
     assert not checks["Python"].ok
     assert "3.10" in checks["Python"].detail
@@ -25,7 +25,7 @@ def test_an_old_python_without_a_compiler_is_told_what_to_type() -> None:
     assert checks["C++ compiler"].fix.endswith("apt-get install -y g++")
 
 
-def test_what_is_well_needs_no_fix() -> None:
+def test_passing_checks_need_no_fix() -> None:
     checks = doctor.check_system(version=(3, 12), which=lambda name: f"/usr/bin/{name}")
     assert all(check.ok != bool(check.fix) for check in checks)
     assert by_name(checks)["C++ compiler"].detail == "/usr/bin/c++"
@@ -52,7 +52,7 @@ def test_an_installed_library_that_cannot_be_imported_is_found_by_importing_it(t
 
 
 def test_a_healthy_environment_passes() -> None:
-    """The one in which the tests run: whatever set-up installed has its pinned version and its module's right name."""
+    """The environment of the tests: every library has its pinned version, and its module the right name."""
     pins = doctor.read_pins(REPOSITORY / "requirements/project.txt")
     owners = metadata.packages_distributions()
     modules = {name: doctor.module_of(name) for name in pins}

@@ -1,4 +1,4 @@
-"""The time left against a campaign on a made-up clock: simulators side by side, stages one after the other."""
+"""Estimates of the time left, for a campaign on a simulated clock: parallel simulators, consecutive stages."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ WHOLE = 40 * 5.0 + 80 * 3.0
 
 
 def estimates(known: int = 0) -> list[tuple[float, float]]:
-    """At the end of each execution: the seconds that it takes until all is done, and what is said; in order.
+    """Pair the true seconds left at the end of each execution with the estimate, in order.
 
     Args:
-        known: executions of the first stage on each simulator that were done before.
+        known: executions of the first stage on each simulator that a previous session finished.
     """
     left, now, said = Eta(), 0.0, []
     left.expect(STAGES)
@@ -42,7 +42,7 @@ def test_it_is_right_in_every_stage_and_after_a_resume(known: int) -> None:
     found = estimates(known)
     assert found[0][0] == pytest.approx(WHOLE - known * 5.0 - 2.0)
     for true, said in found[4:]:
-        # The twin is taken for as fast as the others until it has driven; then nothing is guessed.
+        # The twin is assumed to be as fast as the others until it has driven; nothing is assumed afterwards.
         assert said == pytest.approx(true, abs=0.2 * true + 5.0)
     afterwards = [pair for pair in found if pair[0] < 80 * 3.0 - 6.0]
     assert len(afterwards) > 100

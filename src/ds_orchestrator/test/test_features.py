@@ -1,4 +1,4 @@
-"""Features by name, against values that can be worked out."""
+"""Features against values computed by hand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Driven:
 
 
 def circle(radius: float) -> Road:
-    """Half a circle to the left, as points."""
+    """Create half a circle to the left, as points."""
     angle = np.linspace(0, np.pi, 100)
     return Road.from_road_points(np.stack((125 + radius * np.cos(angle), 50 + radius * np.sin(angle)), axis=1))
 
@@ -66,7 +66,7 @@ def test_a_width_makes_bins_of_several() -> None:
 
 
 @pytest.mark.parametrize("name", ["turns", "curvature:", "curvature:0", "curvature:x", ""])
-def test_names_that_stand_for_nothing(name: str) -> None:
+def test_unknown_names_are_refused(name: str) -> None:
     with pytest.raises(FeatureError, match="expected"):
         feature_of(name)
 

@@ -1,4 +1,4 @@
-"""Pictures of feature maps: colours by value, hatching without tests, equal bounds, equal bytes."""
+"""Pictures of feature maps: colours, hatching of empty cells, common bounds, reproducible bytes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def pixels_of(image: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray
 
 
 def luminance(colour: tuple[int, int, int]) -> float:
-    """Of WCAG 2."""
+    """Compute the relative luminance of WCAG 2."""
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in np.array(colour) / 255]
     return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
 

@@ -1,4 +1,4 @@
-"""Identities of maps: names that files and JSON documents have had from the start, whatever simulators are called."""
+"""Identities of maps: stable names in files and JSON documents, whatever the simulators are called."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_every_map_of_a_campaign_has_an_identity_of_its_own() -> None:
 
 
 def test_an_interval_does_not_depend_on_the_order_of_the_operators(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mean of 3 of 9 and 4 of 9 is drawn from the seed that its place in the list gave it in the first version."""
+    """The mean of 3 of 9 and 4 of 9 keeps the seed of the first version, its position in the list."""
     counts = [(3, 9), (4, 9)]
     before = {name: merged_interval(name, counts) for name in OPERATORS}
     merge_operators._merged_interval.cache_clear()

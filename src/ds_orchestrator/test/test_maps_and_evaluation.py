@@ -1,4 +1,4 @@
-"""Union, merge and correlation against a campaign of twelve tests on three siblings, worked by hand."""
+"""Union, merge and correlation of a campaign of twelve tests on three siblings, against values computed by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ds_sim.simulator import Outcome
 
 SIBLINGS = ["a", "b", "c"]
 M = MapId.merged()
-"""Identity of maps in tests that do not look at it."""
+"""Identity of maps in tests that do not depend on it."""
 ROADS = {road.turns_count: road for road in (generate(np.random.default_rng(s), max_angle=200) for s in range(40))}
 CELLS: dict[int, Cell] = {turns: (turns, road.curvature_bin) for turns, road in ROADS.items()}
 X, Y = sorted(ROADS)[:2]
@@ -172,7 +172,7 @@ def test_both_qualities_of_a_union_with_unequal_counts() -> None:
     paper, pooled = union(M, [many, one]), union(M, [many, one], pooled_quality_loss=True)
     assert (paper.cells[1, 5].quality_loss, paper.cells[1, 5].pooled_quality_loss) == pytest.approx((0.5, 0.18))
     assert pooled.cells[1, 5].quality_loss == pytest.approx(0.18)
-    # A cell that one map leaves empty is the other's: what is not known is not 0.
+    # A cell that is empty in one map takes the other's values: empty is not 0.
     assert paper.cells[2, 5].quality_loss == pooled.cells[2, 5].quality_loss == 0.9
     assert paper.cells[1, 5].probability == pytest.approx(1 / 10)
 
@@ -186,13 +186,13 @@ def test_maps_of_different_features_do_not_mix() -> None:
             combine(M, [])
 
 
-# Elites of the table: a0 and a3; b0, which failed before b1 did, and b3; c2, which failed where c0 did not, and c3.
+# Elites of the table: a0 and a3; b0, which failed before b1, and b3; c2, which failed while c0 did not, and c3.
 ELITES = {"a0", "a3", "b0", "b3", "c2", "c3"}
 
 
 def test_elites_of_the_hand_worked_campaign() -> None:
     assert elites_of(TESTS, EXECUTIONS, cells_of(TESTS, EXECUTIONS)) == ELITES
-    # A search that went on without the outcome of a0 kept a1, the first of two equal ones.
+    # A search that continued without the outcome of a0 kept a1, the first of two equal ones.
     assert elites_of(TESTS, EXECUTIONS, cells_of(TESTS, EXECUTIONS), ignored={"a0"}) == ELITES - {"a0"} | {"a1"}
 
 
@@ -243,7 +243,7 @@ def test_the_interval_of_a_product_is_that_of_its_distribution() -> None:
     low, high = merged_interval("product", counts)
     for end, tail in ((low, 0.025), (high, 0.975)):
         assert float(np.mean(b.cdf(end / quantiles))) == pytest.approx(tail, abs=0.004)
-    # Multiplying the ends of the siblings' intervals would claim far less.
+    # Multiplying the ends of the siblings' intervals would give a far wider interval.
     assert high < jeffreys_interval(3, 9)[1] * jeffreys_interval(4, 9)[1] - 0.1
     assert merged_interval("product", counts[::-1]) == (low, high)
     assert merged_interval("product", [(0, 3), (2, 3)])[0] == 0.0
@@ -260,7 +260,7 @@ def test_the_interval_of_extremes_is_exact() -> None:
 
 
 def test_the_authors_rules_on_the_same_counts() -> None:
-    """Plain dictionaries after the authors' rules: pooled unions, merges, -2 in empty cells, average precision."""
+    """Against the authors' rules on plain dictionaries: pooled unions, merges, -2 in empty cells, average precision."""
     rng = np.random.default_rng(3)
     names, where = ["a", "b", "twin"], [(i, j) for i in range(4) for j in range(5, 9)]
     counted: dict[tuple[str, str], dict[Cell, list[tuple[bool, float]]]] = {}
@@ -308,7 +308,7 @@ def test_the_authors_rules_on_the_same_counts() -> None:
         merged = merge(MapId.merged(), [unions["a"], unions["b"]], probability=operator)
         assert {c: v.probability for c, v in merged.cells.items()} == pytest.approx(expected)
         assert all(merged.cells[c].quality_loss == min(a[c].quality_loss, b[c].quality_loss) for c in a)
-    # Correlation: over the cells of both, and over the whole grid with -2 in what is empty.
+    # Correlation over the cells of both, and over the whole grid with -2 in empty cells.
     merged = merge(MapId.merged(), [unions["a"], unions["b"]])
     score, truth = ([m[c].probability for c in sorted(a)] for m in (merged.cells, twin))
     found = correlate(merged, unions["twin"], "probability")
@@ -332,7 +332,7 @@ def test_the_authors_rules_on_the_same_counts() -> None:
 
 
 def average_precision(score: list[float], fails: np.ndarray[Any, Any]) -> float:
-    """Sum over thresholds of (gain in recall) x precision."""
+    """Compute the sum over thresholds of (gain in recall) x precision."""
     total, last = 0.0, 0.0
     for threshold in sorted(set(score), reverse=True):
         chosen = np.array(score) >= threshold
@@ -342,7 +342,7 @@ def average_precision(score: list[float], fails: np.ndarray[Any, Any]) -> float:
 
 
 def test_intervals_over_cells_are_those_of_a_bootstrap() -> None:
-    """Against resamples drawn here; and the same again gives the same."""
+    """Against resamples drawn here; repeating gives the same interval."""
     rng = np.random.default_rng(8)
     truth = np.round(rng.random(40) * (rng.random(40) < 0.5), 2)
     ours = np.clip(truth + rng.normal(0, 0.3, 40), 0, 1)
@@ -380,7 +380,7 @@ def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
         precisions = [average_precision(m.tolist(), truth > 0) for m in (merged, theirs)]
         assert gain.auc == pytest.approx(precisions[0] - precisions[1])
     assert over_a.r is not None and over_b.r is not None and over_a.r < over_b.r
-    # Nothing to merge, nothing added; a twin without failures leaves both numbers open.
+    # One sibling: no differences. A twin without failures: both numbers are undefined.
     assert paired_differences(maps, ["a"], "t") == []
     safe = {**maps, MapId.twin("t"): row([0.0] * 50)}
     assert {(g.r, g.r_interval, g.auc, g.auc_interval) for g in paired_differences(safe, ["a", "b"], "t")} == {
@@ -395,8 +395,8 @@ def test_an_auc_that_is_not_defined_says_why() -> None:
     assert "no cells" in correlate(row([]), row([]), "probability").auc_reason
 
 
-def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_made_the_test() -> None:
-    """The same cell on every simulator, whatever the steering there; without that run no cell at all."""
+def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_generated_the_test() -> None:
+    """The cell is the same on every simulator, whatever the steering there; without that run there is no cell."""
 
     def steered(test_id: str, simulator: str, commands: list[float]) -> Execution:
         execution = make_execution(test_id, simulator, 0.5)

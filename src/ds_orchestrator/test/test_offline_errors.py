@@ -1,4 +1,4 @@
-"""RQ1 against formulas written down here: densities, distance, test, effect, power."""
+"""RQ1 against independent formulas: densities, distance, test, effect, power."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_siblings_together_are_their_errors_one_after_the_other() -> None:
 
 
 def test_effect_and_power_are_the_textbooks() -> None:
-    """Power of a t test by the non-central t distribution; the authors count both sets' errors for each of them."""
+    """Power of a t test by the non-central t distribution; the authors count both samples' errors for each sample."""
     (row, _) = compare_errors({"a": ONE}, TWIN)
     pooled = math.sqrt((399 * ONE.var(ddof=1) + 499 * TWIN.var(ddof=1)) / 898)
     effect = (ONE.mean() - TWIN.mean()) / pooled
@@ -90,20 +90,20 @@ def test_equal_errors_have_no_test_and_no_effect() -> None:
 
 
 @pytest.mark.parametrize("bad", [[], [0.1, float("nan")], [-0.1], [[0.1]]])
-def test_errors_that_are_none_are_refused(bad: list[float]) -> None:
+def test_invalid_errors_are_refused(bad: list[float]) -> None:
     with pytest.raises(ErrorsError, match="errors of a: expected"):
         compare_errors({"a": np.array(bad)}, TWIN)
 
 
-def test_a_network_that_never_comes_near_is_refused() -> None:
+def test_a_network_with_only_large_errors_is_refused() -> None:
     with pytest.raises(ErrorsError, match=r"every error on one of the simulators is above 0\.6"):
         compare_errors({"a": np.full(9, 0.9)}, TWIN)
     with pytest.raises(ErrorsError, match="expected at least one sibling"):
         compare_errors({}, TWIN)
 
 
-def test_predictions_over_a_data_set_of_ours(tmp_path: Path) -> None:
-    """A network of which only the last bias is not 0 answers that bias everywhere, beyond what a car can do."""
+def test_predictions_over_a_data_set(tmp_path: Path) -> None:
+    """A network whose only non-zero parameter is the last bias predicts that bias everywhere, beyond full lock."""
     import torch
 
     network = make_network("chauffeur")

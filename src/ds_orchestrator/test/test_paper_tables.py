@@ -1,4 +1,4 @@
-"""Tables as CSV that a reader gets back, as LaTeX that compiles, and with the paper's numbers in the right rows."""
+"""Tables as CSV that reads back, as LaTeX that compiles, and with the paper's numbers in the right rows."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_latex_escapes_and_balances() -> None:
     assert text.count(r"\begin") == text.count(r"\end") == 2
 
 
-def test_a_person_sees_short_numbers() -> None:
+def test_shown_numbers_are_short() -> None:
     assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.500, 0.250]", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
     assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
     out = io.StringIO()
@@ -96,7 +96,7 @@ def found(map_id: MapId, value: str, r: float | None) -> Correlation:
     )  # fmt: skip
 
 
-def test_the_papers_rows_stand_beside_ours() -> None:
+def test_the_papers_numbers_are_in_the_campaigns_rows() -> None:
     ids = [MapId.union("softbody"), MapId.union("bullet"), MapId.merged()]
     rows = [found(i, v, None if i == MapId.merged() else 0.4) for v in ("probability", "quality_loss") for i in ids]
     rq2, rq3 = correlation_tables(rows, ["softbody", "bullet"], "donkey", ("epoch", "real"))

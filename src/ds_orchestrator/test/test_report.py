@@ -1,4 +1,4 @@
-"""The report, read back without a browser: nothing from outside, everything inside, and every word escaped."""
+"""The report, parsed without a browser: nothing is fetched, everything is inside, all text is escaped."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from ds_sim.simulator import Outcome
 
 
 class Page(HTMLParser):
-    """What a browser finds in a page: elements with attributes, and the text of each kind of element."""
+    """Elements of a page with their attributes, and the text of each kind of element."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str, Store
 
 
 def unpacked(text: str) -> np.ndarray:
-    """The numbers in a packed text, by what its documentation says."""
+    """Decode the numbers in a packed text, following the documentation of `pack`."""
     planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(4, -1).astype(np.int64)
     codes = np.sum([plane << (8 * k) for k, plane in enumerate(planes)], axis=0)
     return np.where(codes % 2 == 0, codes // 2, -(codes + 1) // 2)
@@ -94,7 +94,7 @@ class Columns:
 
 def test_nothing_is_fetched(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
     page, html, *_ = campaign
-    # Plotly's own code names sites, where maps of the world come from; the policy below forbids to ask them.
+    # Plotly's code names sites for geographic maps; the policy below forbids fetching from them.
     own = html.replace(page.texts["script"][1], "")
     assert len(own) < len(html) - 10**6
     assert not re.findall(r"(?i)https?:|//[a-z0-9-]+\.[a-z]|@import|url\((?!#)", re.sub(r"base64,[\w+/=]+", "", own))
@@ -156,7 +156,7 @@ def test_places_hold_the_lines_of_their_tests(campaign: tuple[Page, str, Store, 
                 assert run[5:7] == [len(frames), 1]
                 for k in (0, 1, 4):
                     assert columns.take(run[5]) == pytest.approx(execution.trajectory[frames, k], abs=0.0051)
-                # The last frame is not answered any more: it shows the last command.
+                # The last frame has no command of its own and shows the last one.
                 steering = [execution.steering[min(frame, last - 1)] for frame in frames]
                 assert columns.take(run[5]) == pytest.approx(steering, abs=0.0051)
                 words = execution.outcome.name.lower().replace("_", " ")
@@ -170,7 +170,7 @@ def test_places_hold_the_lines_of_their_tests(campaign: tuple[Page, str, Store, 
 def test_text_is_escaped(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
     page, html, *_ = campaign
     assert "</script><script>alert" not in html and "<img src=x>" not in html and "1.2.3<b>" not in html
-    # Escaped for HTML where people read it, and whole again for the script that reads the data.
+    # Escaped in HTML text, and restored for the script that reads the data.
     assert any(EVIL in text for text in page.texts["h1"])
     assert "<img src=x> broke & stopped" in page.texts["td"]
     assert page.data["simulators"][1]["name"] == EVIL
@@ -187,9 +187,9 @@ def test_errors_and_what_is_left_over_are_listed(tmp_path: Path) -> None:
     page = Page(report_of(tmp_path, store).read_text())
     cells = page.texts["td"]
     assert "the wheels came off" in cells and "nowhere:A, nowhere2:B, nowhere3:C" in cells
-    assert "every attempt ended in an error on nowhere:A; the search went on without it" in cells
+    assert "every attempt ended in an error on nowhere:A; the search continued without it" in cells
     assert any(text.startswith("1 attempt ended in an error.") for text in page.texts["p"])
-    assert any(text.startswith("1 test. Where a test has no outcome") for text in page.texts["p"])
+    assert any(text.startswith("1 test. A test without an outcome enters no map") for text in page.texts["p"])
 
 
 def test_cameras_are_pictures_and_a_missing_simulator_is_a_note(
@@ -260,7 +260,7 @@ def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
     # A p-value of 0 does not exist.
     assert page.texts["td"][at - 1 : at + 7] == ["DS1", "0.500", "< 1e-300", "1e-17", "DSS", "–", "0.250", "–"]
     assert page.data["figures"]["densities"]["data"][0]["y"] == [25.0, 0.0]
-    # Of RQ2 and RQ3, both our numbers and the paper's are in the chart.
+    # The chart has the campaign's numbers and the paper's, for RQ2 and RQ3.
     ours, paper = page.data["figures"]["correlations"]["data"][:2]
     assert ours["x"] == [c.r for c in correlations if c.r is not None]
     assert len(paper["x"]) == 6
@@ -320,7 +320,7 @@ def driven(config: CampaignConfig) -> CampaignData:
 
 
 def said(siblings: list[str], merged: tuple[float, ...], twin: tuple[float, ...], times: int = TIMES) -> str:
-    """Everything that is said about such maps."""
+    """Write the details of the findings for such maps."""
     config = CampaignConfig(siblings=siblings)
     values = {
         **{MapId.union(name): UNIONS[name] for name in siblings},

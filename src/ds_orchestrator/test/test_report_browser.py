@@ -1,4 +1,4 @@
-"""The report in headless Chromium: opened, pointed at, clicked, on a wide screen and on a narrow one."""
+"""The report in headless Chromium: hovering, clicks, keys, on a wide screen and on a narrow one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ds_sim.registry import label_of
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium")
 TIMEOUT = 60_000
-"""ms for whatever a page does; chosen: a hundred times what it takes."""
+"""Limit for every action of a page, ms; chosen: a hundred times what it takes."""
 PLACE = """([name, x, y]) => {
   const plot = document.querySelector(`[data-map="${name}"]`);
   const box = plot.querySelector(".nsewdrag").getBoundingClientRect();
@@ -41,7 +41,7 @@ def browser() -> Iterator[Browser]:
 
 
 class Opened:
-    """A report in a page of the browser, and everything that it complained about or asked for."""
+    """A report in a page of the browser, with its console errors and requests."""
 
     def __init__(
         self, browser: Browser, path: Path, width: int = 1280, scheme: Literal["light", "dark"] = "light"
@@ -60,13 +60,13 @@ class Opened:
             self.complaints.append(address)
 
     def place(self, name: str, cell: tuple[int, ...]) -> tuple[float, float]:
-        """Where the middle of a map's cell is on the screen, after scrolling there."""
+        """Scroll to the middle of a map's cell, and return its place on the screen."""
         self.page.locator(f'[data-map="{name}"]').scroll_into_view_if_needed()
         x, y = self.page.evaluate(PLACE, [name, cell[0], cell[1]])
         return x, y
 
     def shown(self, name: str) -> dict[tuple[int, int], float | None]:
-        """What a map draws: cell -> value, None where it draws nothing."""
+        """Read what a map draws: cell -> value, or None if the cell is empty."""
         columns, rows, values = self.page.evaluate(
             'name => { const t = document.querySelector(`[data-map="${name}"]`).data[0]; return [t.x, t.y, t.z]; }',
             name,
@@ -126,7 +126,7 @@ OVERLAPS = """() => {
   }
   return clashes;
 }"""
-"""Texts of a chart that lie over each other or leave the screen."""
+"""Texts of a chart that overlap or leave the screen."""
 
 
 def test_on_a_phone_nothing_collides_or_is_cut_off_and_a_tap_is_read_out(browser: Browser, campaign: Campaign) -> None:
@@ -171,7 +171,7 @@ def test_dark_mode_turns_page_and_charts_dark_but_paper_stays_white(browser: Bro
 
 
 def test_printed_charts_and_tables_shrink_with_the_page(browser: Browser, campaign: Campaign) -> None:
-    """A page of A4 is 703 pixels wide between its margins; charts were drawn for a wide screen."""
+    """A page of A4 is 703 pixels wide between its margins; the charts are drawn for a wide screen."""
     report = Opened(browser, campaign.path)
     page = report.page
     page.evaluate("() => { document.body.style.width = '703px'; }")

@@ -1,4 +1,4 @@
-"""DeepHyperion in microseconds: no simulator, no clock, only ask and tell."""
+"""Searches through ask and tell, with a synthetic fitness and without simulators."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def cell_of(road: Road) -> Cell:
 
 
 def fitness_of(road: Road) -> float:
-    """Any fixed function of the road that is sometimes negative."""
+    """Compute a fixed function of the road that is sometimes negative."""
     return 1.5 - 12.0 * road.curvature
 
 
@@ -54,7 +54,7 @@ def test_mutants_come_from_elites() -> None:
 
 
 def test_the_archive_holds_the_lowest_fitness_of_each_cell_but_keeps_a_failure() -> None:
-    """Replayed by a plain reference: local competition, and an elite that fails already is never replaced."""
+    """Against a simple reference: local competition, and an elite that failed is never replaced."""
     search, roads = run(4, SearchSettings(population=20, iterations=60, min_angle=60, max_angle=300))
     expected: dict[Cell, float] = {}
     for road in roads:
@@ -66,7 +66,7 @@ def test_the_archive_holds_the_lowest_fitness_of_each_cell_but_keeps_a_failure()
     assert all(cell_of(elite.road) == cell for cell, elite in search.archive.items())
 
 
-def test_an_error_teaches_nothing_and_costs_one_iteration() -> None:
+def test_an_error_changes_no_archive_and_costs_one_iteration() -> None:
     search = DeepHyperion(SETTINGS, np.random.default_rng(1))
     for _ in range(search.budget):
         search.ask()
@@ -87,7 +87,7 @@ def test_ask_and_tell_take_turns() -> None:
 
 
 def test_a_car_that_got_stuck_in_its_lane_has_failed() -> None:
-    """Its fitness is above 0; a road on which the driver came closer to the edge, but drove on, does not replace it."""
+    """Its fitness is above 0; a road on which the driver came closer to the edge but completed does not replace it."""
     search = DeepHyperion(SearchSettings(population=1, iterations=60, extent=1), np.random.default_rng(3))
     road = search.ask()
     search.tell(1.9, failed=True)
@@ -123,7 +123,7 @@ def replayed(kind: type[Search], settings: SearchSettings, seed: int) -> tuple[S
 
 
 @pytest.mark.parametrize("kind", SEARCHES.values())
-def test_every_search_is_replayed_by_its_seed_and_what_it_was_told(kind: type[Search]) -> None:
+def test_every_search_is_replayed_by_its_seed_and_outcomes(kind: type[Search]) -> None:
     first, roads = replayed(kind, SETTINGS, 5)
     second, again = replayed(kind, SETTINGS, 5)
     assert roads == again and first.archive == second.archive
@@ -132,7 +132,7 @@ def test_every_search_is_replayed_by_its_seed_and_what_it_was_told(kind: type[Se
 
 
 def test_every_search_begins_with_the_same_random_roads() -> None:
-    """The baseline differs from the others in what follows the initial population, not in how roads are drawn."""
+    """The baseline differs from the others after the initial population, not in how roads are drawn."""
     begun = [replayed(kind, SETTINGS, 5)[1][: SETTINGS.population] for kind in SEARCHES.values()]
     assert begun[0] == begun[1] == begun[2]
 
@@ -160,7 +160,7 @@ def archived(search: Search) -> list[Road]:
     return [elite.road for elite in search.archive.values()]
 
 
-def test_the_cell_that_is_told_counts() -> None:
+def test_a_reported_cell_is_used() -> None:
     search = DeepHyperion(SearchSettings(population=2, iterations=0), np.random.default_rng(1))
     for cell in ((7, 7, 7), (7, 7, 8)):
         search.ask()
@@ -168,8 +168,8 @@ def test_the_cell_that_is_told_counts() -> None:
     assert set(search.archive) == {(7, 7, 7), (7, 7, 8)}
 
 
-def test_contribution_is_the_share_of_mutants_that_found_a_place() -> None:
-    """Told by hand: the parent is known by the only cell that there is, and mutants are placed or not as we say."""
+def test_contribution_is_the_share_of_mutants_that_entered_the_archive() -> None:
+    """With outcomes set by hand: the only cell is the parent, and the fitness decides whether a mutant is placed."""
     settings = SearchSettings(population=1, iterations=4, min_angle=60, max_angle=60)
     search = DeepHyperionCS(settings, np.random.default_rng(4))
     search.ask()
@@ -180,7 +180,7 @@ def test_contribution_is_the_share_of_mutants_that_found_a_place() -> None:
         search.tell(fitness, cell=(0, 0))
         assert search.contribution((0, 0)) == score
     search.ask()
-    search.tell(None)  # an error says nothing of the parent
+    search.tell(None)  # an error does not change the parent's score
     assert search.contribution((0, 0)) == 0.0
     search.ask()
     search.tell(1.5, cell=(5, 5))  # placed, since its cell is empty
@@ -207,9 +207,9 @@ def test_cells_of_higher_rank_are_selected_more_often() -> None:
 
 
 def test_the_archive_keeps_the_elites_that_pyribs_keeps() -> None:
-    """The same sequence into `ribs.archives.GridArchive`, whose objective is our fitness turned round; failures tie."""
+    """The same sequence in `ribs.archives.GridArchive`, whose objective is the negated fitness; failures tie."""
     if int(np.__version__.partition(".")[0]) < 2:
-        pytest.skip("ribs wants NumPy 2")
+        pytest.skip("ribs needs NumPy 2")
     from ribs.archives import GridArchive
 
     rng = np.random.default_rng(11)

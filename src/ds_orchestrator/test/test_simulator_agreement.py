@@ -1,4 +1,4 @@
-"""Comparison of simulators against counts and distances worked by hand."""
+"""Comparison of simulators against counts and distances computed by hand."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
 def run(
     outcome: Outcome = Outcome.COMPLETED, lateral: tuple[float, float] = (0.0, 0.0), length: float = 50.0
 ) -> RunRecord:
-    """A run whose lateral position grows evenly from one value to another; speed is not even."""
+    """Create a run whose lateral position changes linearly between two values; its speed varies."""
     record = RunRecord(road=ROAD, seed=0, outcome=outcome)
     for step, share in enumerate(np.linspace(0.0, 1.0, 21) ** 2):
         at = lateral[0] + share * (lateral[1] - lateral[0])
@@ -73,7 +73,7 @@ def test_lateral_positions_are_compared_at_the_same_places() -> None:
     assert found.most_apart == pytest.approx(1.98)
     assert found.share_apart == pytest.approx(0.75, abs=0.01)
     assert found.correlation == pytest.approx(-1.0)
-    # A shorter run counts as far as it went, and a car far off the road as one at the lane's edge.
+    # A shorter run is compared as far as it went; a car far off the road counts as at the lane's edge.
     assert len(gaps(one, run(length=20.0))) == 39
     assert gaps(run(lateral=(9.0, 9.0)), run()).max() == 2.0
     assert most_different({"a": [run(), one, one], "b": [run(), run(), other]}, 2) == [2, 1]

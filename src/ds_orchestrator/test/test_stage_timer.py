@@ -1,4 +1,4 @@
-"""Time per stage by a clock that a test sets, over several sessions."""
+"""Time per stage over several sessions, on a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ds_orchestrator.store.store import Execution, Store, Test
 
 
 class Silent:
-    """A listener that remembers what it was told."""
+    """Listener that records the calls."""
 
     def __init__(self) -> None:
         self.told: list[object] = []
@@ -29,7 +29,7 @@ def test_stages_add_up_over_sessions(tmp_path: Path) -> None:
     store, listener = Store(tmp_path / "campaign.sqlite", config="{}"), Silent()
     times = iter([10.0, 12.5, 12.5, 20.0])
     first = StageTimer(listener, store, lambda: next(times))
-    first.end()  # nothing began yet
+    first.end()  # no stage has started
     first.expect([{"a": 7}])
     first.stage("search")
     first.stage("twin")

@@ -1,4 +1,4 @@
-"""Writes a campaign's results: maps as JSON and pictures, the comparison with the twin as tables, and the report."""
+"""Writes a campaign's results: maps as JSON and PNG, the comparison with the twin as tables, and the report."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from ds_orchestrator.store.store import Store
 from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
 
 RQ1 = Path("evaluation/rq1.json")
-"""Where `ds evaluate --data` leaves the tables of RQ1 for the report, relative to the campaign folder."""
+"""File in which `ds evaluate --data` stores the tables of RQ1 for the report, relative to the campaign folder."""
 _RENAMED_TABLES = {"rq1_variants": "rq1_robustness_checks"}
-"""Names that earlier versions gave the tables of RQ1, and their present ones."""
+"""Name of a table of RQ1 in earlier versions -> present name."""
 NOT_MADE = -1
 """Recorded as the number of executions of a result that is missing or incomplete."""
 
@@ -55,11 +55,11 @@ def write_all(
 
     Args:
         folder: campaign folder.
-        store: its store, of a campaign that is finished or not.
-        data: contents of the store if they were read already.
-        again: write all results; otherwise only if one is missing or was made from fewer executions.
+        store: store of the campaign, finished or not.
+        data: contents of the store, if already read.
+        again: write all results even if they are up to date.
         say: called with one line for each stage.
-        trusted: simulators of the user's own whose code may run; the report has no camera pictures of others.
+        trusted: user-defined simulators whose code may run; the report has no camera pictures of others.
 
     Returns:
         Path of the report.
@@ -80,7 +80,7 @@ def write_all(
             say(f"report without its pictures: {error}")
     began = time.monotonic()
     maps = maps_of(data)
-    # A process that ends half-way leaves this mark, so that the results are written again.
+    # If this process ends early, the mark remains and the results are written again.
     for stage in STAGES:
         store.set_result(stage, NOT_MADE)
     say("stage: maps")
@@ -95,12 +95,12 @@ def write_all(
     write_correlations(folder, correlations)
     write_tables(tables, folder / "evaluation")
     store.set_result("evaluation", count)
-    # The first times stay, so that the report is the same when it is written again.
+    # Keep the times of the first writing, so that rewriting gives an identical report.
     store.note("seconds maps", f"{mapped - began:.1f}")
     store.note("seconds evaluation", f"{time.monotonic() - mapped:.1f}")
     data = replace(data, notes=store.notes())
     say("stage: report")
-    # RQ1 needs a data set: it is there if `ds evaluate --data` was given one.
+    # RQ1 needs a data set; its tables exist after `ds evaluate --data`.
     of_rq1 = [replace(table, name=_RENAMED_TABLES.get(table.name, table.name)) for table in read_tables(folder / RQ1)]
     write_report(
         folder,

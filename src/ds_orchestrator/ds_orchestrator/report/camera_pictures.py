@@ -1,7 +1,7 @@
-"""Camera pictures of a report: one place as every simulator shows it, and the drives that tell most, moment by moment.
+"""Camera pictures of a report: one place on every simulator, and frames of the most informative drives.
 
-Drives are drawn again, from the recorded path by the library's own camera: no bag and no physics is needed. What the
-store does not keep, the body's roll, pitch and heave, is 0 in them.
+Drives are rendered again from the recorded path by the library's camera, without bag or physics. Roll, pitch and heave
+of the body are not in the store and are 0.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from ds_sim.registry import make_simulator, received_simulator, spec_of
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, SimulatorSpec, VehicleState
 
 CAMERA_PLACE = 45.0
-"""m along the lane where the cameras' pictures are taken; chosen: past the start, a third of a usual road."""
+"""Arc length of the place that every camera shows, m; chosen: a third of a usual road."""
 DRIVEN_TESTS = 24
-"""Tests whose drives are shown at most; chosen: 1.5 MB, and a quarter of a minute to draw them on two cores."""
+"""Largest number of tests whose drives are shown; chosen: 1.5 MB, rendered in 15 s on two cores."""
 MOMENTS = 5
 """Pictures of one drive; chosen: a row of them fits on a screen."""
 BEFORE_FAILURE = 1.0
-"""s between the pictures of a drive that failed, the last of which shows the failure; chosen: the car is seen to
-leave, with the bend that it leaves in."""
+"""Time between pictures of a failed drive, the last of which shows the failure, s; chosen: shows the car leaving the
+lane, and the bend in which it does."""
 SIZE = (240, 120)
-"""Columns and rows of a drive's picture; chosen: half of what the network sees, as large as it is shown."""
+"""Columns and rows of a drive's picture; chosen: half of the network's input, the size at which it is displayed."""
 QUALITY = 60
-"""Of the JPEGs; chosen: 3 kB each, and lines without visible fringes."""
+"""Quality of the JPEGs; chosen: 3 kB each, lines without visible fringes."""
 _CAMERA_STEPS = 600
 _THREADS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPicture:
-    """What one simulator's camera sees.
+    """Camera picture of one simulator.
 
     Attributes:
-        simulator: its name.
-        physics: one line on its physics model, or "".
+        simulator: name of the simulator.
+        physics: physics model in one line, or "".
         picture: PNG as data URI, or "" if there is none.
-        note: where the vehicle is, or why there is no picture.
+        note: place of the vehicle, or why there is no picture.
     """
 
     simulator: str
@@ -65,7 +65,7 @@ class Drive:
     """Pictures of one drive.
 
     Attributes:
-        frames: base64 of a JPEG, and one line on the moment, in order of time.
+        frames: base64 of a JPEG and its caption, in order of time.
         note: why there are none, or "".
     """
 
@@ -74,13 +74,13 @@ class Drive:
 
 
 def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test | None:
-    """The test that was completed on most simulators; the first one among equals."""
+    """Find the test that was completed on most simulators; the first of several."""
     completed = Counter(e.test_id for e in executions if e.outcome is Outcome.COMPLETED)
     return max(tests, key=lambda test: completed[test.test_id], default=None)
 
 
 def camera_pictures(names: Sequence[str], test: Test, trusted: Collection[str] = ()) -> list[CameraPicture]:
-    """The same place of the same road as every simulator shows it, with the autopilot at the wheel."""
+    """Render the same place of one road on every simulator, driven by the autopilot."""
     return [_camera_picture(name, test, trusted) for name in names]
 
 
@@ -88,44 +88,44 @@ def _camera_picture(name: str, test: Test, trusted: Collection[str]) -> CameraPi
     try:
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
         try:
-            seen = _drive_to(simulator, test, CAMERA_PLACE)
+            reached = _drive_to(simulator, test, CAMERA_PLACE)
             physics = simulator.spec.physics
         finally:
             simulator.close()
-    except Exception as error:  # a simulator that is not installed or breaks must not cost the report
+    except Exception as error:  # a missing or broken simulator must not prevent the report
         return CameraPicture(simulator=name, note=f"no picture: {' '.join(str(error).split())}")
     note = (
-        f"{seen.lane.arc_length:.1f} m along the lane, {_side(seen.lane.lateral_position)} of its centre, "
-        f"{3.6 * seen.vehicle.speed:.0f} km/h"
+        f"{reached.lane.arc_length:.1f} m along the lane, {_side(reached.lane.lateral_position)} of its centre, "
+        f"{3.6 * reached.vehicle.speed:.0f} km/h"
     )
-    if seen.lane.arc_length < CAMERA_PLACE:
-        note += f"; the autopilot got no further ({in_words(seen.outcome)})"
-    picture = f"data:image/png;base64,{base64.b64encode(png(seen.image)).decode()}"
+    if reached.lane.arc_length < CAMERA_PLACE:
+        note += f"; the autopilot got no further ({in_words(reached.outcome)})"
+    picture = f"data:image/png;base64,{base64.b64encode(png(reached.image)).decode()}"
     return CameraPicture(simulator=name, physics=physics, picture=picture, note=note)
 
 
 def _drive_to(simulator: Simulator, test: Test, place: float) -> Observation:
-    """The first observation at a place of the lane, or the last one before it."""
-    seen = simulator.load(test.road, seed=test.seed)
+    """Drive to a place of the lane, m; return the first observation there, or the last one before it."""
+    latest = simulator.load(test.road, seed=test.seed)
     autopilot = Autopilot(simulator.spec.autopilot)
     for _ in range(_CAMERA_STEPS):
-        if seen.lane.arc_length >= place or seen.outcome is not Outcome.RUNNING:
+        if latest.lane.arc_length >= place or latest.outcome is not Outcome.RUNNING:
             break
-        seen = simulator.step(autopilot.command(seen.lane.preview_lateral_position, seen.vehicle.speed))
-    return seen
+        latest = simulator.step(autopilot.command(latest.lane.preview_lateral_position, latest.vehicle.speed))
+    return latest
 
 
 def _side(lateral_position: float) -> str:
-    """`0.42 m to the right`."""
+    """Format a lateral position: `0.42 m to the right`."""
     return f"{abs(lateral_position):.2f} m to the {'right' if lateral_position >= 0 else 'left'}"
 
 
 def telling_tests(
     tests: Sequence[Test], executions: Sequence[Execution], cells: Mapping[str, Cell], *, most: int = DRIVEN_TESTS
 ) -> list[Test]:
-    """The tests that tell most, in the campaign's order: the worst of every cell first, then all that failed.
+    """Select the most informative tests, in the campaign's order: the worst of every cell, then others that failed.
 
-    Worse is what fails on more simulators, then what comes nearer to the lane's edge on any.
+    A test is worse if it fails on more simulators, then if it comes closer to the lane's edge on any.
     """
     failures = Counter(e.test_id for e in executions if e.outcome.is_failure)
     nearest: dict[str, float] = {}
@@ -144,7 +144,7 @@ def telling_tests(
 def drive_pictures(
     names: Sequence[str], tests: Sequence[Test], executions: Sequence[Execution], trusted: Collection[str] = ()
 ) -> dict[str, list[Drive | None]]:
-    """Test -> its drive on every simulator, or None where there was none."""
+    """Render drives: test -> drive on every simulator, or None if it was not driven there."""
     done = {(e.test_id, e.simulator): e for e in executions}
     wanted = [(test, name, done.get((test.test_id, name))) for test in tests for name in names]
     cv2.setNumThreads(1)
@@ -160,13 +160,13 @@ def _drive(name: str, test: Test, execution: Execution, trusted: Collection[str]
         ground = paint_ground(test.road, spec.look)
         camera = Camera(spec.camera, spec.look)
         frames = [_frame(spec, camera, ground, test.seed, execution, k) for k in moments(execution)]
-    except Exception as error:  # as for the cameras above
+    except Exception as error:  # a missing or broken simulator must not prevent the report
         return Drive(note=f"no pictures: {' '.join(str(error).split())}")
     return Drive(frames=tuple(frames))
 
 
 def moments(execution: Execution) -> list[int]:
-    """Frames of a drive that are shown, increasing: its last seconds if it failed, else all of it evenly."""
+    """Select the frames of a drive to show, increasing: its last seconds if it failed, else evenly spread."""
     last = len(execution.trajectory) - 1
     if last < 0:
         return []
@@ -177,12 +177,12 @@ def moments(execution: Execution) -> list[int]:
 def _frame(
     spec: SimulatorSpec, camera: Camera, ground: Ground, seed: int, execution: Execution, step: int
 ) -> tuple[str, str]:
-    """One moment: the picture, and one line on it."""
+    """Render one frame, and write its caption."""
     x, y, yaw, speed, lateral = (float(v) for v in execution.trajectory[step])
     before = float(execution.trajectory[max(step - 1, 0), 2])
     turned = float(np.angle(np.exp(1j * (yaw - before))))
     state = VehicleState(x=x, y=y, yaw=yaw, speed=speed, yaw_rate=turned * FRAME_RATE, steering_angle=0.0)
-    # A sensor of its own for every picture: moments far apart know nothing of each other.
+    # A new sensor for every picture: frames far apart share no sensor state.
     sensor = Sensor(replace(spec.camera, latency=0), np.random.default_rng([seed, step]))
     image = sensor.deliver(camera.render(ground, state))
     side = "right" if lateral >= 0 else "left"

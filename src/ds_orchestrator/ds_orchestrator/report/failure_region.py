@@ -1,6 +1,6 @@
 """Where a driver fails, in terms of the road: one threshold on bend radius or number of turns (a decision stump).
 
-The rule, fixed before any campaign was looked at with it:
+The rule was fixed before it was applied to any campaign:
 
 1. A road fails if it fails on the twin. Without a twin's outcomes, it fails if it fails on every sibling.
 2. For the largest curvature of a road and for its turns count, every threshold between two different values splits
@@ -68,7 +68,7 @@ class RoadOutcomes:
     """Roads and which of them fail.
 
     Attributes:
-        where: the simulators that decide, such as `the twin donkey`.
+        where: simulators that decide, such as `the twin donkey`.
         tests: roads with an outcome on all of these simulators.
         failed: for each test, whether its road fails.
     """

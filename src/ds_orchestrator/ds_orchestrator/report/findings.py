@@ -1,4 +1,4 @@
-"""A campaign's findings in plain sentences, derived from its numbers by fixed rules."""
+"""Findings of a campaign in plain sentences, derived from its numbers by fixed rules."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NOT_TESTED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """A campaign in words.
+    """Findings of a campaign.
 
     Attributes:
         headline: where the driver fails and how sure that is.
@@ -45,13 +45,13 @@ def summarise(
     *,
     paired_differences: Sequence[PairedDifference] = (),
 ) -> Findings:
-    """Say what a campaign found, finished or not.
+    """Summarise the findings of a campaign, finished or not.
 
     Args:
-        data: the campaign.
+        data: contents of the campaign's store.
         maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
         correlations: with the twin, empty without one.
-        paired_differences: of merging, over each sibling; without them the merged map is compared with no sibling.
+        paired_differences: differences between the merged map and each sibling's; they are not compared without them.
     """
     config = data.config
     if not data.executions:
@@ -75,7 +75,7 @@ def summarise(
 
 
 def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
-    """Say where the driver fails and how sure that is; see `ds_orchestrator.report.failure_region` for the rule."""
+    """State where the driver fails and how sure that is; see `ds_orchestrator.report.failure_region` for the rule."""
     if not outcomes.tests:
         return f"No road has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
     total, roads = outcomes.share, count(len(outcomes.tests), "road")
@@ -122,7 +122,7 @@ def _percent(share: Share) -> str:
 
 
 def _limits(outcomes: RoadOutcomes) -> str:
-    """Say which roads were tested, and what was not."""
+    """State which roads were tested, and what was not tested."""
     if not outcomes.tests:
         return f"{NOT_TESTED}."
     curvatures = [test.road.curvature for test in outcomes.tests]
@@ -180,7 +180,7 @@ def _failures(data: CampaignData) -> str:
 
 
 def _predicted(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
-    """Say how the merged map's failing cells look on the twin."""
+    """State in how many of the merged map's failing cells the twin fails."""
     twin, merged = maps[MapId.twin(config.twin or "")].cells, maps[MapId.merged()].cells
     both = [cell for cell in merged if cell in twin]
     alarms = [cell for cell in both if merged[cell].probability > 0]
@@ -198,7 +198,7 @@ def _comparison(
     paired_differences: Sequence[PairedDifference],
     value: Value,
 ) -> str:
-    """Say how the maps of one value correlate with the twin's failures, and whether merging helped."""
+    """State how the maps of one value correlate with the twin's failures, and whether merging helped."""
     found = {c.map: c for c in correlations}
     merged, unions = found[MapId.merged()], [found[MapId.union(name)] for name in config.siblings]
     subject = f"By {_WORDS[value]}"

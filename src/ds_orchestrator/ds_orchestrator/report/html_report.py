@@ -1,4 +1,4 @@
-"""Report of a campaign: one HTML file that opens offline and shows what was found, and how."""
+"""Report of a campaign: one HTML file that opens offline, with findings, maps, tests and provenance."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from ds_sim.simulator import Outcome
 
 _VERDICTS = [outcome for outcome in Outcome if outcome.is_verdict]
 _SHOWN_ERRORS = 200
-"""Rows of a list of errors; chosen: nobody reads more, and the store has them all."""
+"""Rows of a list of errors; chosen: more are rarely read, and the store has all."""
 
 
 def write_report(
@@ -56,13 +56,13 @@ def write_report(
 
     Args:
         folder: campaign folder.
-        data: the campaign, finished or not.
+        data: contents of the campaign's store, finished or not.
         maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
         correlations: with the twin, empty without one.
-        paired_differences: what merging adds to each sibling.
-        tables: of the evaluation.
-        network: whose numbers in the paper are shown beside the campaign's, or None.
-        trusted: simulators of the user's own whose code may run; the others have no pictures.
+        paired_differences: differences between the merged map and each sibling's.
+        tables: tables of the evaluation.
+        network: network in the paper whose numbers are shown for comparison, or None.
+        trusted: user-defined simulators whose code may run; others have no pictures.
 
     Returns:
         Path of the report.
@@ -128,7 +128,7 @@ def _environment() -> Environment:
 
 
 def duration(seconds: float) -> str:
-    """`4 s`, `3 min 20 s`, `5 h 07 min`."""
+    """Format a duration: `4 s`, `3 min 20 s`, `5 h 07 min`."""
     whole = round(seconds)
     if whole < 60:
         return f"{seconds:.0f} s"
@@ -140,7 +140,7 @@ def duration(seconds: float) -> str:
 def _figures(
     config: CampaignConfig, correlations: Sequence[Correlation], tables: Sequence[Table], network: Network | None
 ) -> dict[str, Any]:
-    """Draw charts by name; those that have nothing to show are left out."""
+    """Create charts by name; empty ones are left out."""
     found = {"correlations": correlation_chart(correlations, config.siblings, network)}
     for table in tables:
         if table.name == "rq1_densities" and table.rows:
@@ -149,7 +149,7 @@ def _figures(
 
 
 def _tiles(data: CampaignData, correlations: Sequence[Correlation]) -> list[tuple[str, str]]:
-    """Collect the numbers of the first screen: value, and what it is."""
+    """Collect the key numbers of the first screen: value and caption."""
     config = data.config
     tiles = [
         (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each a road"),
@@ -181,36 +181,36 @@ def _outcome_table(config: CampaignConfig, executions: Sequence[Execution]) -> l
     """Count outcomes, one row per simulator."""
     rows = []
     for name in config.simulators:
-        mine = [e for e in executions if e.simulator == name and e.outcome.is_verdict]
+        judged = [e for e in executions if e.simulator == name and e.outcome.is_verdict]
         rows.append(
             {
                 "simulator": name,
                 "role": "twin" if name == config.twin else "sibling",
-                "tests": len(mine),
-                "counts": Counter(e.outcome for e in mine),
-                "failed": sum(e.outcome.is_failure for e in mine),
-                "max_lateral_position": float(np.mean([e.max_lateral_position for e in mine])) if mine else None,
-                "seconds": sum(e.simulated_seconds for e in mine),
+                "tests": len(judged),
+                "counts": Counter(e.outcome for e in judged),
+                "failed": sum(e.outcome.is_failure for e in judged),
+                "max_lateral_position": float(np.mean([e.max_lateral_position for e in judged])) if judged else None,
+                "seconds": sum(e.simulated_seconds for e in judged),
             }
         )
     return rows
 
 
 def _leftover(data: CampaignData) -> list[tuple[str, str, str]]:
-    """List tests without an outcome somewhere: test, the simulators that lack one, and why."""
+    """List tests that lack an outcome: test, the simulators without one, and the reason."""
     config = data.config
     done = {(e.test_id, e.simulator) for e in data.executions}
     tried = {(test_id, simulator) for test_id, simulator, *_ in data.errors}
     rows = []
     for test in data.tests:
         missing = [name for name in config.simulators if (test.test_id, name) not in done]
-        # Where only elites are migrated, a test that stays at home lacks nothing.
+        # If only elites migrate, other tests need no outcome elsewhere.
         if config.elites_only:
             missing = [name for name in missing if name == test.sibling or (test.test_id, name) in tried]
         if missing:
             failed = [name for name in missing if (test.test_id, name) in tried]
             reason = f"every attempt ended in an error on {', '.join(failed)}" if failed else "not driven yet"
             if test.test_id in data.given_up:
-                reason += "; the search went on without it"
+                reason += "; the search continued without it"
             rows.append((test.test_id, ", ".join(missing), reason))
     return rows

@@ -1,4 +1,4 @@
-"""Data that a report's page draws by itself, as JSON values: maps, tests, and their lines packed cell by cell."""
+"""Data from which the report's script draws, as JSON values: maps, tests, and their lines packed cell by cell."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from ds_sim.simulator import FRAME_RATE, Outcome
 
 
 def in_words(outcome: Outcome) -> str:
-    """`out of bounds`."""
+    """Write an outcome in words: `out of bounds`."""
     return outcome.name.lower().replace("_", " ")
 
 
 def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str, Any]:
-    """Collect everything that the page draws by itself, without pictures and layouts.
+    """Collect the data that the page's script draws, except pictures and layouts.
 
     `tests` holds one list per test: name, sibling, run, number, seed, road, its length (m), curvature (1/m) and turns,
     number of its points, and one list per simulator, or None: outcome, whether it failed, fitness (m), largest lateral
@@ -72,10 +72,10 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
 
 
 def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:
-    """Describe every feature: its title, the bins from the smallest to the largest filled one, and where each begins.
+    """Describe every axis: title, bins from the smallest to the largest filled one, and their edges.
 
-    `begins` and `radii` have one more entry than there are bins: where the last one ends. `radii`: the same places as
-    radius of a bend, or None. `whole`: a bin is one whole number.
+    `begins` and `radii` hold the lower edge of every bin and the upper edge of the last one, `radii` as the radius of a
+    bend, or None. `whole`: each bin is a single whole number.
     """
     filled = {cell for feature_map in maps.values() for cell in feature_map.cells} | set(places)
     axes = []
@@ -96,7 +96,7 @@ def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequ
 
 
 def _radii(feature: Feature, bins: Sequence[int]) -> list[str] | None:
-    """Write the radius where each bin begins, in m, for features of a bend; None for other features."""
+    """Write the radius at the lower edge of each bin, m, for features of a bend; None for other features."""
     if feature.name.partition(":")[0] == "curvature":
         return [radius(bin_ * feature.width * feature.unit) for bin_ in bins]
     if feature.name.partition(":")[0] == "minimum_radius":
@@ -105,7 +105,7 @@ def _radii(feature: Feature, bins: Sequence[int]) -> list[str] | None:
 
 
 def _groups(maps: Iterable[MapId]) -> dict[str, list[str]]:
-    """Group maps that stand side by side."""
+    """Group the maps that are shown side by side."""
     compared = compared_ids(maps)
     merges = [map_id for map_id in maps if map_id.kind == "merged" and map_id not in compared]
     origins = [map_id for map_id in maps if map_id.kind in ("search", "migration")]
@@ -114,7 +114,7 @@ def _groups(maps: Iterable[MapId]) -> dict[str, list[str]]:
 
 
 def _map(config: CampaignConfig, feature_map: FeatureMap) -> dict[str, Any]:
-    """Describe one map; of a cell: bins, tests, failures or None, probability, its interval or None, quality loss."""
+    """Describe one map; a cell is bins, tests, failures or None, probability, its interval or None, quality loss."""
     return {
         "title": feature_map.title,
         "about": about(config, feature_map.id),
@@ -130,7 +130,7 @@ def _map(config: CampaignConfig, feature_map: FeatureMap) -> dict[str, Any]:
 
 
 def about(config: CampaignConfig, map_id: MapId) -> str:
-    """Say in one line what a map of the campaign shows, for someone who sees it for the first time."""
+    """Explain in one line what a map of the campaign shows."""
     simulator, origin = map_id.simulator, map_id.origin
     if map_id.kind == "union":
         return f"Every test, whichever sibling's search found it, driven on {simulator}."
@@ -162,8 +162,8 @@ def _run(execution: Execution | None) -> list[Any] | None:
 def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, str], Execution]) -> str:
     """Pack the lines of all tests of a cell, one test after the other.
 
-    Of each: x and y of the road's centre line and of its right edge (m), then of every drive x, y, lateral position
-    (m), and steering where it is known.
+    For each test: x and y of the road's centre line and of its right edge (m), then for every drive x, y, lateral
+    position (m), and steering if recorded.
     """
     columns: list[NDArray[np.float64]] = []
     for test in tests:
@@ -180,7 +180,7 @@ def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[st
 
 
 def _telling_cell(maps: Mapping[MapId, FeatureMap]) -> list[int] | None:
-    """Choose the cell to begin with: where failure is most probable by the merged map, or else by any map."""
+    """Choose the cell to show first: the highest failure probability of the merged map, or else of any map."""
     for candidates in ([maps[MapId.merged()]], list(maps.values())):
         cells = [(value.probability, value.quality_loss, cell) for m in candidates for cell, value in m.cells.items()]
         if cells:

@@ -1,4 +1,4 @@
-"""Plotly layouts that the report's page fills with lines, and charts of the comparison with the twin."""
+"""Plotly layouts that the report's script fills, and charts of the comparison with the twin."""
 
 from __future__ import annotations
 
@@ -14,29 +14,33 @@ from ds_orchestrator.evaluation.table import Table
 from ds_road.picture import PALETTE
 
 INK, SOFT, LINE = "#1e2329", "#58606b", "#d9dde3"
-OURS, PAPER = "#1f5fa8", "#b4540a"
+CAMPAIGN, PAPER = "#1f5fa8", "#b4540a"
 SCALES: Mapping[str, Sequence[tuple[float, str]]] = {
-    # ColorBrewer's OrRd, PuBu and Greys: lightness falls steadily, so that they hold for every kind of colour vision
-    # and in print; the first one does not begin at white, which is the page.
+    # ColorBrewer's OrRd, PuBu and Greys: lightness falls monotonically, which suits every kind of colour vision and
+    # print; OrRd does not start at white, the colour of the page.
     "probability": ((0, "#fff3df"), (0.25, "#fdd49e"), (0.5, "#fc8d59"), (0.75, "#d7301f"), (1, "#7f0000")),
     "quality_loss": ((0, "#f3eef7"), (0.25, "#bfcbe3"), (0.5, "#74a9cf"), (0.75, "#0570b0"), (1, "#02304f")),
     "tests": ((0, "#f2f2f2"), (0.25, "#cfd3d6"), (0.5, "#9aa1a7"), (0.75, "#63696f"), (1, "#25282b")),
 }
-"""Value -> colours from its smallest to its largest."""
+"""Value -> colour scale, from the smallest value to the largest."""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-"""Of the simulators' lines, in Plotly's words: colour alone is not for everybody."""
+"""Dashes of the simulators' lines, in Plotly's names: colour alone is not accessible."""
 _FONT = {"family": 'system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif', "size": 12, "color": INK}
 _ROW, _LEAST, _MOST = 17, 230, 560
-"""Pixels of a map's row, and of its height."""
+"""Height of a map's row, and smallest and largest height of a map, pixels."""
 
 
 def colour_of_simulator(index: int) -> str:
-    """Of the lines of one simulator, siblings first: `#1f77b4`."""
+    """Choose the colour of a simulator's lines, siblings first: `#1f77b4`."""
     return "#{:02x}{:02x}{:02x}".format(*PALETTE[index % len(PALETTE)])
 
 
 def layouts(rows: int) -> dict[str, Any]:
-    """Layouts by name: `map` with so many rows, `road`, `lateral` and `steering`; axes are named on the page."""
+    """Create layouts by name: `map`, `road`, `lateral` and `steering`; the script sets the axes of maps.
+
+    Args:
+        rows: number of rows of a map.
+    """
     return {
         "map": _plain(_map_layout(rows)),
         "road": _plain(_road_layout()),
@@ -52,7 +56,7 @@ def _plain(layout: go.Layout) -> dict[str, Any]:
 
 
 def _layout(**more: Any) -> go.Layout:
-    """Build what all charts share: nothing moves under a finger or a mouse wheel, so that the page can be scrolled."""
+    """Build the common layout of all charts: no zooming or dragging, so that the page can be scrolled."""
     common: dict[str, Any] = {
         "template": None,
         "font": _FONT,
@@ -88,7 +92,7 @@ def _map_layout(rows: int) -> go.Layout:
 
 
 def _road_layout() -> go.Layout:
-    # A margin that follows the labels and an axis that follows the other one would follow each other for ever.
+    # Automatic margins together with a scale anchor would never converge.
     grid = {"showgrid": True, "gridcolor": "#e3e7dc", "automargin": False}
     return _layout(
         margin={"l": 44, "r": 8, "t": 8, "b": 40},
@@ -137,12 +141,12 @@ def correlation_chart(
                 "type": "data",
                 "array": [high - m for (_, high), m in zip(intervals, middles, strict=True)],
                 "arrayminus": [m - low for (low, _), m in zip(intervals, middles, strict=True)],
-                "color": OURS,
+                "color": CAMPAIGN,
                 "thickness": 2,
                 "width": 5,
             },
             mode="markers",
-            marker={"color": OURS, "size": 10, **({"symbol": "circle-open"} if tentative else {})},
+            marker={"color": CAMPAIGN, "size": 10, **({"symbol": "circle-open"} if tentative else {})},
             name="this campaign, too few cells for a conclusion" if tentative else "this campaign, with 95 % interval",
             showlegend=axis == "x",
             hovertemplate="%{y}: %{x:.3f}<extra>this campaign</extra>",

@@ -25,7 +25,7 @@ function later(action, milliseconds) {
   };
 }
 
-/** Open what the address names, or else the cell that tells most. */
+/** Open the cell that the address names; null if it names none. */
 function openFromAddress() {
   const found = /^#cell=([\d-]+)$/.exec(location.hash);
   if (found && found[1] in placeIndex) {
@@ -41,7 +41,7 @@ async function start() {
     const names = data.groups[group.dataset.maps];
     group.style.setProperty("--maps", Math.min(names.length, 4));
     group.append(...names.map(mapFigure));
-    // Maps in a closed fold have no width: they are drawn when it opens.
+    // Maps in a closed fold have no width and are drawn when it opens.
     group.closest("details")?.addEventListener("toggle", drawAll);
   }
   for (const button of document.querySelectorAll("[data-value]")) button.addEventListener("click", () => showValue(button.dataset.value));
@@ -54,7 +54,7 @@ async function start() {
   for (const place of document.querySelectorAll("[data-figure]")) {
     const figure = data.figures[place.dataset.figure];
     const layout = { ...figure.layout };
-    // Two titles side by side have no room on a phone.
+    // Two titles do not fit side by side on a phone.
     if (narrow.matches && layout.xaxis2) layout.xaxis2 = { ...layout.xaxis2, title: { ...layout.xaxis2.title, text: "AUC-PRC" } };
     newPlot(place, figure.data, layout);
   }
@@ -63,7 +63,7 @@ async function start() {
   document.body.dataset.ready = "true"; // everything is drawn: for tests, and for printing
 }
 start().catch((error) => {
-  panel.prepend(html("p", { class: "warning" }, `This browser cannot draw the report (${error.message}): try a newer one. The same maps lie as pictures in the folder maps beside this file.`));
+  panel.prepend(html("p", { class: "warning" }, `This browser cannot draw the report (${error.message}): try a newer one. The same maps are pictures in the folder maps next to this file.`));
   throw error;
 });
 })();

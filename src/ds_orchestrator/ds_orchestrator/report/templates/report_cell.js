@@ -60,7 +60,7 @@ function cellTable(key) {
 
 const verdict = (run) => (!run ? "– no outcome" : run.failed ? `✗ ${run.outcome}` : `✓ ${run.outcome}`);
 
-/** A road the size of a stamp, with what became of it on every simulator. */
+/** A thumbnail of a road, with its outcome on every simulator. */
 function testButton(test, detail, list) {
   const { lx, ly, rx, ry, cx, cy } = test.road;
   const [xs, ys] = [[...lx, ...rx], [...ly, ...ry]];
@@ -95,7 +95,7 @@ function showTest(test, detail) {
     html("h4", {}, `Test ${test.id}`), html("p", { class: "hint" }, origin), keys(),
     html("div", { class: "charts" },
       chart("The road from above, and every simulator's drive", road),
-      html("div", {}, chart("Place in the lane, seen in driving direction: left is up", lateral), chart("Steering: left is up", steering))),
+      html("div", {}, chart("Lateral position in the lane, in driving direction: left is up", lateral), chart("Steering: left is up", steering))),
     html("div", { class: "scroll" }, outcomeTable(test)), commandsOf(test), drivePictures(test));
   drawRoad(road, test);
   drawLines(lateral, test, "lateral", road);
@@ -145,7 +145,7 @@ function drawRoad(plot, test) {
     traces.push({ ...cross, hoverinfo: "skip", marker: { symbol: "x", size: 15, color: "#ffffff" } });
     traces.push({ ...cross, name: "failed", marker: { symbol: "x", size: 11, color: data.simulators[index].colour } });
   });
-  // Moved by the charts beside, to show where on the road a distance is.
+  // Hovering over the other charts moves this marker to the same place on the road.
   traces.push({ ...still, mode: "markers", x: [], y: [], marker: { size: 12, color: "rgba(0,0,0,0)", line: { color: "#1e2329", width: 2.5 } } });
   return newPlot(plot, traces, data.layouts.road);
 }
@@ -196,13 +196,13 @@ function outcomeTable(test) {
   return html("table", { class: "outcomes stack" }, html("thead", {}, html("tr", {}, ...heads)), html("tbody", {}, ...rows));
 }
 
-/** A word as a shell takes it. */
+/** Quote a word for a shell. */
 const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`);
 
-/** The commands that drive a test again: each recorded run from its bag, and its road on any simulator. */
+/** Commands that re-simulate a test: each recorded run from its bag, and its road on any simulator. */
 function commandsOf(test) {
   const box = html("div", { class: "commands" }, html("h4", {}, "Drive it again"),
-    html("p", { class: "hint" }, "In the campaign folder, the one that holds this file. A run from its bag repeats every command; the same road on another simulator or with another driver begins with its road file."));
+    html("p", { class: "hint" }, "Run these in the campaign folder, which holds this file. Re-simulating a bag repeats every recorded command; to drive the same road on another simulator or with another driver, write its road file first."));
   test.runs.forEach((run, index) => {
     if (run && run.bag) box.append(command(`ds bag redrive ${quoted(run.bag)} --video ${quoted(`${run.bag.split("/").at(-1)}.mp4`)}`, `again on ${data.simulators[index].name}, as recorded`));
   });
@@ -217,7 +217,7 @@ function command(text, what) {
   copy.addEventListener("click", async () => {
     try {
       await navigator.clipboard.writeText(text);
-    } catch { // not allowed for this file: the old way
+    } catch { // the clipboard is not available to local files in every browser
       getSelection().selectAllChildren(line);
       document.execCommand("copy");
     }
@@ -231,7 +231,7 @@ function drivePictures(test) {
   const box = html("div", { class: "drive" }, html("h4", {}, "The drive, as the camera saw it"));
   const rows = data.pictures[test.id];
   if (!rows) {
-    box.append(html("p", { class: "hint" }, `Pictures are in this file for ${Object.keys(data.pictures).length} of ${plural(data.tests.length, "test")}: the worst of a cell, and those that failed. This one is not among them.`));
+    box.append(html("p", { class: "hint" }, `This file has pictures of ${Object.keys(data.pictures).length} of ${plural(data.tests.length, "test")}, the worst of each cell and others that failed, but not of this one.`));
     return box;
   }
   rows.forEach((drive, index) => {

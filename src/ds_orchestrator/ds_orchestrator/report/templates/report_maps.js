@@ -1,6 +1,6 @@
 // ---- the feature maps ---------------------------------------------------------------------------------------------
 const CONFIG = { displayModeBar: false, responsive: true };
-/** On a phone a label would lie over the cell under the finger: its words stand below the map instead. */
+/** On a phone a label would cover the cell under the finger: its text is shown below the map instead. */
 const narrow = matchMedia("(max-width: 640px), (hover: none)");
 const VALUES = {
   probability: { title: "failure probability", top: () => 1, of: (cell) => cell.probability, text: (cell) => cell.probability.toFixed(2) },
@@ -13,7 +13,7 @@ const VALUES = {
 const dimensions = data.axes.length;
 const bins = data.axes.map((axis) => axis.begins.slice(1).map((_, k) => axis.low + k));
 const [across, upwards] = bins;
-const cells = {}; // map name -> key of a cell -> what it holds
+const cells = {}; // map name -> key of a cell -> its values
 for (const [name, map] of Object.entries(data.maps)) {
   cells[name] = {};
   for (const row of map.cells) {
@@ -36,11 +36,11 @@ function binWords(axis, bin) {
   const radius = axis.radii ? ` (radius ${axis.radii[at]} to ${axis.radii[at + 1]})` : "";
   return `${title} ${axis.whole ? from : `${from} to ${to}`}${unit ? ` ${unit}` : ""}${radius}`;
 }
-/** `0.17 (5.9 m)`: where a bin begins, with the radius of such a bend. */
+/** `0.17 (5.9 m)`: lower edge of a bin, with the radius of such a bend. */
 const beginWords = (axis, bin) => axis.begins[bin - axis.low] + (axis.radii ? ` (${axis.radii[bin - axis.low]})` : "");
 const axisTitle = (axis) => axis.title + (axis.radii ? " (bend radius)" : "");
 const placeWords = (key) => key.split("-").map((bin, i) => binWords(data.axes[i], Number(bin))).join(", ");
-/** `0.13 to 0.69`; a short interval beside 0 has a digit more. */
+/** `0.13 to 0.69`; a short interval next to 0 has one more digit. */
 function range(interval) {
   if (!interval) return "not known";
   const digits = interval[1] < 0.01 ? 3 : 2;
@@ -59,7 +59,7 @@ function trace(name, width) {
   const value = VALUES[state.value];
   const rows = upwards.map((_, row) => across.map((__, column) => keyAt(row, column)));
   const each = (make) => rows.map((row) => row.map(make));
-  // Numbers stand in the cells only where they can be read.
+  // Show numbers in the cells only if they are large enough to read.
   const [wide, high] = [(width - (data.axes[1].radii ? 92 : 58)) / across.length, (data.layouts.map.height - 52) / upwards.length];
   const size = Math.min(13, Math.floor(wide / 2.6), Math.floor(high / 1.25));
   return {
@@ -72,14 +72,14 @@ function trace(name, width) {
   };
 }
 
-/** At most so many ticks, so that labels never lie over each other. */
+/** Limit the number of ticks, so that labels do not overlap. */
 function ticks(k, most) {
   const step = Math.ceil(bins[k].length / most);
   const shown = bins[k].filter((_, i) => i % step === 0);
   return { tickmode: "array", tickvals: shown, ticktext: shown.map((bin) => beginWords(data.axes[k], bin)) };
 }
 
-/** The outline of the chosen cell: dark on pale, to be seen on every colour. */
+/** The outline of the chosen cell: dark on pale, visible on every colour. */
 function outline() {
   if (!state.chosen) return [];
   const [x, y, z] = state.chosen.split("-").map(Number);
@@ -100,7 +100,7 @@ function layout(width) {
 function mapFigure(name) {
   const plot = html("div", {
     class: "plot", tabindex: "0", role: "group", "data-map": name,
-    "aria-label": `Map ${data.maps[name].title}. Arrow keys choose a cell; below is what it holds.`,
+    "aria-label": `Map ${data.maps[name].title}. Arrow keys choose a cell; its tests are shown below.`,
   });
   const readout = html("p", { class: "readout" });
   drawn.push({ plot, name, readout });
@@ -108,7 +108,7 @@ function mapFigure(name) {
     html("figcaption", {}, html("b", {}, data.maps[name].title), html("span", {}, data.maps[name].about)), plot, readout);
 }
 
-/** Lets a chart shrink with a printed page: its drawing knows its own size. */
+/** Let a chart shrink with a printed page, by giving its drawing a viewBox. */
 function scalable(plot) {
   for (const part of plot.querySelectorAll(".main-svg")) part.setAttribute("viewBox", `0 0 ${part.getAttribute("width")} ${part.getAttribute("height")}`);
 }
@@ -121,7 +121,7 @@ async function newPlot(plot, traces, layout) {
 /** Draw or update a map; the same call does both. */
 async function draw({ plot, name }) {
   const width = plot.clientWidth;
-  if (!width) return; // inside something that is closed
+  if (!width) return; // inside a closed fold
   const first = !plot.data;
   await Plotly.react(plot, [trace(name, width)], layout(width), CONFIG);
   scalable(plot);
@@ -129,7 +129,7 @@ async function draw({ plot, name }) {
 }
 const drawAll = () => Promise.all(drawn.map(draw));
 
-/** What the mouse is over in one map is shown in all: the same roads, on another simulator. */
+/** Hovering over a cell in one map shows it in all: the same roads on other simulators. */
 function link(plot) {
   const others = () => drawn.filter((other) => other.plot !== plot && other.plot.data && other.plot.clientWidth);
   plot.on("plotly_hover", ({ points: [point] }) => {
@@ -144,12 +144,12 @@ function link(plot) {
     const key = keyAt(...point.pointIndex);
     if (narrow.matches) readOut(key);
     await choose(key);
-    // Where the tests would open out of sight, go there; else the maps stay where the mouse is.
+    // Scroll to the tests if they would open out of sight; otherwise keep the maps under the mouse.
     if (!narrow.matches && panel.getBoundingClientRect().top > 0.75 * innerHeight) panel.scrollIntoView();
   });
 }
 
-/** Below every map, what it holds in a cell. */
+/** Show a cell's values below every map. */
 function readOut(key) {
   for (const { name, readout } of drawn) {
     const cell = cells[name][key];
@@ -192,7 +192,7 @@ function showSlice(bin) {
   return drawAll();
 }
 
-/** A map has two axes: of a third feature one bin is shown at a time. */
+/** Let the user choose the bin of a third feature; a map shows one at a time. */
 function sliceChooser() {
   if (dimensions < 3) return;
   const box = document.getElementById("slices");
@@ -217,7 +217,7 @@ function sliceChooser() {
   select.value = String(state.slice);
 }
 
-/** All numbers of the maps side by side, for those who read or copy rather than look. */
+/** All numbers of the maps side by side, to read or copy. */
 function numbersTable(box) {
   const names = data.groups.compared;
   const keys = [...new Set(names.flatMap((name) => Object.keys(cells[name])))];

@@ -1,6 +1,6 @@
 // ---- lines of tests, unpacked when a cell is opened ---------------------------------------------------------------
-// What `ds_orchestrator.report.polyline_codec.pack` writes: deflate over the bytes of uint32 numbers, lowest bytes first, which
-// stand for the second differences of one column after the other: 0, -1, 1, -2, 2 as 0, 1, 2, 3, 4.
+// Format of `ds_orchestrator.report.polyline_codec.pack`: deflate over the bytes of uint32 numbers, all lowest bytes
+// first, which encode the second differences of one column after the other: 0, -1, 1, -2, 2 as 0, 1, 2, 3, 4.
 
 async function unpack(text) {
   const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
@@ -15,7 +15,7 @@ async function unpack(text) {
   return numbers;
 }
 
-/** Gives the next column at every call, its values in m (or shares of full lock). */
+/** Return a function that decodes the next column at every call, in m (or shares of full lock). */
 function columnsOf(numbers) {
   let next = 0;
   return (length) => {
@@ -38,7 +38,7 @@ function distancesAlong(x, y) {
   return out;
 }
 
-/** Everything that is drawn of the tests of one place: [{test, road, runs}], the worst test first. */
+/** Unpack the tests of one cell: [{id, ..., road, runs}], the worst test first. */
 async function testsOf(placeIndex) {
   const column = columnsOf(await unpack(data.lines[placeIndex]));
   const found = data.places[placeIndex][1].map((index) => {
@@ -52,7 +52,7 @@ async function testsOf(placeIndex) {
       const [outcome, failed, fitness, maxLateral, seconds, kept, steered, message, bag] = facts;
       const [x, y, lateral] = kept ? [column(kept), column(kept), column(kept)] : [[], [], []];
       const steering = steered ? column(kept) : [];
-      // Every kept frame is `data.frame` seconds after the one before, but the last one may come sooner.
+      // Kept frames are `data.frame` seconds apart, but the last one may come sooner.
       const time = x.map((_, i) => Math.min(i * data.frame, seconds));
       return { outcome, failed: Boolean(failed), fitness, maxLateral, seconds, message, bag, x, y, lateral, steering, time, distance: distancesAlong(x, y) };
     });
