@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 REPEAT_AFTER = 0.5
-"""Seconds after which an unanswered first frame is sent again, for a driver that was not connected yet."""
+"""Time after which an unanswered first frame is sent again, s, for a driver that was not yet connected."""
 
 
 class CommandWatchdog:
@@ -41,5 +41,5 @@ class CommandWatchdog:
 
     @property
     def wants_repeat(self) -> bool:
-        """True when a first frame should be sent again."""
+        """Check whether the first frame should be sent again."""
         return self._repeatable and time.monotonic() - self._sent > REPEAT_AFTER

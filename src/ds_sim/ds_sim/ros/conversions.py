@@ -38,20 +38,20 @@ from ds_sim.simulator import (
 from ds_sim.simulator import VehicleState as PlainState
 
 FEEDBACK_EVERY = 10
-"""Frames between two feedback messages of a run: twice a simulated second."""
+"""Frames between two feedback messages of a run; two messages per simulated second."""
 
 
 def to_time(seconds: float) -> Time:
-    """Seconds as a stamp, rounded to the nanosecond."""
+    """Convert seconds to a stamp, rounded to the nanosecond."""
     nanoseconds = round(seconds * 1e9)
     return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 def road_from_message(message: RoadMsg) -> Road:
-    """Road of a message; its id is computed, not copied.
+    """Convert a message to a road; computes the id instead of copying it.
 
     Raises:
-        ds_road.RoadError: the fields make no road.
+        ds_road.RoadError: the fields do not define a road.
     """
     return road_from_fields(
         [(point.x, point.y) for point in message.control_points],
@@ -62,7 +62,7 @@ def road_from_message(message: RoadMsg) -> Road:
 
 
 def road_to_message(road: Road) -> RoadMsg:
-    """Message that makes an equal road again."""
+    """Convert a road to a message from which `road_from_message` makes an equal road."""
     return RoadMsg(
         road_id=road.road_id,
         control_points=[Point(x=x, y=y) for x, y in road.control_points],
@@ -73,12 +73,12 @@ def road_to_message(road: Road) -> RoadMsg:
 
 
 def command_to_message(command: Command, header: Header) -> DriveCommand:
-    """Command as the answer to the image with this header."""
+    """Convert a command to the answer to the image with this header."""
     return DriveCommand(header=header, steering=command.steering, throttle=command.throttle)
 
 
 def command_from_message(message: DriveCommand) -> Command:
-    """Command of a message.
+    """Convert a message to a command.
 
     Raises:
         ds_sim.simulator.CommandError: a value is NaN or out of range.
@@ -87,7 +87,7 @@ def command_from_message(message: DriveCommand) -> Command:
 
 
 def image_to_message(observation: Observation, header: Header) -> Image:
-    """Image of an observation, rgb8."""
+    """Convert the image of an observation, rgb8."""
     rows, columns, channels = observation.image.shape
     message = Image(header=header, height=rows, width=columns, encoding="rgb8", step=columns * channels)
     message.data = observation.image.tobytes()  # assigning an array or a list takes a thousand times as long
@@ -95,7 +95,7 @@ def image_to_message(observation: Observation, header: Header) -> Image:
 
 
 def camera_info_message(camera: CameraSpec, header: Header) -> CameraInfo:
-    """Intrinsics and distortion of the delivered image, exact for `cv2.undistort`.
+    """Make the message with intrinsics and distortion of the delivered image, exact for `cv2.undistort`.
 
     The wide-angle lens is a `rational_polynomial`, not ROS's `equidistant`, which image_geometry and plain
     `cv2.undistort` would misread. P is K: an undistorted image shows the middle at the same scale.
@@ -111,7 +111,7 @@ def camera_info_message(camera: CameraSpec, header: Header) -> CameraInfo:
 
 
 def state_to_message(observation: Observation, header: Header, road_id: str) -> VehicleState:
-    """Vehicle and lane state of one frame."""
+    """Convert vehicle and lane state of one frame to a message."""
     vehicle, lane = observation.vehicle, observation.lane
     return VehicleState(
         header=header,
@@ -137,7 +137,7 @@ def state_to_message(observation: Observation, header: Header, road_id: str) -> 
 
 
 def state_from_message(message: VehicleState) -> tuple[PlainState, LaneState, Outcome]:
-    """Vehicle state, lane state and outcome of one frame."""
+    """Convert a message to vehicle state, lane state and outcome of one frame."""
     vehicle = PlainState(
         x=message.x,
         y=message.y,
@@ -160,7 +160,7 @@ def state_from_message(message: VehicleState) -> tuple[PlainState, LaneState, Ou
 
 
 def odometry_message(vehicle: PlainState, header: Header, child_frame: str) -> Odometry:
-    """Planar pose in the road frame, twist in the vehicle's (REP-105); ground truth, as its covariances say."""
+    """Make the odometry: pose in the road frame, twist in the vehicle frame (REP-105), ground-truth covariances."""
     message = Odometry(header=Header(stamp=header.stamp, frame_id=ROAD_FRAME), child_frame_id=child_frame)
     message.pose.pose.position = Point(x=vehicle.x, y=vehicle.y)
     message.pose.pose.orientation = Quaternion(z=math.sin(vehicle.yaw / 2), w=math.cos(vehicle.yaw / 2))
@@ -172,7 +172,7 @@ def odometry_message(vehicle: PlainState, header: Header, child_frame: str) -> O
 
 
 def transform_message(pose: Pose, stamp: Time, parent: str, child: str) -> TransformStamped:
-    """Pose of a child frame in its parent, for tf2."""
+    """Convert the pose of a child frame in its parent to a message for tf2."""
     (x, y, z), (qx, qy, qz, qw) = pose
     message = TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child)
     message.transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw))
@@ -201,17 +201,17 @@ def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> G
 
 
 def crop_of(info: GetSimulatorInfo.Response) -> tuple[int, int]:
-    """Image rows at the top and at the bottom that a network does not see."""
+    """Return the numbers of image rows hidden from networks at the top and at the bottom."""
     return info.crop_top, info.crop_bottom
 
 
 def gains_of(info: GetSimulatorInfo.Response) -> AutopilotGains:
-    """Gains of the reference driver for a simulator's vehicle."""
+    """Return the reference driver's gains for the vehicle of a simulator."""
     return AutopilotGains(**{field.name: getattr(info, f"autopilot_{field.name}") for field in fields(AutopilotGains)})
 
 
 def drive_feedback(observation: Observation, road: Road) -> DriveRoad.Feedback:
-    """Progress of a run."""
+    """Make the feedback on the progress of a run."""
     return DriveRoad.Feedback(
         step=observation.step,
         progress=min(max(observation.lane.arc_length / road.length, 0.0), 1.0),
@@ -220,7 +220,7 @@ def drive_feedback(observation: Observation, road: Road) -> DriveRoad.Feedback:
 
 
 def drive_result(run: RunRecord) -> DriveRoad.Result:
-    """Result of a run: outcome, measures, and every state and command, stamped from the start of the run."""
+    """Convert a run to a result: outcome, measures, all states and commands; stamps count from the start of the run."""
     result = DriveRoad.Result(
         outcome=OutcomeMsg(value=int(run.outcome)),
         reason=ReasonMsg(value=int(run.reason)),
@@ -242,13 +242,13 @@ def drive_result(run: RunRecord) -> DriveRoad.Result:
 
 
 def refusal_result(reason: Reason, message: str) -> DriveRoad.Result:
-    """Result of a goal that is refused: an error without a run."""
+    """Make the result of a refused goal: an error without a run."""
     outcome = OutcomeMsg(value=int(Outcome.SIM_ERROR))
     return DriveRoad.Result(outcome=outcome, reason=ReasonMsg(value=int(reason)), message=message)
 
 
 def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:
-    """Set a goal's final state: any verdict on the driver, also a failed test, is a success of the action."""
+    """Set a goal's final state; the action succeeds with any verdict on the driver, including a failed test."""
     if outcome is Outcome.CANCELLED and goal.is_cancel_requested:
         goal.canceled()
     elif outcome.is_error:
@@ -258,7 +258,7 @@ def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:
 
 
 def road_markers(road: Road, look: Look, stamp: Time) -> MarkerArray:
-    """Line strips for RViz and Foxglove: the edges of the road in white, its centre line in yellow."""
+    """Make line strips for RViz and Foxglove: edges and centre line of the road, in the colours of `look`."""
     lines = ((road.left_edge, look.edge_line), (road.points, look.centre_line), (road.right_edge, look.edge_line))
     markers = []
     for index, (line, colour) in enumerate(lines):

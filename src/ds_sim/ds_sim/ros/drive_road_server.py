@@ -1,4 +1,4 @@
-"""Server of the action `drive_road` that says why it refuses a goal."""
+"""Serves the action `drive_road`, and states why a goal is refused."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ds_sim.ros.refusal import RequestRefused
 
 
 class DriveRoadServer:
-    """Accepts every goal; one that is refused is aborted at once, as a rejection could carry no reason.
+    """Accepts every goal; aborts a refused one at once, as a rejection cannot carry a reason.
 
     Args:
         node: node that owns the server.
-        begin: begins the run of a goal, or raises RequestRefused; calls `execute` of the goal when the run has ended.
+        begin: begins the run of a goal or raises RequestRefused; calls `execute` of the goal when the run has ended.
         result: closes a goal whose run has ended, and returns its result.
     """
 

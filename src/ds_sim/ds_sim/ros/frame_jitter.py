@@ -19,7 +19,7 @@ class FrameJitter:
         self._late: list[float] = []
         self._last = 0
         self.missed = 0
-        """Beats of the grid on which nothing happened, because the one before took too long."""
+        """Number of grid points without a frame, because the previous frame took too long."""
 
     def beat(self, now: float) -> None:
         """Note a beat, at a time of the same clock; it belongs to the last point of the grid that has passed."""
@@ -31,15 +31,15 @@ class FrameJitter:
 
     @property
     def beats(self) -> int:
-        """Beats so far."""
+        """Return the number of frames so far."""
         return len(self._late)
 
     def lateness(self, quantile: float) -> float:
-        """Seconds that a beat came after its point of the grid, at a quantile in [0, 1]; 0 without beats."""
+        """Return a quantile in [0, 1] of the frames' delays after their grid points, s; 0 without frames."""
         return float(np.quantile(self._late, quantile)) if self._late else 0.0
 
     def __str__(self) -> str:
-        """One line for a person."""
+        """Summarise the jitter in one line."""
         median, most, worst = (1e3 * self.lateness(q) for q in (0.5, 0.99, 1.0))
         return (
             f"real time: {self.beats} frames at {1.0 / self._period:g} Hz, late by {median:.1f} ms in the median, "

@@ -1,4 +1,4 @@
-"""Publishes what a simulator shows: image, camera info, vehicle state, odometry, transforms and the road."""
+"""Publishes a simulator's frames: image, camera info, vehicle state, odometry, transforms and the road."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from ds_sim.simulator import Observation, SimulatorSpec
 
 
 class FramePublisher:
-    """Publishers of one simulator, all reliable, with names relative to the node's namespace.
+    """Owns the publishers of one simulator, all reliable, with names relative to the node's namespace.
 
     Args:
         node: node that owns the publishers.
         spec: description of the simulator.
-        clock: publish the stamps as simulated time on /clock, too.
+        clock: also publish the stamps as simulated time on /clock.
     """
 
     def __init__(self, node: Node, spec: SimulatorSpec, *, clock: bool = False) -> None:
@@ -41,7 +41,7 @@ class FramePublisher:
         self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
 
     def publish(self, observation: Observation, road: Road, stamp: float) -> Header:
-        """Publish one frame, the state before its image; returns the header that an answer must carry."""
+        """Publish one frame, the state before its image; return the header that its answer must carry."""
         header = Header(stamp=messages.to_time(stamp), frame_id=self._camera_frame)
         if self._clock is not None:
             self._clock.publish(Clock(clock=header.stamp))
@@ -55,5 +55,5 @@ class FramePublisher:
         return header
 
     def publish_road(self, road: Road, stamp: float) -> None:
-        """Publish a road for viewers, also for those that join later."""
+        """Publish a road for viewers, including those that join later."""
         self._markers.publish(messages.road_markers(road, self._spec.look, messages.to_time(stamp)))

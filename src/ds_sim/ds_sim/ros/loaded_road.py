@@ -1,4 +1,4 @@
-"""Road that a simulator's node drives next."""
+"""Holds the road that a simulator's node drives next."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ds_sim.simulator import Reason
 
 
 class LoadedRoad:
-    """Keeps the road and seed that were loaded last."""
+    """Stores the road and seed that were loaded last."""
 
     def __init__(self) -> None:
         self.road: Road | None = None
         self.seed = 0
 
     def load(self, message: RoadMsg, seed: int) -> Road:
-        """Check a road and keep it; after a refusal the road before stays.
+        """Check and store a road; a refused road does not replace the stored one.
 
         Raises:
             RequestRefused: BAD_ROAD.

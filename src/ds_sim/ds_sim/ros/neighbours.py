@@ -1,4 +1,4 @@
-"""Finds the nodes around a simulator that would spoil a run: a second simulator, a second driver, other clients."""
+"""Detects nodes that would disturb a simulator's run: a second simulator, a second driver, other clients."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ds_sim.ros.refusal import RequestRefused
 from ds_sim.simulator import Reason
 
 PRESENCE_QOS = QoSProfile(depth=1, liveliness=LivelinessPolicy.AUTOMATIC, liveliness_lease_duration=Duration(seconds=2))
-"""A simulator that was killed still stands in the ROS graph for 20 s; its liveliness ends within these 2 s."""
+"""A killed simulator stays in the ROS graph for 20 s, but its liveliness ends within these 2 s."""
 FEEDBACK = "drive_road/_action/feedback"
-"""Topic to which every client of the action subscribes."""
+"""Topic that every client of the action subscribes to."""
 
 
 class Neighbours:
@@ -31,7 +31,7 @@ class Neighbours:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._others = 0
-        # Fast DDS does not report a participant's own publisher to it.
+        # Fast DDS does not report a participant's own publishers.
         self._own = 0 if get_rmw_implementation_identifier().startswith("rmw_fastrtps") else 1
         self._presence = node.create_publisher(Empty, "presence", PRESENCE_QOS)
         events = SubscriptionEventCallbacks(liveliness=lambda status: self._on_liveliness(status.alive_count))
@@ -49,15 +49,15 @@ class Neighbours:
         )
 
     def drivers(self) -> list[str]:
-        """Nodes that publish commands, one name for each publisher."""
+        """Return the names of the nodes that publish commands, one per publisher."""
         return names_of(self._node.get_publishers_info_by_topic(_resolved(self._node, "drive")))
 
     def clients(self) -> list[str]:
-        """Nodes that have a client of the action."""
+        """Return the names of the nodes with a client of the action."""
         return names_of(self._node.get_subscriptions_info_by_topic(_resolved(self._node, FEEDBACK)))
 
     def busy(self, road_id: str) -> RequestRefused:
-        """Make the refusal of a request that comes during a run on this road."""
+        """Make the refusal of a request that arrives during a run on this road."""
         clients = ", ".join(self.clients()) or "none that is alive"
         return RequestRefused(
             Reason.BUSY,
@@ -65,10 +65,10 @@ class Neighbours:
         )
 
     def check_alone(self) -> None:
-        """Check that no other simulator lives in the namespace.
+        """Check that no other simulator runs in the namespace.
 
-        Drivers are not counted: one that was killed stands in the ROS graph for 20 s beside the one that replaces it.
-        Two that live are found by their commands.
+        Drivers are not counted, as a killed one stays in the ROS graph for 20 s next to its replacement. Two running
+        drivers are detected by their commands.
 
         Raises:
             RequestRefused: TWO_SIMULATORS.
@@ -78,12 +78,12 @@ class Neighbours:
 
 
 def names_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
-    """Full node names of publishers or subscriptions, sorted; without those that discovery has not named yet."""
+    """Return the sorted full node names of publishers or subscriptions, without those not yet discovered by name."""
     return sorted(f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in endpoints if "UNKNOWN" not in e.node_name)
 
 
 def two_drivers(names: list[str]) -> str:
-    """One line on drivers that publish to the same topic."""
+    """Describe drivers that publish to the same topic, in one line."""
     return f"two drivers send commands ({', '.join(names)}): stop one of them"
 
 

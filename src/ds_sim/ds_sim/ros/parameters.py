@@ -11,7 +11,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+_TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
 def declare(
@@ -55,7 +55,7 @@ def declare(
         value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException):
         given = node._parameter_overrides[name].value
-        wanted = descriptor.additional_constraints or f"{'a list of ' * isinstance(default, list)}{_WORDS[kind]}"
+        wanted = descriptor.additional_constraints or f"{'a list of ' * isinstance(default, list)}{_TYPE_NAMES[kind]}"
         hint = ", written with a point such as 5.0" if kind is float and isinstance(given, int | list) else ""
         raise ValueError(f"parameter {name} is {given!r}: expected {wanted}{hint}") from None
     values = value if isinstance(default, list) else [value]
@@ -68,7 +68,7 @@ def declare(
 
 
 def constraints(low: float | None, high: float | None, choices: Sequence[str]) -> str:
-    """What a parameter may be, in words; "" for anything."""
+    """Describe the allowed values of a parameter; "" for any value."""
     if choices:
         return "one of " + ", ".join(choices)
     if low is not None and high is not None:

@@ -1,4 +1,4 @@
-"""Refusals of requests to a simulator: a reason for programs, one line for people."""
+"""Refusals of requests to a simulator: a reason code and a one-line message."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from ds_sim.simulator import Reason
 
 
 class RequestRefused(ValueError):
-    """A road or a goal that a simulator's node does not accept.
+    """A simulator's node does not accept a road or a goal.
 
     Args:
-        reason: the same as the message, for programs.
-        message: what is wrong and what to do, in one line.
+        reason: reason code for programs.
+        message: cause and remedy in one line.
     """
 
     def __init__(self, reason: Reason, message: str) -> None:
@@ -18,4 +18,6 @@ class RequestRefused(ValueError):
         self.reason = reason
 
 
-NO_ROAD = RequestRefused(Reason.NO_ROAD, "no road is loaded: call load_road first, or give one with the goal")
+def no_road() -> RequestRefused:
+    """Make the refusal of a request that needs a loaded road."""
+    return RequestRefused(Reason.NO_ROAD, "no road is loaded: call load_road first, or give one with the goal")

@@ -27,18 +27,18 @@ class Stop:
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
         self.interrupts = True
         self._readable, writable = os.pipe()
         os.set_blocking(writable, False)
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._note)
-        # The wake-up is written by C's signal handler, also while the main thread never gets to its Python handler.
+            signal.signal(number, self._on_signal)
+        # The C signal handler writes this, even while the main thread cannot run the Python handler.
         signal.set_wakeup_fd(writable, warn_on_full_buffer=False)
         threading.Thread(target=self._end_in_time, name="stop", daemon=True).start()
 
-    def _note(self, _number: int, _frame: FrameType | None) -> None:
-        self.asked = True
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self.requested = True
         if self.interrupts:
             self.interrupts = False
             raise KeyboardInterrupt
@@ -51,17 +51,17 @@ class Stop:
 
 
 class LogFolderError(ValueError):
-    """ROS 2 has no folder for its logs that it can write."""
+    """ROS 2 has no writable folder for its logs."""
 
 
 def init_ros(**arguments: Any) -> None:
     """Call `rclpy.init` without its signal handlers.
 
     Args:
-        arguments: of `rclpy.init`.
+        arguments: arguments of `rclpy.init`.
 
     Raises:
-        LogFolderError: the home folder cannot be written, and no other one is named.
+        LogFolderError: the home folder is not writable, and ROS_LOG_DIR names no other folder.
     """
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO, **arguments)
@@ -80,13 +80,13 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
     stop = Stop()
     node: Node | None = None
     try:
-        # rclpy's own handlers would take the context from under a node that is still being made.
+        # rclpy's own handlers would shut the context down while the node is being created.
         init_ros(args=args)
         node = make_node()
         stop.interrupts = False
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while rclpy.ok() and not stop.asked:
+        while rclpy.ok() and not stop.requested:
             executor.spin_once(timeout_sec=0.1)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -94,7 +94,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        stop.interrupts = False  # a second Ctrl-C must not interrupt the cleaning up
+        stop.interrupts = False  # a second Ctrl-C must not interrupt the cleanup
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -25,7 +25,7 @@ from ds_sim.ros.frame_publisher import FramePublisher
 from ds_sim.ros.loaded_road import LoadedRoad
 from ds_sim.ros.neighbours import Neighbours, two_drivers
 from ds_sim.ros.real_time_loop import RealTimeLoop
-from ds_sim.ros.refusal import NO_ROAD, RequestRefused
+from ds_sim.ros.refusal import RequestRefused, no_road
 from ds_sim.ros.runtime import run_node
 from ds_sim.ros.simulator_parameters import check_goal, declare_parameters
 from ds_sim.session import Session
@@ -33,7 +33,7 @@ from ds_sim.simulator import FRAME_TIME, Command, CommandError, Observation, Out
 
 
 class SimulatorNode(Node):
-    """Publishes a frame, and takes no step until a command answers it.
+    """Publishes a frame and, except in real time, takes no step until a command answers it.
 
     Args:
         simulator: default of the parameter `simulator`.
@@ -53,8 +53,8 @@ class SimulatorNode(Node):
         self._last: Observation | None = None
         self._awaited = Header()
         self._watchdog, self._monitor = CommandWatchdog(self._timeout), CommandMonitor()
-        # Stamps never go back over the life of the node, as tf, bags and filters expect of a clock; they begin above
-        # 0, so that a driver that leaves its stamp unset never answers by chance.
+        # Stamps never decrease during the life of the node, as tf, bags and filters expect. They begin above 0, so that
+        # a driver that leaves its stamp unset never answers by chance.
         self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", self._on_command, 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
@@ -85,9 +85,9 @@ class SimulatorNode(Node):
         return response
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """End the run under way; the loaded road stays, and every run begins at its start anyway."""
+        """End the current run; the loaded road stays loaded."""
         response.success = self._loaded.road is not None
-        response.message = "" if response.success else str(NO_ROAD)
+        response.message = "" if response.success else str(no_road())
         self._finish(Outcome.CANCELLED, "reset was called", Reason.RESET)
         return response
 
@@ -102,7 +102,7 @@ class SimulatorNode(Node):
             raise self._neighbours.busy(self._session.run.road.road_id)
 
     def _begin(self, goal: ServerGoalHandle) -> None:
-        """Begin a run; the action counts its goal as executing only when the run has ended."""
+        """Begin a run; its goal starts executing only when the run has ended."""
         request = goal.request
         check_goal(request.sync, request.command_timeout)
         self._check_idle()
@@ -110,7 +110,7 @@ class SimulatorNode(Node):
         if request.road.control_points:
             self._load(request.road, request.seed)
         if self._loaded.road is None:
-            raise NO_ROAD
+            raise no_road()
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
         limit = request.command_timeout or self._timeout
@@ -153,14 +153,14 @@ class SimulatorNode(Node):
 
     def _advance(self, command: Command) -> None:
         if self._goal is None or not self._session.driving:
-            return  # a frame of real time that was due when the run had just been ended
+            return  # a real-time frame that was due just after the end of the run
         observation = self._session.advance(command)
         if observation is not None and self._session.run and observation.step % messages.FEEDBACK_EVERY == 0:
             self._goal.publish_feedback(messages.drive_feedback(observation, self._session.run.road))
         self._show(observation)
 
     def _watch(self) -> None:
-        """End a run whose client gave up or whose driver is silent."""
+        """End a run whose client cancelled it or whose driver is silent."""
         if self._goal is None or not self._session.driving or self._last is None:
             return
         if self._goal.is_cancel_requested:
@@ -191,7 +191,7 @@ class SimulatorNode(Node):
 
 
 def main(simulator: str = "bullet") -> None:
-    """Host the simulator that the parameter names, or this one."""
+    """Host the simulator named by the parameter `simulator`, by default this one."""
     sys.exit(run_node(lambda: SimulatorNode(simulator)))
 
 

@@ -12,8 +12,8 @@ from ds_sim.ros.refusal import RequestRefused
 from ds_sim.simulator import Reason
 
 SYNC_MODES = ("lockstep", "first", "realtime")
-"""lockstep: only the command with the stamp of the last image counts; first: the first command after it does;
-realtime: frames come at 20 Hz by the wall clock, and the last command holds."""
+"""lockstep: only the command with the stamp of the last image counts; first: the first command after the last image
+counts; realtime: frames come at 20 Hz by the wall clock, and the last command is held."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class SimulatorParameters:
 
     Attributes:
         simulator: name of a known simulator, or module:Class.
-        sync: one of `SYNC_MODES`; a goal may ask for another.
-        command_timeout: longest wait for a command, s of the wall clock; a goal may ask for another.
+        sync: one of `SYNC_MODES`; a goal may override it.
+        command_timeout: longest wait for a command by the wall clock, s; a goal may override it.
         publish_clock: publish simulated time on /clock.
     """
 
@@ -34,10 +34,14 @@ class SimulatorParameters:
 
 
 def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
-    """Declare and read the parameters; `simulator` is the default of the parameter `simulator`.
+    """Declare and read the parameters.
+
+    Args:
+        node: node that declares the parameters.
+        simulator: default of the parameter `simulator`.
 
     Raises:
-        ValueError: a parameter is of another type or out of range.
+        ValueError: a parameter has another type or is out of range.
     """
     return SimulatorParameters(
         simulator=declare(node, "simulator", simulator, "Known simulator, or module:Class."),
@@ -52,7 +56,7 @@ def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
 
 
 def check_goal(sync: str, command_timeout: float) -> None:
-    """Check the options of a goal; "" and 0 stand for the node's own.
+    """Check the options of a goal; "" and 0 mean the node's parameters.
 
     Raises:
         RequestRefused: BAD_GOAL.

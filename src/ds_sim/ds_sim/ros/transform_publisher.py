@@ -25,7 +25,7 @@ class TransformPublisher:
     Args:
         node: node that owns the publishers.
         camera: camera of the simulator.
-        camera_frame: name of its optical frame.
+        camera_frame: name of the camera's optical frame.
         base_frame: name of the vehicle's frame.
     """
 
@@ -42,7 +42,7 @@ class TransformPublisher:
         self._fixed.publish(TFMessage(transforms=[fixed]))
 
     def publish(self, vehicle: VehicleState, stamp: Time) -> None:
-        """Publish the vehicle's pose, if anybody listens."""
+        """Publish the vehicle's pose if there is a subscriber."""
         if self._moving is not None and self._moving.get_subscription_count():
             transform = transform_message(body_pose(vehicle), stamp, ROAD_FRAME, self._base_frame)
             self._moving.publish(TFMessage(transforms=[transform]))
