@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 from pathlib import Path
 
@@ -82,6 +83,28 @@ def test_kept_tables_come_back(tmp_path: Path) -> None:
         path.write_text(broken)
         with pytest.raises(TablesError, match="kept.json cannot be read .*: remove it"):
             read_tables(path)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"rows": [["x"]]},
+        {"rows": [["x", {"p": 1}]]},
+        {"rows": [["x", [1.0]]]},
+        {"rows": [["x", float("nan")]]},
+        {"columns": [{"name": "a"}, {"name": "b", "style": []}]},
+        {"notes": [1]},
+        {"title": None},
+    ],
+)
+def test_damaged_tables_are_refused(tmp_path: Path, damage: dict[str, object]) -> None:
+    table = {"name": "rq1", "title": "t", "columns": [{"name": "a"}, {"name": "b"}], "rows": [["x", 1]], "notes": []}
+    path = tmp_path / "rq1.json"
+    path.write_text(json.dumps([table]))
+    assert read_tables(path)[0].texts() == [["x", "1"]]
+    path.write_text(json.dumps([table | damage]))
+    with pytest.raises(TablesError, match=r"rq1\.json cannot be read .*: remove it"):
+        read_tables(path)
 
 
 def test_files(tmp_path: Path) -> None:

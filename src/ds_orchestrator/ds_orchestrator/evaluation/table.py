@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import rich.box
 import rich.table
@@ -186,7 +187,7 @@ def read_tables(path: Path) -> list[Table]:
     """
     try:
         return [
-            Table(
+            _checked(
                 name=found["name"],
                 title=found["title"],
                 columns=[Column(**column) for column in found["columns"]],
@@ -199,6 +200,31 @@ def read_tables(path: Path) -> list[Table]:
         return []
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise TablesError(f"{path} cannot be read ({error}): remove it, or give `ds evaluate` --data again") from None
+
+
+def _checked(*, name: object, title: object, columns: list[Column], rows: list[list[Any]], notes: list[Any]) -> Table:
+    """Create a table from values that a file holds.
+
+    Raises:
+        ValueError: a value has the wrong type, or a row another length than the columns.
+    """
+    if not all(isinstance(text, str) for text in (name, title, *notes, *(column.name for column in columns))):
+        raise ValueError("a name, title or note is not text")
+    if any(column.style not in get_args(Style) for column in columns):
+        raise ValueError("a column has an unknown style")
+    if any(len(row) != len(columns) for row in rows):
+        raise ValueError("a row has another length than the columns")
+    for value in (value for row in rows for value in row):
+        parts = value if isinstance(value, tuple) else (value,)
+        if not (value is None or isinstance(value, str) or all(_is_finite(part) for part in parts)):
+            raise ValueError("a value is neither text, a finite number nor an interval")
+        if isinstance(value, tuple) and len(value) != 2:
+            raise ValueError("an interval does not have two ends")
+    return Table(name=str(name), title=str(title), columns=columns, rows=rows, notes=notes)
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) <= sys.float_info.max
 
 
 def document_of(tables: Sequence[Table]) -> Mapping[str, Any]:
