@@ -284,4 +284,4 @@ def test_a_tub_without_motion_is_refused(tmp_path: Path) -> None:
     (tmp_path / "catalog_0.catalog").write_text(json.dumps(row))
     done = ds("twin", "fit", tmp_path, "--out", tmp_path / "car.yaml")
     assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1
-    assert "position or speed" in done.stderr and not (tmp_path / "car.yaml").exists()
+    assert "neither positions" in done.stderr and not (tmp_path / "car.yaml").exists()
