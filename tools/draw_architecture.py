@@ -72,7 +72,7 @@ class Picture:
 
 
 def flow() -> str:
-    """Draw the way of a road, of an image and of a drive."""
+    """Draw the path of a road, of an image and of a drive."""
     p = Picture(960, 470)
     p.box(30, 60, 170, 90, "search", ["DeepHyperion: ask, tell", "ds_orchestrator.search"], "science")
     p.box(300, 60, 190, 90, "campaign", ["which road runs where", "ds_orchestrator.campaign"], "science")
@@ -98,7 +98,11 @@ def flow() -> str:
     p.arrow([(490, 360), (588, 360)], DRIVE, "tests", (539, 352))
     p.arrow([(750, 360), (788, 360)], DRIVE)
     for index, (colour, words) in enumerate(
-        ((ROAD, "way of a road"), (IMAGE, "way of an image, 20 times per simulated second"), (DRIVE, "way of a drive"))
+        (
+            (ROAD, "path of a road"),
+            (IMAGE, "path of an image, 20 times per simulated second"),
+            (DRIVE, "path of a drive"),
+        )
     ):
         x = (60, 240, 620)[index]
         p.parts.append(f'<line x1="{x}" y1="443" x2="{x + 34}" y2="443" stroke="{colour}" stroke-width="3"/>')

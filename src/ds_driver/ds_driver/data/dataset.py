@@ -92,14 +92,14 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
     if not path.exists():
-        path.write_text(text)
+        _write_whole(path, text)
     elif path.read_text() != text:
         raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
 
 
 def keep_import(folder: Path, name: str, about: dict[str, object]) -> None:
     """Mark a name as imported recordings, whose images are not cropped."""
-    (folder / name / IMPORTED).write_text(json.dumps(about, indent=1) + "\n")
+    _write_whole(folder / name / IMPORTED, json.dumps(about, indent=1) + "\n")
 
 
 def imported_names(folder: Path) -> set[str]:
@@ -256,4 +256,11 @@ def write_manifest(folder: Path, about: dict[str, object]) -> None:
         histogram = np.histogram(steering, edges)[0]
         histograms[name] = (np.asarray(histograms.get(name, 0)) + histogram).tolist()
     document = {**about, "images": counts, "steering_bins": edges.round(1).tolist(), "steering": histograms}
-    (folder / "manifest.json").write_text(json.dumps(document, indent=1) + "\n")
+    _write_whole(folder / "manifest.json", json.dumps(document, indent=1) + "\n")
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a text file that appears whole or not at all, so that a killed process leaves no truncated one."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text)
+    partial.replace(path)
