@@ -80,7 +80,7 @@ def run_campaign(
     from ds_sim.registry import make_simulator
 
     if attach and config.workers > 1:
-        raise ConfigError(f"workers: {config.workers} with nodes that run already, expected 1: leave out --attach")
+        raise ConfigError(f"workers: {config.workers} cannot be used with --attach: set it to 1, or leave out --attach")
     check_driver(config.driver)
     for name in config.simulators:
         make_simulator(name).close()
@@ -89,11 +89,12 @@ def run_campaign(
         _record_provenance(store, config, folder)
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
-        data: CampaignData | None = read_campaign(store)
-        if data is not None and not is_driven(data):
-            data = None  # outdated once something is driven
+        data: CampaignData | None = None  # read again after driving
+        if is_driven(known := read_campaign(store)):
+            data = known
+        else:
             in_error = _drive(config, folder, store, listener or SilentListener(), attach=attach)
-        # The caller's configuration names them, not the folder's.
+        # The simulators come from the caller's configuration, so their code is trusted.
         report = write_all(folder, store, data=data, again=False, say=say, trusted=config.simulators)
         return CampaignOutcome(
             folder=folder,
@@ -122,10 +123,10 @@ def rebuild_report(
 
 
 def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
-    """Refuse a configuration from a campaign folder whose code nobody confirmed.
+    """Refuse a configuration from a campaign folder that names code which the user has not confirmed.
 
-    A folder may come from somebody else, so that its configuration alone never decides which code runs. The caller's
-    own configuration needs no such check.
+    A folder may have been received, so its configuration alone never decides which code runs. The caller's own
+    configuration needs no such check.
 
     Args:
         config: configuration as stored in the folder.

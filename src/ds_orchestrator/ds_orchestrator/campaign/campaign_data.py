@@ -58,10 +58,12 @@ def read_campaign(store: Store) -> CampaignData:
         ds_orchestrator.store.sqlite_file.StoreError: the file is damaged.
         ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
     """
+    # Executions first: a test is stored before its executions, so none is without its test while a campaign runs.
+    executions = tuple(store.executions())
     return CampaignData(
         config=config_of(store),
         tests=tuple(store.tests()),
-        executions=tuple(store.executions()),
+        executions=executions,
         notes=store.notes(),
         errors=tuple(store.errors()),
         given_up=frozenset(store.given_up()),

@@ -147,18 +147,20 @@ class CampaignConfig(_Strict):
     @field_validator("siblings", "twin")
     @classmethod
     def _known_simulators(cls, value: list[str] | str | None) -> list[str] | str | None:
+        if value in (None, "none"):
+            return None
         for name in value if isinstance(value, list) else [value]:
-            if name not in (None, "none") and name.partition("@")[0] not in SIMULATORS and ":" not in name:
+            if name is not None and name.partition("@")[0] not in SIMULATORS and ":" not in name:
                 raise ValueError(
                     f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
                 )
-        return None if value == "none" else value
+        return value
 
     @field_validator("sim2real")
     @classmethod
     def _no_model_yet(cls, value: bool) -> bool:
         if value:
-            raise ValueError("there is no model that makes images look real yet: expected false")
+            raise ValueError("sim-to-real translation is not available yet: expected false")
         return value
 
     @field_validator("features")
@@ -202,7 +204,7 @@ class CampaignConfig(_Strict):
         return tests * len(self.simulators)
 
     def map_plan(self, ignored: frozenset[str] = frozenset()) -> MapPlan:
-        """How maps are built; `ignored` are the tests without whose outcome a search continued."""
+        """How maps are built; `ignored` lists tests that the search skipped because they had no outcome."""
         return MapPlan(
             features=tuple(self.features),
             elites_only=self.elites_only,

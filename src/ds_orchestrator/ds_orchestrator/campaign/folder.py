@@ -33,8 +33,10 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             raise LockError(f"{folder} is in use by another run: wait for it, or choose another --out") from None
+        except OSError as error:
+            raise LockError(f"{folder} cannot be locked ({error.strerror}): choose an --out on a local disk") from None
         yield
     finally:
         os.close(file)

@@ -30,7 +30,7 @@ from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
 
 PATIENCE = 5
-"""Consecutive tests without an outcome, after all retries, from which a simulator counts as broken; chosen: two or
+"""A simulator counts as broken after this many consecutive tests without an outcome, retries included; chosen: two or
 three may be coincidence."""
 
 
@@ -42,7 +42,7 @@ class Executor(Protocol):
         ...
 
     def stop(self) -> None:
-        """End every active run now, as CANCELLED."""
+        """Cancel all active runs immediately."""
         ...
 
 
@@ -169,8 +169,8 @@ class Campaign:
                 queues[-1].put(unit)
         workers = self._config.workers
         with ThreadPoolExecutor(len(queues) * workers) as pool:
-            futures = [pool.submit(self._work_off, queue) for queue in queues for _ in range(workers)]
             try:
+                futures = [pool.submit(self._work_off, queue) for queue in queues for _ in range(workers)]
                 for future in as_completed(futures):
                     future.result()
             except BaseException:
@@ -214,6 +214,8 @@ class Campaign:
 
     def _execute(self, test: Test, simulator: str) -> Execution | None:
         """Return a test's execution on one simulator from the store, or drive it, repeating errors `retries` times."""
+        if self._stop.is_set():
+            raise Stopped
         known = self._store.execution(test.test_id, simulator)
         if known is not None:
             self._listener.finished(test, simulator, known, fresh=False)

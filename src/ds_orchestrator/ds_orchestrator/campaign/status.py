@@ -16,7 +16,7 @@ class Stage:
     """Progress of one stage.
 
     Attributes:
-        name: `search bullet, run 0`, `migration bullet to softbody`, `twin donkey, tests of bullet`, `maps`, ...
+        name: `search bullet, run 0`, `migration: bullet to softbody`, `twin: bullet to donkey`, `maps`, ...
         done: executions with a verdict, or 1 for a result that is up to date.
         expected: total when the stage is done; None while it is not known.
         failures: number of executions in which the driver failed; None for a result.
@@ -53,7 +53,8 @@ def stages_of(data: CampaignData) -> list[Stage]:
     migrated = {test.test_id for test in tests}
     if config.elites_only:
         migrated = elites_of(tests, executions, data.cells, ignored=data.given_up)
-        searched = searched and all(stage.state == "done" for stage in stages)
+        decided = {e.test_id for e in executions if of_test[e.test_id].sibling == e.simulator} | set(data.given_up)
+        searched = searched and set(of_test) <= decided
     for target in config.simulators:
         for origin in config.siblings:
             if origin != target:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from contextlib import closing
@@ -227,9 +228,17 @@ def campaign_roads_command(
     Each road comes with its test, seed, cell, and outcome on every simulator. `ds drive --road FILE` with a file of one
     road drives it with the test's seed, which repeats the recorded run.
     """
-    from ds_orchestrator.cli.campaign_roads import print_roads
+    from ds_orchestrator.campaign.road_selection import roads_of
 
-    print_roads(folder, failed=failed, simulator=simulator, cell=cell, test=test, out=out)
+    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
+    # One road per line, so that a line can be cut out and driven.
+    text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in found) + "\n]" if found else "[]"
+    if out is None:
+        print(text)
+    else:
+        out.write_text(text + "\n", "utf-8")
+        print(out)
+    say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
 
 
 @app.command("report")

@@ -54,7 +54,7 @@ class SimulatorNode(Node):
         self._awaited = Header()
         self._watchdog, self._monitor = CommandWatchdog(self._timeout), CommandMonitor()
         # Stamps never decrease during the life of the node, as tf, bags and filters expect. They begin above 0, so that
-        # a driver that leaves its stamp unset never answers by chance.
+        # an unset stamp never matches by accident.
         self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", self._on_command, 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
@@ -114,9 +114,11 @@ class SimulatorNode(Node):
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
         limit = request.command_timeout or self._timeout
+        first = self._session.start(self._loaded.road, self._loaded.seed)
+        # Created after the world, so that building it takes no time from the driver's first answer.
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
         self._monitor = CommandMonitor()
-        self._show(self._session.start(self._loaded.road, self._loaded.seed))
+        self._show(first)
 
     def _show(self, observation: Observation | None) -> None:
         """Publish a frame and wait for its answer, or hand over the result if the run has ended."""
@@ -153,7 +155,7 @@ class SimulatorNode(Node):
 
     def _advance(self, command: Command) -> None:
         if self._goal is None or not self._session.driving:
-            return  # a real-time frame that was due just after the end of the run
+            return  # a real-time tick that fired just after the run ended
         observation = self._session.advance(command)
         if observation is not None and self._session.run and observation.step % messages.FEEDBACK_EVERY == 0:
             self._goal.publish_feedback(messages.drive_feedback(observation, self._session.run.road))

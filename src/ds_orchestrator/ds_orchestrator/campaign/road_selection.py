@@ -1,8 +1,7 @@
-"""`ds campaign roads`: from a cell or a failure of a campaign to the roads behind it."""
+"""Selects roads of a campaign: those behind a cell, a failure or a test."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -10,25 +9,9 @@ from typing import Any
 
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import config_of, open_store
-from ds_orchestrator.cli.output import say
 from ds_orchestrator.maps.campaign_maps import cells_of
 from ds_orchestrator.search.features import Cell, Feature, feature_of
 from ds_road import road_to_json
-
-
-def print_roads(
-    folder: Path, *, failed: bool, simulator: str | None, cell: str | None, test: str | None, out: Path | None
-) -> None:
-    """Write a selection of a campaign's roads to a file or to standard output, as a JSON list; see `roads_of`."""
-    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
-    # One road a line: a line can be cut out and driven.
-    text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in found) + "\n]" if found else "[]"
-    if out is None:
-        print(text)
-    else:
-        out.write_text(text + "\n", "utf-8")
-        print(out)
-    say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
 
 
 def roads_of(
