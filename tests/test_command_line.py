@@ -268,8 +268,11 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.graph
-def test_drive_answers_with_one_document_and_repeats_itself() -> None:
-    runs = [in_process("drive", "--sim", "donkey", "--driver", "autopilot", "--seed", 5, "--json") for _ in range(2)]
+def test_drive_answers_with_one_document_and_repeats_itself(tmp_path: Path) -> None:
+    road = tmp_path / "road.json"
+    road.write_text(json.dumps([[125, 40], [125, 65], [128, 90], [131, 115], [131, 140]]))
+    command = ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", road, "--seed", 5, "--json")
+    runs = [in_process(*command) for _ in range(2)]
     first, second = (json.loads(run.stdout) for run in runs)
     assert runs[0].returncode == 0 and first["outcome"] == "COMPLETED"
     assert {"fitness", "max_lateral_position", "steps", "simulated_seconds", "wall_seconds"} <= set(first)

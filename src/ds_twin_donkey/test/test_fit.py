@@ -98,6 +98,7 @@ def test_true_parameters_are_recovered_from_a_start_30_percent_off() -> None:
     assert all(ratio < 1.3 for ratio in found.misfit.values())
 
 
+@pytest.mark.long
 def test_parameters_not_determined_by_a_straight_drive_stay_at_their_start(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     commands = np.column_stack((np.zeros(120), np.repeat(rng.uniform(0.2, 0.8, 6), 20)))
