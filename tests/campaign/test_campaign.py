@@ -61,7 +61,7 @@ def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
     assert maps[MapId.union(DONKEYS[0])].cells == maps[MapId.union(DONKEYS[1])].cells
 
 
-@pytest.mark.parametrize("stop_after", [1, 5, 11])
+@pytest.mark.parametrize("stop_after", [1, 5, pytest.param(11, marks=pytest.mark.long)])
 def test_a_stopped_campaign_goes_on_and_ends_the_same(tmp_path: Path, stop_after: int) -> None:
     _, undisturbed = run(tmp_path / "whole", LocalExecutor())
     first, second = LocalExecutor(runs=stop_after), LocalExecutor()

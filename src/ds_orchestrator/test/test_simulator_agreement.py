@@ -79,6 +79,7 @@ def test_lateral_positions_are_compared_at_the_same_places() -> None:
     assert most_different({"a": [run(), one, one], "b": [run(), run(), other]}, 2) == [2, 1]
 
 
+@pytest.mark.long
 def test_workers_drive_as_this_process_does() -> None:
     """In order, whatever their number, and bit for bit."""
     simulator = make_simulator("donkey")
