@@ -113,9 +113,8 @@ class SimulatorNode(Node):
             raise no_road()
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
+        first = self._session.start(self._loaded.road, self._loaded.seed)  # takes no time from the driver's answer
         limit = request.command_timeout or self._timeout
-        first = self._session.start(self._loaded.road, self._loaded.seed)
-        # Created after the world, so that building it takes no time from the driver's first answer.
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
         self._monitor = CommandMonitor()
         self._show(first)
