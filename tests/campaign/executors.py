@@ -1,14 +1,11 @@
-"""Executors for campaigns without ROS, and a listener that ignores everything."""
+"""Executors for campaigns without ROS."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.runner import Stopped
-from ds_orchestrator.store.store import Execution, Test
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
@@ -85,11 +82,3 @@ class MadeUpExecutor(LocalExecutor):
             for k, offset in enumerate(lateral)
         ]
         return run
-
-
-class Silent:
-    def stage(self, name: str) -> None: ...
-
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None: ...
-
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...

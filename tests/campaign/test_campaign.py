@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.campaign.executors import LocalExecutor, MadeUpExecutor, Silent
+from tests.campaign.executors import LocalExecutor, MadeUpExecutor
 
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
@@ -23,6 +23,7 @@ from ds_orchestrator.graph.worker_pool import WorkerPool
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.maps.feature_map import to_json
 from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.run import SilentListener
 from ds_orchestrator.store.store import Store, StoreError
 from ds_road import Road
 from ds_sim.registry import label_of
@@ -40,7 +41,7 @@ SPACES = {DONKEYS[0]: "/ds1", DONKEYS[1]: "/ds2"}
 def run(folder: Path, executor: Executor, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
     folder.mkdir(exist_ok=True)
     store = Store(folder / "campaign.sqlite", config=config.identity())
-    campaign = Campaign(config, folder, store, executor, Silent(), SPACES)
+    campaign = Campaign(config, folder, store, executor, SilentListener(), SPACES)
     with suppress(Stopped):
         campaign.run()
     return campaign, store

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,8 +12,8 @@ from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
 from ds_orchestrator.campaign.runner import Campaign, Stopped
 from ds_orchestrator.report.build import write_all
-from ds_orchestrator.run import run_campaign
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.run import SilentListener, run_campaign
+from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.session import RunRecord, Session
@@ -69,14 +69,6 @@ class ShortDrives:
         return session.run
 
 
-class Silent:
-    def stage(self, name: str) -> None: ...
-
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None: ...
-
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None: ...
-
-
 def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     folder = tmp_path / "a car's folder"
     folder.mkdir()
@@ -86,7 +78,7 @@ def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     assert config.twin
     (out / "bags").mkdir(parents=True)
     store = Store(out / "campaign.sqlite", config=config.identity())
-    Campaign(config, out, store, ShortDrives(), Silent(), {"donkey": "/ds1", config.twin: "/twin"}).run()
+    Campaign(config, out, store, ShortDrives(), SilentListener(), {"donkey": "/ds1", config.twin: "/twin"}).run()
     bags = [out / execution.bag for execution in store.executions()]
     assert len(bags) == len(set(bags)) == len(store.tests()) * 2
     assert all(bag.parent == out / "bags" and (bag / "metadata.yaml").is_file() for bag in bags)
