@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
@@ -31,10 +30,9 @@ from ds_bags.limits import (
 )
 from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.registry import received_simulator
-from ds_sim.session import RunRecord
+from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
 
-_NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 STATE, DRIVE = "ds_interfaces/msg/VehicleState", "ds_interfaces/msg/DriveCommand"
 ROAD = "ds_interfaces/msg/Road"
 MAX_SEED = 2**63 - 1
@@ -346,7 +344,7 @@ def stamp_of(message: Any) -> int:
 
 def _observation(state: Any) -> Observation:
     return Observation(
-        image=_NO_IMAGE,
+        image=NO_IMAGE,
         step=int(state.step),
         time=_finite(state, "simulated_time"),
         vehicle=VehicleState(**{name: _finite(state, name) for name in VehicleState.__dataclass_fields__}),

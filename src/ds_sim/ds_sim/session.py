@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, Reason, Simulator, SimulatorError
+
+NO_IMAGE: NDArray[np.uint8] = np.empty((0, 0, 3), np.uint8)
+"""Image of an observation that is kept without one."""
+NO_IMAGE.setflags(write=False)
 
 
 @dataclass(kw_only=True)
@@ -119,4 +124,11 @@ class Session:
 
 def _without_image(observation: Observation) -> Observation:
     """Drop the image of an observation, which is not needed once it has been sent."""
-    return replace(observation, image=np.empty((0, 0, 3), np.uint8))
+    return Observation(  # not `dataclasses.replace`, which takes five times as long, for each frame
+        image=NO_IMAGE,
+        step=observation.step,
+        time=observation.time,
+        vehicle=observation.vehicle,
+        lane=observation.lane,
+        outcome=observation.outcome,
+    )

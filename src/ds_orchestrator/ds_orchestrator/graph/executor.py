@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from typing import Any, cast
 
-import numpy as np
 import rclpy
 from action_msgs.msg import GoalStatus
 from ds_interfaces.action import DriveRoad
@@ -29,7 +28,7 @@ from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
 from ds_sim.ros.runtime import init_ros
-from ds_sim.session import RunRecord
+from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Observation, Outcome, Reason
 
 SERVICE_TIME = 20.0
@@ -47,7 +46,6 @@ QUERY_TIME = 2.5
 """Limit for the answer to such a query, s."""
 Watch = Callable[[int, float, float], None]
 """Called during a run with the number of frames, the driven part of the road in [0, 1], and the lateral position, m."""
-_NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 _NUMBERS = itertools.count()
 
 
@@ -397,7 +395,7 @@ def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
         vehicle, lane, outcome = messages.state_from_message(state)
         record.observations.append(
             Observation(
-                image=_NO_IMAGE,
+                image=NO_IMAGE,
                 step=state.step,
                 time=state.simulated_time,
                 vehicle=vehicle,

@@ -1,0 +1,158 @@
+"""Encodes a run as bytes, to send it from one process or machine to another; every number keeps its bits.
+
+Layout, little-endian: a header (magic, version, outcome, reason, number of frames, of commands and of bytes of the
+message, CRC-32); one column after the other of float64 (time, vehicle, lane), of uint32 (step) and of uint8 (outcome)
+over the frames, and of float64 over the commands (steering, throttle); the message as UTF-8. The road and the seed are
+not sent, since the receiver has asked for them, but the CRC-32 covers them.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import fields
+from operator import attrgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
+
+VERSION = 1
+"""Version of the layout; another one is refused."""
+MAX_FRAMES = 1_000_000
+"""Frames of one run; chosen: 500 times the limit of the built-in oracle, as the store has it."""
+MAX_MESSAGE = 64 * 1024
+"""Bytes of a run's message; chosen: far above the longest line that a simulator has given."""
+_MAGIC = b"DSRN"
+_HEADER = struct.Struct("<4sHBBIIII")
+_CHECKSUM_SIZE = 4
+_VEHICLE = tuple(field.name for field in fields(VehicleState))
+_LANE = tuple(field.name for field in fields(LaneState))
+_FLOATS = ("time", *(f"vehicle.{name}" for name in _VEHICLE), *(f"lane.{name}" for name in _LANE))
+_COMMAND = tuple(field.name for field in fields(Command))
+_FRAME_SIZE = 8 * len(_FLOATS) + 4 + 1
+_COMMAND_SIZE = 8 * len(_COMMAND)
+
+
+class RunCodecError(ValueError):
+    """A run that cannot be encoded, or bytes that are no encoded run."""
+
+
+def encode_run(run: RunRecord) -> bytes:
+    """Encode a run; about 124 bytes a frame, 16 a command.
+
+    Raises:
+        RunCodecError: a number is not finite or does not fit, or the run is longer than `MAX_FRAMES`.
+    """
+    frames, commands = len(run.observations), len(run.commands)
+    try:
+        message = run.message.encode()
+        _check_counts(frames, commands, len(message))
+        floats = _table(map(attrgetter(*_FLOATS), run.observations), _FLOATS, frames)
+        driven = _table(map(attrgetter(*_COMMAND), run.commands), _COMMAND, commands)
+        body = b"".join(
+            (
+                floats.tobytes(),
+                np.array([seen.step for seen in run.observations], "<u4").tobytes(),
+                bytes(seen.outcome for seen in run.observations),
+                driven.tobytes(),
+                message,
+            )
+        )
+        head = (_MAGIC, VERSION, run.outcome, run.reason, frames, commands, len(message))
+        start = _HEADER.pack(*head, 0)[:-_CHECKSUM_SIZE]
+    except RunCodecError:
+        raise
+    except (ValueError, OverflowError, TypeError, struct.error) as error:
+        raise RunCodecError(f"the run of road {run.road.road_id} cannot be sent: {error}") from None
+    return start + struct.pack("<I", _checksum(start, body, run.road, run.seed)) + body
+
+
+def decode_run(data: bytes, road: Road, seed: int) -> RunRecord:
+    """Decode a run that `encode_run` encoded; memory is bounded by the size of the data.
+
+    Args:
+        data: the whole encoded run.
+        road: road that was driven.
+        seed: seed of the run.
+
+    Raises:
+        RunCodecError: the data is damaged, or of another version, another road or another seed.
+    """
+    if len(data) < _HEADER.size:
+        raise RunCodecError(f"a run of {len(data)} bytes, expected {_HEADER.size} or more: it was cut off")
+    magic, version, outcome, reason, frames, commands, length, checksum = _HEADER.unpack_from(data)
+    if magic != _MAGIC:
+        raise RunCodecError(f"a run starts with {bytes(magic)!r}, expected {_MAGIC!r}: this is something else")
+    if version != VERSION:
+        raise RunCodecError(f"a run of version {version}, expected {VERSION}: install the same version on both sides")
+    _check_counts(frames, commands, length)
+    size = _HEADER.size + _FRAME_SIZE * frames + _COMMAND_SIZE * commands + length
+    if len(data) != size:
+        raise RunCodecError(f"a run of {len(data)} bytes, expected {size}: it was cut off, or something follows it")
+    start, body = data[: _HEADER.size - _CHECKSUM_SIZE], data[_HEADER.size :]
+    if _checksum(start, body, road, seed) != checksum:
+        raise RunCodecError("a run has a wrong checksum: it is damaged, or of another road or seed, send it again")
+    try:
+        return _record(body, frames, commands, RunRecord(road=road, seed=seed, outcome=Outcome(outcome)), reason)
+    except RunCodecError:
+        raise
+    except ValueError as error:  # an outcome, reason or command that does not exist, or text that is not UTF-8
+        raise RunCodecError(f"a run makes no sense ({error}): install the same version on both sides") from None
+
+
+def _record(body: bytes, frames: int, commands: int, run: RunRecord, reason: int) -> RunRecord:
+    floats = np.frombuffer(body, "<f8", frames * len(_FLOATS)).reshape(len(_FLOATS), frames)
+    at = floats.nbytes
+    steps = np.frombuffer(body, "<u4", frames, at)
+    at += steps.nbytes
+    outcomes = [Outcome(value) for value in body[at : at + frames]]
+    at += frames
+    driven = np.frombuffer(body, "<f8", commands * len(_COMMAND), at).reshape(len(_COMMAND), commands)
+    at += driven.nbytes
+    _check_finite(floats, _FLOATS)
+    pose = len(_VEHICLE)
+    for step, outcome, (time, *values) in zip(
+        steps.tolist(), outcomes, zip(*floats.tolist(), strict=True), strict=True
+    ):
+        vehicle = VehicleState(**dict(zip(_VEHICLE, values[:pose], strict=True)))
+        lane = LaneState(**dict(zip(_LANE, values[pose:], strict=True)))
+        run.observations.append(
+            Observation(image=NO_IMAGE, step=step, time=time, vehicle=vehicle, lane=lane, outcome=outcome)
+        )
+    run.commands.extend(map(Command, *driven.tolist()))
+    run.reason = Reason(reason)
+    run.message = str(body[at:], "utf-8")
+    return run
+
+
+def _check_counts(frames: int, commands: int, message: int) -> None:
+    if frames > MAX_FRAMES or message > MAX_MESSAGE:
+        raise RunCodecError(
+            f"a run has {frames} frames and a message of {message} bytes, "
+            f"expected at most {MAX_FRAMES} and {MAX_MESSAGE}"
+        )
+    if commands != max(0, frames - 1):
+        raise RunCodecError(f"a run has {frames} frames and {commands} commands, expected one command between two")
+
+
+def _table(rows: Iterable[tuple[float, ...]], names: tuple[str, ...], count: int) -> NDArray[np.float64]:
+    """One row per name, of the values of all frames or commands, (names, count)."""
+    columns = np.array(list(rows), "<f8").reshape(count, len(names)).T
+    _check_finite(columns, names)
+    return columns
+
+
+def _check_finite(columns: NDArray[np.float64], names: tuple[str, ...]) -> None:
+    finite = np.isfinite(columns)
+    if not finite.all():
+        name, index = np.argwhere(~finite)[0]
+        raise RunCodecError(f"{names[name]} is {columns[name, index]} in frame {index}, expected a finite number")
+
+
+def _checksum(start: bytes, body: bytes, road: Road, seed: int) -> int:
+    return zlib.crc32(body, zlib.crc32(start, zlib.crc32(f"{road.road_id} {seed}".encode())))

@@ -1,0 +1,141 @@
+"""Sends runs as bytes: every bit arrives, and damaged bytes are refused in one line."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ds_road import Road
+from ds_sim.run_codec import RunCodecError, decode_run, encode_run
+from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
+
+ROAD = Road([(0.0, 0.0), (10.0, 0.0), (30.0, 0.0), (60.0, 20.0), (90.0, 20.0)])
+OTHER_ROAD = Road([(0.0, 0.0), (10.0, 0.0), (30.0, 0.0), (60.0, 20.0), (90.0, 21.0)])
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+observations = st.builds(
+    Observation,
+    image=st.just(NO_IMAGE),
+    step=st.integers(0, 2**32 - 1),
+    time=numbers,
+    vehicle=st.builds(VehicleState, **{field.name: numbers for field in fields(VehicleState)}),
+    lane=st.builds(LaneState, **{field.name: numbers for field in fields(LaneState)}),
+    outcome=st.sampled_from(Outcome),
+)
+commands = st.builds(Command, steering=st.floats(-1.0, 1.0), throttle=st.floats(0.0, 1.0))
+
+
+@st.composite
+def runs(draw: st.DrawFn) -> RunRecord:
+    seen = draw(st.lists(observations, max_size=4))
+    driven = max(0, len(seen) - 1)
+    return RunRecord(
+        road=ROAD,
+        seed=draw(st.integers(0, 2**64)),
+        observations=seen,
+        commands=draw(st.lists(commands, min_size=driven, max_size=driven)),
+        outcome=draw(st.sampled_from(Outcome)),
+        message=draw(st.text(max_size=40)),
+        reason=draw(st.sampled_from(Reason)),
+    )
+
+
+def a_run(**fields_of_last_frame: float) -> RunRecord:
+    values = dict.fromkeys(("x", "y", "yaw", "speed", "yaw_rate", "steering_angle"), 1.0) | fields_of_last_frame
+    frames = [
+        Observation(
+            image=NO_IMAGE,
+            step=step,
+            time=step / 20,
+            vehicle=VehicleState(**values),
+            lane=LaneState(lateral_position=0.1, lateral_distance=1.9, preview_lateral_position=0.2, arc_length=3.0),
+            outcome=Outcome(step),
+        )
+        for step in range(2)
+    ]
+    return RunRecord(
+        road=ROAD, seed=7, observations=frames, commands=[Command(-0.5, 0.25)], outcome=Outcome.COMPLETED, message="é"
+    )
+
+
+@given(runs())
+def test_a_run_arrives_with_every_bit(run: RunRecord) -> None:
+    arrived = decode_run(encode_run(run), ROAD, run.seed)
+    assert repr(arrived) == repr(run)  # repr tells -0.0 from 0.0, and a numpy number from a Python one
+
+
+def test_numbers_of_numpy_arrive_as_python_numbers() -> None:
+    run = a_run(x=np.float64(0.1), y=np.float32(0.1))  # type: ignore[arg-type]
+    vehicle = decode_run(encode_run(run), ROAD, 7).observations[0].vehicle
+    assert (repr(vehicle.x), repr(vehicle.y)) == ("0.1", repr(float(np.float32(0.1))))
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_damage_is_refused_in_one_line(data: st.DataObject) -> None:
+    whole = encode_run(a_run())
+    kind = data.draw(st.sampled_from(["cut", "longer", "bit", "anything"]))
+    if kind == "cut":
+        damaged = whole[: data.draw(st.integers(0, len(whole) - 1))]
+    elif kind == "longer":
+        damaged = whole + data.draw(st.binary(min_size=1, max_size=40))
+    elif kind == "bit":
+        at = data.draw(st.integers(0, len(whole) - 1))
+        damaged = whole[:at] + bytes([whole[at] ^ 1 << data.draw(st.integers(0, 7))]) + whole[at + 1 :]
+    else:
+        damaged = data.draw(st.binary(max_size=200))
+    with pytest.raises(RunCodecError) as refused:
+        decode_run(damaged, ROAD, 7)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(("road", "seed"), [(OTHER_ROAD, 7), (ROAD, 8)])
+def test_the_answer_to_another_request_is_refused(road: Road, seed: int) -> None:
+    with pytest.raises(RunCodecError, match="another road or seed"):
+        decode_run(encode_run(a_run()), road, seed)
+
+
+def forged(at: int, value: bytes) -> bytes:
+    """An encoded run with other bytes at a place and a checksum that fits them, as another version might send it."""
+    whole = bytearray(encode_run(a_run()))
+    whole[at : at + len(value)] = value
+    content = f"{ROAD.road_id} 7".encode() + bytes(whole[:20]) + bytes(whole[24:])
+    whole[20:24] = struct.pack("<I", zlib.crc32(content))
+    return bytes(whole)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "line"),
+    [
+        (4, struct.pack("<H", 2), "version 2, expected 1"),
+        (6, bytes([99]), "99 is not a valid Outcome"),
+        (7, bytes([99]), "99 is not a valid Reason"),
+        (8, struct.pack("<I", 2**32 - 1), "at most 1000000"),
+        (12, struct.pack("<I", 9), "2 frames and 9 commands"),
+        (24 + 16, struct.pack("<d", math.nan), "vehicle.x is nan in frame 0"),
+        (24 + 2 * 15 * 8 - 8, struct.pack("<d", math.inf), "lane.arc_length is inf in frame 1"),
+        (24 + 2 * 15 * 8 + 8, bytes([99]), "99 is not a valid Outcome"),
+        (24 + 2 * 15 * 8 + 10, struct.pack("<d", 1.5), "steering is 1.5"),
+        (24 + 2 * 15 * 8 + 26, b"\xff\xff", "utf-8"),
+    ],
+)
+def test_content_that_makes_no_sense_is_refused_by_name(at: int, value: bytes, line: str) -> None:
+    with pytest.raises(RunCodecError, match=line):
+        decode_run(forged(at, value), ROAD, 7)
+
+
+def test_what_nobody_could_read_is_not_sent() -> None:
+    with pytest.raises(RunCodecError, match=r"vehicle\.roll is nan in frame 0"):
+        encode_run(a_run(roll=math.nan))
+    with pytest.raises(RunCodecError, match="expected one command between two"):
+        encode_run(RunRecord(road=ROAD, seed=1, commands=[Command(0.0, 0.0)]))
+    with pytest.raises(RunCodecError, match="expected at most"):
+        encode_run(RunRecord(road=ROAD, seed=1, message="x" * 70_000))
