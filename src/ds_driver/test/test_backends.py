@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from ds_driver.networks import backends
+from ds_driver.networks import openvino_backend
 from ds_driver.networks.architectures import NETWORKS, make_network
 from ds_driver.networks.backends import BackendError, onnx_runner, split_backend, with_backend
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
@@ -106,7 +106,7 @@ def test_missing_openvino_is_refused_with_the_command_that_installs_it(monkeypat
     monkeypatch.setitem(sys.modules, "openvino", None)
     with pytest.raises(BackendError, match=r"not installed.*pip install --no-deps -r requirements/openvino\.txt"):
         NetworkDriver("dave2@openvino")
-    assert Path(backends.OPENVINO_INSTALL.split()[-1]).is_file()
+    assert Path(openvino_backend.INSTALL.split()[-1]).is_file()
 
 
 def test_tests_and_users_get_the_same_openvino() -> None:

@@ -5,12 +5,10 @@ A driver's name may end in `@torch`, `@onnx`, `@openvino`, or `@cuda` (PyTorch o
 
 from __future__ import annotations
 
-import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,6 @@ from ds_driver.networks.pilot import DriverError
 BACKENDS = ("auto", "torch", "onnx", "openvino")
 """auto: `network_driver.BUILT_IN_BACKEND` for built-in networks, the native backend for a network file."""
 DEVICES = ("cpu", "cuda")
-OPENVINO_INSTALL = ".venv/bin/python -m pip install --no-deps -r requirements/openvino.txt"
 
 Compute = Callable[[NDArray[Any]], list[NDArray[np.float32]]]
 
@@ -36,16 +33,18 @@ class Runner:
     """Loaded network.
 
     Attributes:
-        compute: maps an input with a batch of one to all outputs.
+        compute: maps an input with a batch of one, or up to `largest_batch`, to all outputs.
         outputs: names of the outputs, if the file has any.
         shape: shape of the input, with None for a free size; None if the file does not state it.
         type: NumPy name of the input's data type; "" if the file does not state it.
+        largest_batch: images in one input for which each result has the bits that it has alone.
     """
 
     compute: Compute
     outputs: tuple[str, ...] = ()
     shape: tuple[int | None, ...] | None = None
     type: str = ""
+    largest_batch: int = 1
 
 
 def split_backend(driver: str) -> tuple[str, str, str]:
@@ -98,7 +97,7 @@ def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -
         try:
             found = network(torch.from_numpy(batch).to(device))
         except Exception as error:  # TorchScript raises whatever its program raises: IndexError, KeyError, ...
-            raise BackendError(f"the network rejects {_words(batch)}: {last_line(error)}") from None
+            raise BackendError(f"the network rejects {shape_and_type(batch)}: {last_line(error)}") from None
         parts: Sequence[Any] = found if isinstance(found, (tuple, list)) else [found]
         if not parts or not all(isinstance(part, torch.Tensor) for part in parts):
             raise BackendError(f"the network returns {type(found).__name__}: expected a tensor or a tuple of them")
@@ -192,7 +191,7 @@ def onnx_runner(content: bytes, where: str) -> Runner:
         try:
             found = session.run(None, {name: np.ascontiguousarray(batch)})
         except Exception as error:
-            raise BackendError(f"the network rejects {_words(batch)}: {last_line(error)}") from None
+            raise BackendError(f"the network rejects {shape_and_type(batch)}: {last_line(error)}") from None
         return [np.asarray(part, np.float32) for part in found]
 
     return Runner(
@@ -203,75 +202,12 @@ def onnx_runner(content: bytes, where: str) -> Runner:
     )
 
 
-def openvino_runner(content: bytes, where: str, *, kind: str = "onnx") -> Runner:
-    """Run an ONNX, TensorFlow Lite or TorchScript file with OpenVINO.
-
-    Args:
-        content: content of the file.
-        where: name of the file, for messages.
-        kind: `onnx`, `tflite` or `torchscript`.
-
-    Raises:
-        BackendError: OpenVINO is not installed, or cannot read the file.
-    """
-    if kind == "onnx":
-        check_onnx(content, where)
-    try:
-        import openvino
-    except ImportError:
-        raise BackendError(f"OpenVINO is not installed (60 MB): type {OPENVINO_INSTALL}") from None
-    core = openvino.Core()
-    settings = {
-        "INFERENCE_NUM_THREADS": 1,
-        "NUM_STREAMS": 1,
-        # The default is bfloat16 on processors that support it, which changes the results.
-        "INFERENCE_PRECISION_HINT": "f32",
-        # With pinning, the drivers of several workers would share one core.
-        "ENABLE_CPU_PINNING": False,
-    }
-    try:
-        if kind == "torchscript":
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                model = openvino.convert_model(torch.jit.load(BytesIO(content)).eval())
-            compiled = core.compile_model(model, "CPU", settings)
-        elif kind == "tflite":
-            # OpenVINO reads TensorFlow Lite from files only, and may need the file until the model is compiled.
-            with tempfile.TemporaryDirectory() as folder:
-                file = Path(folder) / "network.tflite"
-                file.write_bytes(content)
-                compiled = core.compile_model(core.read_model(file), "CPU", settings)
-        else:
-            compiled = core.compile_model(core.read_model(BytesIO(content)), "CPU", settings)
-    except Exception as error:  # its exceptions share no narrower base class
-        raise BackendError(f"{where} cannot be loaded by OpenVINO ({last_line(error)}): is the file whole?") from None
-    if len(compiled.inputs) != 1:
-        raise BackendError(f"{where} has {len(compiled.inputs)} inputs: expected one, the image")
-    request = compiled.create_infer_request()
-    only_input = compiled.inputs[0]
-
-    def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
-        try:
-            found = request.infer([np.ascontiguousarray(batch)], share_inputs=True)
-        except Exception as error:
-            raise BackendError(f"the network rejects {_words(batch)}: {last_line(error)}") from None
-        return [np.array(found[output], np.float32) for output in compiled.outputs]
-
-    return Runner(
-        compute,
-        tuple(next(iter(sorted(o.get_names())), "") for o in compiled.outputs),
-        tuple(d.get_length() if d.is_static else None for d in only_input.get_partial_shape())
-        if only_input.get_partial_shape().rank.is_static
-        else None,
-        only_input.get_element_type().to_dtype().name,
-    )
-
-
 def last_line(error: BaseException) -> str:
     """Return the last line of an exception's message, at most 200 characters."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return (lines[-1] if lines else type(error).__name__)[:200]
 
 
-def _words(batch: NDArray[Any]) -> str:
+def shape_and_type(batch: NDArray[Any]) -> str:
+    """Describe an input, for messages."""
     return f"an input of shape {'x'.join(map(str, batch.shape))} and type {batch.dtype}"

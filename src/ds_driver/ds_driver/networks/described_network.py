@@ -15,12 +15,12 @@ from ds_driver.networks.backends import (
     BackendError,
     Runner,
     onnx_runner,
-    openvino_runner,
     torch_device,
     torchscript_runner,
 )
 from ds_driver.networks.memory_limit import limited_memory
-from ds_driver.networks.pilot import DriverError, Frame, Prediction
+from ds_driver.networks.openvino_backend import openvino_runner
+from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.preprocessing import Crop, checked
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded, read_yaml
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
@@ -184,7 +184,7 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
     return file
 
 
-class DescribedNetworkPilot:
+class DescribedNetworkPilot(Pilot):
     """Drives with a described network file.
 
     Args:
@@ -199,6 +199,7 @@ class DescribedNetworkPilot:
 
     def __init__(self, path: Path, backend: str = "auto", device: str = "cpu") -> None:
         self._spec = read_description(path)
+        self.sees_crop_only = self._spec.input.crop == "simulator"
         file = file_of(path, self._spec)
         # The address space does not reflect the memory used on a GPU.
         self._bounded = nullcontext if device == "cuda" else limited_memory

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.backends import Runner, onnx_runner, openvino_runner, split_backend, torch_device, torch_runner
+from ds_driver.networks.backends import Runner, onnx_runner, split_backend, torch_device, torch_runner
 from ds_driver.networks.described_network import KINDS, DescribedNetworkPilot, file_of, read_description
+from ds_driver.networks.openvino_backend import openvino_runner
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.preprocessing import Crop, prepare
 from ds_driver.networks.user_class import UserClassPilot, source_of
@@ -25,7 +27,7 @@ BUILT_IN_BACKEND = "onnx"
 DESCRIPTIONS = (".yaml", ".yml")
 
 
-class BuiltInPilot:
+class BuiltInPilot(Pilot):
     """Drives with one of the paper's networks.
 
     Args:
@@ -39,8 +41,12 @@ class BuiltInPilot:
         ds_driver.networks.backends.BackendError: the backend or the device is not available.
     """
 
+    sees_crop_only = True
+
     def __init__(self, network: str, backend: str = "auto", device: str = "cpu") -> None:
-        self._compute = _runner(network, BUILT_IN_BACKEND if backend == "auto" else backend, device).compute
+        runner = _runner(network, BUILT_IN_BACKEND if backend == "auto" else backend, device)
+        self._compute = runner.compute
+        self.largest_batch = runner.largest_batch
 
     def start(self) -> None:
         """Do nothing, as these networks have no state."""
@@ -48,6 +54,17 @@ class BuiltInPilot:
     def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
         return Prediction(float(self._compute(prepare(frame.image, frame.crop)[None])[0].reshape(-1)[0]))
+
+    def predict_batch(self, frames: Sequence[Frame]) -> list[Prediction | DriverError]:
+        """See `ds_driver.networks.pilot.Pilot`."""
+        if self.largest_batch == 1 or len(frames) < 2:
+            return super().predict_batch(frames)
+        images = np.stack([prepare(frame.image, frame.crop) for frame in frames])
+        try:
+            steering = self._compute(images)[0].reshape(-1)
+        except DriverError:
+            return super().predict_batch(frames)
+        return [_finite(float(value)) for value in steering]
 
 
 class NetworkDriver:
@@ -80,11 +97,48 @@ class NetworkDriver:
         """Compute the command for an image and a speed in m/s; step 0 begins a run."""
         if step == 0:
             self._pilot.start()
-        prediction = self._pilot.predict(Frame(image=image, speed=speed, crop=crop, step=step))
-        steering = _within(prediction.steering, -1.0)
-        if prediction.throttle is None:
-            return Command(steering, throttle(steering, speed))
-        return Command(steering, _within(prediction.throttle, 0.0))
+        return _command(self._pilot.predict(Frame(image=image, speed=speed, crop=crop, step=step)), speed)
+
+    def commands(self, frames: Sequence[Frame]) -> list[Command | DriverError]:
+        """Compute a command for each frame: the bits of `command`, or the error of that frame.
+
+        Args:
+            frames: any number, of one or several runs; of several only if `stateless`. At most `largest_batch` frames
+                go through the network at once.
+
+        Raises:
+            ds_driver.networks.preprocessing.ImageError: an image has another size or type.
+        """
+        size = self.largest_batch
+        if size == 1:
+            return [self._attempt(frame) for frame in frames]
+        parts = (frames[begin : begin + size] for begin in range(0, len(frames), size))
+        found = [prediction for part in parts for prediction in self._pilot.predict_batch(part)]
+        return [
+            prediction if isinstance(prediction, DriverError) else _command(prediction, frame.speed)
+            for frame, prediction in zip(frames, found, strict=True)
+        ]
+
+    def _attempt(self, frame: Frame) -> Command | DriverError:
+        try:
+            return self.command(frame.image, frame.speed, frame.crop, frame.step)
+        except DriverError as error:
+            return error
+
+    @property
+    def largest_batch(self) -> int:
+        """Return the number of frames that the network takes at once with the bits that each gives alone."""
+        return self._pilot.largest_batch
+
+    @property
+    def sees_crop_only(self) -> bool:
+        """Return whether the driver never looks at rows outside the crop of a frame."""
+        return self._pilot.sees_crop_only
+
+    @property
+    def stateless(self) -> bool:
+        """Return whether a command depends on its frame alone, so that one driver can serve several runs at once."""
+        return self._pilot.stateless
 
 
 def load_pilot(driver: str) -> Pilot:
@@ -127,9 +181,24 @@ def _runner(name: str, backend: str, device: str) -> Runner:
     if backend != "torch":
         from ds_driver.networks.onnx_export import to_onnx
 
-        return (onnx_runner if backend == "onnx" else openvino_runner)(to_onnx(network), name)
+        content = to_onnx(network)
+        return onnx_runner(content, name) if backend == "onnx" else openvino_runner(content, name, batches=True)
     network = network.to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
     return torch_runner(lambda batch: network(batch.permute(0, 3, 1, 2).float()), where)
+
+
+def _command(prediction: Prediction, speed: float) -> Command:
+    steering = _within(prediction.steering, -1.0)
+    if prediction.throttle is None:
+        return Command(steering, throttle(steering, speed))
+    return Command(steering, _within(prediction.throttle, 0.0))
+
+
+def _finite(steering: float) -> Prediction | DriverError:
+    try:
+        return Prediction(steering)
+    except DriverError as error:
+        return error
 
 
 def _within(value: float, low: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -55,7 +56,17 @@ class Prediction:
 
 
 class Pilot(Protocol):
-    """Network that can drive."""
+    """Network that can drive.
+
+    Attributes:
+        largest_batch: frames that `predict_batch` takes at once; more than one only if stateless.
+        sees_crop_only: whether it never looks at rows outside the crop of a frame.
+        stateless: whether a prediction depends on its frame alone, so that frames of several runs may alternate.
+    """
+
+    largest_batch: int = 1
+    sees_crop_only: bool = False
+    stateless: bool = True
 
     def start(self) -> None:
         """Reset all state at the start of a run."""
@@ -68,3 +79,17 @@ class Pilot(Protocol):
             ds_driver.networks.preprocessing.ImageError: the image has another size or type.
         """
         ...
+
+    def predict_batch(self, frames: Sequence[Frame]) -> list[Prediction | DriverError]:
+        """Predict for several frames: the bits of `predict`, or the error of the frame.
+
+        Raises:
+            ds_driver.networks.preprocessing.ImageError: an image has another size or type.
+        """
+        return [self._attempt(frame) for frame in frames]
+
+    def _attempt(self, frame: Frame) -> Prediction | DriverError:
+        try:
+            return self.predict(frame)
+        except DriverError as error:
+            return error

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from ds_driver.networks.backends import last_line
-from ds_driver.networks.pilot import DriverError, Frame, Prediction
+from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.preprocessing import checked
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 
-class UserClassPilot:
+class UserClassPilot(Pilot):
     """Wraps a class without constructor arguments, with a method `drive(frame)` and, if it has state, `start()`.
 
     `drive` takes a `Frame` and returns the steering, or a pair of steering and throttle.
@@ -26,6 +26,8 @@ class UserClassPilot:
     Raises:
         DriverError: the class cannot be imported or instantiated, or fails on a black image.
     """
+
+    stateless = False
 
     def __init__(self, target: str) -> None:
         kind = _find(target)
