@@ -11,6 +11,7 @@ from typing import Any
 from ds_bags.layout import BagError, Level, partial_path
 from ds_bags.message_factory import MessageFactory, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_bags.telemetry import frame_times, serialise_frames
 from ds_road import road_to_json
 from ds_sim.registry import spec_of
 from ds_sim.resimulation import resimulate
@@ -107,7 +108,7 @@ class RunWriter:
         writer: open writer of the bag.
         namespace: namespace of the simulator.
         spec: specification of the simulator.
-        run: supplies the road and, at the end, the outcome.
+        run: supplies the road, the frames and, at the end, the outcome.
         level: whether the bag holds images, and how they are encoded.
     """
 
@@ -144,19 +145,36 @@ class RunWriter:
         self._put("road_markers", 0, self._make.road_markers(self._run.road, self._spec.look, 0))
         self._put("/tf_static", 0, self._make.camera_transform(self._spec.camera, 0))
 
-    def frame(self, index: int, observation: Observation) -> None:
-        """Write a frame and the command that answers it, if there is one."""
-        time, make = round(observation.time * 1e9), self._make
-        self._put("state", time, make.state(observation, self._run.road.road_id, time))
-        self._put("odom", time, make.odometry(observation.vehicle, time))
-        self._put("/tf", time, make.body_transform(observation.vehicle, time))
-        if self._image and observation.image.size:
-            self.images += 1
-            image = make.image if self._image == "camera/image_raw" else make.compressed_image
-            self._put(self._image, time, image(observation, time))
-            self._put("camera/camera_info", time, make.camera_info(self._spec.camera, time))
-        if index < len(self._run.commands):
-            self._put("drive", time, make.command(self._run.commands[index], time))
+    def frames(self, observations: Iterable[Observation] | None = None) -> None:
+        """Write all frames and the commands that answer them.
+
+        Args:
+            observations: the run's observations with images; None to write no images.
+        """
+        if not self._run.observations:
+            return
+        times, rows = frame_times(self._run), serialise_frames(self._make, self._run)
+        answered = len(self._run.commands)
+        if observations is None:
+            for part in (slice(None, answered), slice(answered, None)):
+                found = ((self._channels[topic], messages[part]) for topic, messages in rows.items())
+                self._writer.write_frames(times[part], [pair for pair in found if len(pair[1])])
+            return
+        drive = rows.pop("drive")
+        for index, (seen, time) in enumerate(zip(observations, times.tolist(), strict=True)):
+            for topic, messages in rows.items():
+                self._writer.write(self._channels[topic], time, messages[index].tobytes())
+            self._put_image(seen, time)
+            if index < answered:
+                self._writer.write(self._channels["drive"], time, drive[index].tobytes())
+
+    def _put_image(self, seen: Observation, time: int) -> None:
+        if not seen.image.size:
+            return
+        self.images += 1
+        image = self._make.image if self._image == "camera/image_raw" else self._make.compressed_image
+        self._put(self._image, time, image(seen, time))
+        self._put("camera/camera_info", time, self._make.camera_info(self._spec.camera, time))
 
     def end(self) -> None:
         """Write the outcome."""
@@ -181,8 +199,7 @@ def _write(
     try:
         messages = RunWriter(writer, namespace, spec_of(simulator), run, level)
         messages.begin()
-        for index, observation in enumerate(observations):
-            messages.frame(index, observation)
+        messages.frames(None if level == "telemetry" else observations)
         messages.end()
         images = {"images": str(messages.images)} if level != "telemetry" else {}
         writer.close(facts | results_of(run) | images)
