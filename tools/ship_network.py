@@ -18,8 +18,7 @@ import numpy as np
 
 from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
-from ds_driver.networks.architectures import count_parameters
-from ds_driver.networks.weights import SHIPPED, load_network
+from ds_driver.networks.weights import SHIPPED, load_weights
 from ds_orchestrator.evaluation.open_loop import predict
 from ds_sim.registry import SIMULATORS
 
@@ -61,7 +60,7 @@ def main() -> None:
     card = {
         "network": name,
         "architecture": arguments.network,
-        "parameters": count_parameters(load_network(str(weights))),
+        "parameters": load_weights(str(weights)).architecture.parameters,
         "sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
         "data": {
             "collection": collection,

@@ -17,7 +17,7 @@ from tests.fuzz.harness import Kind
 from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.weights import WeightsError, load_network, save_weights
+from ds_driver.networks.weights import WeightsError, load_weights
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, read_config
 from ds_orchestrator.campaign.status import stages_of
@@ -165,7 +165,7 @@ def _read_store(path: Path) -> object:
 def _write_weights(folder: Path) -> Path:
     import torch
 
-    from ds_driver.networks.architectures import make_network
+    from ds_driver.networks.torch_networks import make_network, save_weights
 
     torch.manual_seed(1)
     save_weights(make_network("chauffeur"), folder / "weights.safetensors", architecture="chauffeur")
@@ -281,7 +281,7 @@ KINDS = [
         name="weights",
         write=_write_weights,
         damage=_damage_weights,
-        read=lambda path: load_network(str(path)),
+        read=lambda path: load_weights(str(path)),
         errors=(WeightsError,),
     ),
     Kind(

@@ -1,4 +1,4 @@
-"""The three backends agree, and names of backends and devices are checked."""
+"""The backends agree, and names of backends and devices are checked."""
 
 from __future__ import annotations
 
@@ -7,19 +7,26 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
+import openvino
 import pytest
 import torch
 
 from ds_driver.networks import openvino_backend
-from ds_driver.networks.architectures import NETWORKS, make_network
-from ds_driver.networks.backends import BackendError, onnx_runner, split_backend, with_backend
+from ds_driver.networks.architectures import NETWORKS
+from ds_driver.networks.backends import BackendError, split_backend, with_backend
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
+from ds_driver.networks.onnx_backend import onnx_runner
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.preprocessing import Crop, prepare
-from ds_driver.networks.weights import save_weights, weights_sha256
+from ds_driver.networks.torch_networks import load_network, make_network, save_weights
+from ds_driver.networks.weights import load_weights, weights_sha256
 
 FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.uint8)
+needs_bf16 = pytest.mark.skipif(
+    "BF16" not in openvino_backend.cpu_capabilities(openvino.Core()), reason="processor without bfloat16"
+)
 
 
 @pytest.fixture(params=sorted(NETWORKS))
@@ -35,8 +42,6 @@ def weights(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
 
 def test_every_backend_agrees_with_pytorch(weights: tuple[str, Path]) -> None:
     """The reference is the network itself, called directly: one batch, default memory layout, no runner."""
-    from ds_driver.networks.weights import load_network
-
     network = load_network(str(weights[1]))
     with torch.inference_mode():
         batch = torch.from_numpy(np.stack([prepare(f, Crop(54, 1)) for f in FRAMES])).permute(0, 3, 1, 2).float()
@@ -47,6 +52,24 @@ def test_every_backend_agrees_with_pytorch(weights: tuple[str, Path]) -> None:
         found = [driver.steering(frame, Crop(54, 1)) for frame in FRAMES]
         assert found == pytest.approx(expected, abs=2e-5), backend
         assert found == [driver.steering(frame, Crop(54, 1)) for frame in FRAMES], backend
+
+
+@needs_bf16
+@pytest.mark.parametrize("network", ["dave2", "chauffeur"])
+def test_bfloat16_steers_like_single_precision_to_its_eight_bits(network: str) -> None:
+    single, half = (NetworkDriver(f"{network}@{backend}") for backend in ("openvino", "openvino-bf16"))
+    images = [cv2.GaussianBlur(frame, (0, 0), 8) for frame in FRAMES]
+    expected = [single.steering(image, Crop(54, 1)) for image in images]
+    found = [half.steering(image, Crop(54, 1)) for image in images]
+    assert found == pytest.approx(expected, abs=0.05) and found != expected
+
+
+def test_a_processor_without_bfloat16_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenVINO would compute in single precision without a word, and the name would promise something else."""
+    monkeypatch.setattr(openvino_backend, "cpu_capabilities", lambda _: ["FP32", "INT8", "BIN"])
+    with pytest.raises(BackendError, match=r"no bfloat16 \(AVX512_BF16 or AMX\): use the backend openvino$"):
+        NetworkDriver("dave2@openvino-bf16")
+    NetworkDriver("dave2@openvino")
 
 
 def test_a_backend_gives_the_same_bits_in_another_process() -> None:
@@ -64,16 +87,14 @@ def test_a_backend_gives_the_same_bits_in_another_process() -> None:
     assert here == other.stdout.split(), other.stderr
 
 
-def test_a_layer_without_counterpart_is_named() -> None:
-    network = make_network("dave2")
-    network.features.append(torch.nn.Sigmoid())  # type: ignore[operator, union-attr]
-    with pytest.raises(TypeError, match="Sigmoid has no counterpart"):
-        to_onnx(network)
-
-
 @pytest.mark.parametrize(
     ("backend", "device", "named"),
-    [("auto", "cpu", "dave2"), ("onnx", "cpu", "dave2@onnx"), ("torch", "cuda", "dave2@cuda")],
+    [
+        ("openvino-bf16", "cpu", "dave2@openvino-bf16"),
+        ("auto", "cpu", "dave2"),
+        ("onnx", "cpu", "dave2@onnx"),
+        ("torch", "cuda", "dave2@cuda"),
+    ],
 )
 def test_a_name_carries_backend_and_device(backend: str, device: str, named: str) -> None:
     assert with_backend("dave2", backend, device) == named
@@ -86,7 +107,7 @@ def test_a_name_carries_backend_and_device(backend: str, device: str, named: str
 @pytest.mark.parametrize(
     ("backend", "device", "said"),
     [
-        ("tensorrt", "cpu", "expected one of auto, torch, onnx, openvino"),
+        ("tensorrt", "cpu", "expected one of auto, torch, onnx, openvino, openvino-bf16"),
         ("auto", "tpu", "expected one of cpu, cuda"),
         ("onnx", "cuda", "leave out --device cuda"),
     ],
@@ -102,10 +123,13 @@ def test_a_missing_gpu_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         NetworkDriver("dave2@cuda")
 
 
-def test_missing_openvino_is_refused_with_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("backend", ["openvino", "openvino-bf16"])
+def test_missing_openvino_is_refused_with_the_command_that_installs_it(
+    backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
     with pytest.raises(BackendError, match=r"not installed.*pip install --no-deps -r requirements/openvino\.txt"):
-        NetworkDriver("dave2@openvino")
+        NetworkDriver(f"dave2@{backend}")
     assert Path(openvino_backend.INSTALL.split()[-1]).is_file()
 
 
@@ -118,7 +142,7 @@ def test_tests_and_users_get_the_same_openvino() -> None:
 
 def test_a_damaged_onnx_file_is_refused() -> None:
     with pytest.raises(BackendError, match=r"cut\.onnx cannot be loaded .*whole ONNX file"):
-        onnx_runner(to_onnx(make_network("dave2"))[:1000], "cut.onnx")
+        onnx_runner(to_onnx(load_weights("dave2"))[:1000], "cut.onnx")
 
 
 def test_the_hash_of_a_driver_does_not_depend_on_the_backend() -> None:

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from safetensors.torch import save_file
 
-from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError, count_parameters, make_network
+from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.preprocessing import Crop, ImageError, prepare
-from ds_driver.networks.weights import WeightsError, load_network, save_weights, shipped_networks
+from ds_driver.networks.torch_networks import load_network, make_network, save_weights
+from ds_driver.networks.weights import WeightsError, load_weights, shipped_networks
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("dave2", 2_882_619), ("chauffeur", 104_905), ("epoch", 26_239_009)])
 def test_the_networks_have_the_papers_parameters(name: str, parameters: int) -> None:
-    assert count_parameters(make_network(name)) == parameters
+    assert NETWORKS[name].parameters == parameters
+    assert sum(p.numel() for p in make_network(name).parameters()) == parameters
 
 
 def test_chauffeurs_features_have_the_same_scale_in_driving_and_training() -> None:
@@ -46,6 +51,36 @@ def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
     assert not list(tmp_path.glob("*.partial"))
 
 
+EXPORTS = {
+    "dave2": "02804109a9429e1172d3e2c581c1111078ffd4279b26c388ad1feb2c8446496c",
+    "dave2_short": "f2ddd91e17c89f98ee19a375141c851b44ef6cf053574e9ed7d55b5e6b6a4a55",
+    "chauffeur": "d7134266a015a9a00465a97c991c0330d45b5e3f0a38e68c0304a8a36a8d7bab",
+    "epoch": "f2606bc356fb373e9fac8b61fd6949edb530706080d7442dbcbd180a57c5bf7f",
+}
+"""SHA-256 of the ONNX files that version 0.2.0 exported from PyTorch modules, with onnx as pinned."""
+
+
+def test_the_exported_graphs_are_those_of_version_0_2_0() -> None:
+    assert set(EXPORTS) == set(shipped_networks())
+    for name, expected in EXPORTS.items():
+        content = to_onnx(load_weights(name))
+        onnx.checker.check_model(content)
+        assert hashlib.sha256(content).hexdigest() == expected, name
+
+
+@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+def test_every_number_type_is_read_as_pytorch_reads_it(tmp_path: Path, kind: torch.dtype) -> None:
+    torch.manual_seed(4)
+    tensors = {name: value.to(kind) for name, value in make_network("chauffeur").state_dict().items()}
+    tensors["steering.2.bias"].fill_(2.0**-20)  # subnormal in float16
+    path = tmp_path / "w.safetensors"
+    save_file(tensors, path, metadata={"architecture": "chauffeur"})
+    found = load_weights(str(path)).tensors
+    assert set(found) == set(tensors)
+    for name, value in tensors.items():
+        assert found[name].tobytes() == value.float().numpy().tobytes(), name
+
+
 def damaged(tmp_path: Path, kind: str) -> Path:
     path = tmp_path / f"{kind}.safetensors"
     network = make_network("dave2")
@@ -64,12 +99,23 @@ def damaged(tmp_path: Path, kind: str) -> Path:
         with torch.no_grad():
             next(network.parameters()).fill_(float("nan"))
         save_weights(network, path, architecture="dave2")
+    elif kind == "beyond float32":
+        tensors = {name: value.double() for name, value in network.state_dict().items()}
+        tensors["steering.1.bias"].fill_(1e300)
+        save_file(tensors, path, metadata={"architecture": "dave2"})
+    elif kind == "integers":
+        tensors = {name: value.to(torch.int8) for name, value in network.state_dict().items()}
+        save_file(tensors, path, metadata={"architecture": "dave2"})
     elif kind == "missing":
         path.unlink()
     return path
 
 
-@pytest.mark.parametrize("kind", ["truncated", "pickle", "empty", "other", "foreign", "nan", "missing"])
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "kind",
+    ["truncated", "pickle", "empty", "other", "foreign", "nan", "beyond float32", "integers", "missing"],
+)
 def test_unusable_weights_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     with pytest.raises(WeightsError) as refused:
         NetworkDriver(str(damaged(tmp_path, kind)))
@@ -110,7 +156,7 @@ def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
     for name, path in shipped.items():
         card = json.loads(path.with_suffix(".json").read_text())
         assert set(card) >= {"network", "parameters", "data", "seeds", "commands", "loss", "success", "roads"}
-        assert card["parameters"] == count_parameters(load_network(name))
+        assert card["parameters"] == load_weights(name).architecture.parameters
         assert set(card["success"]) == {"bullet", "softbody", "donkey"}
         assert all(rate >= 0.5 for ways in card["success"].values() for rate in ways.values())
         driver = NetworkDriver(name)

@@ -194,7 +194,11 @@ def check_extras(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) 
     checks = []
     for name, pinned in pins.items():
         version, problem = found[name]
-        detail = f"not installed; optional, for --backend {name} and .tflite files" if problem else version
+        detail = (
+            f"not installed; optional, for --backend {name} and {name}-bf16, and for .tflite files"
+            if problem
+            else version
+        )
         wrong = f"{version} is installed, {pinned} is pinned"
         fix = f".venv/bin/python -m pip install --no-deps -r requirements/{name}.txt"
         checks.append(

@@ -10,8 +10,7 @@ import pytest
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
 from ds_driver.data.dataset import write_drive
-from ds_driver.networks.architectures import make_network
-from ds_driver.networks.weights import save_weights
+from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_orchestrator.evaluation.open_loop import ErrorsError, architecture_of, predict
 from ds_orchestrator.evaluation.paper_tables import error_tables
 from ds_orchestrator.evaluation.steering_error_stats import (

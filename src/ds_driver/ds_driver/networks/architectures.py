@@ -1,134 +1,164 @@
-"""Defines the driving networks (paper 4.1.1), which predict steering from an image."""
+"""Describes the driving networks (paper 4.1.1), which predict steering from an image, as tables of layers.
+
+Both the ONNX graph (`onnx_export`) and the PyTorch module (`torch_networks`) are made from these tables, so that
+driving needs no PyTorch.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from torch import Tensor, nn
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import prod
 
 
 class UnknownNetworkError(ValueError):
     """The name does not denote a network."""
 
 
-class Dave2(nn.Module):
-    """Nvidia's Dave-2 as used in the paper: five convolutions and three dense layers, 2,882,619 parameters.
+@dataclass(frozen=True, slots=True)
+class Conv:
+    """Convolution with bias; `same` keeps the image size, and even kernels then pad right and bottom, as in Keras."""
 
-    Input (n, 3, 160, 320) YUV in 0 to 255; output (n, 1), steering with -1 full left and +1 full right.
+    inputs: int
+    filters: int
+    kernel: int
+    stride: int = 1
+    same: bool = False
+
+    @property
+    def padding(self) -> tuple[int, int]:
+        """Return the rows of zeros above and below the image, which are also the columns left and right of it."""
+        return ((self.kernel - 1) // 2, self.kernel // 2) if self.same else (0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Dense:
+    """Dense layer with bias."""
+
+    inputs: int
+    outputs: int
+
+
+@dataclass(frozen=True, slots=True)
+class MaxPool:
+    """Maximum over squares of `size` x `size` values that do not overlap."""
+
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Dropout:
+    """Sets values to zero with a probability `rate`, only in training.
+
+    Attributes:
+        rate: probability.
+        rescale: whether the other values grow by 1 / (1 - rate). That preserves the expected value of a sum, but makes
+            a maximum over nearly equal neighbours too large by the same factor, and only in training: when driving, the
+            features after Chauffeur's five blocks, and so its steering, would be 0.95^5 = 0.77 of those in training.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.features = nn.Sequential(
-            nn.Conv2d(3, 24, 5, stride=2), nn.ELU(),
-            nn.Conv2d(24, 36, 5, stride=2), nn.ELU(),
-            nn.Conv2d(36, 48, 5, stride=2), nn.ELU(),
-            nn.Conv2d(48, 64, 3), nn.ELU(),
-            nn.Conv2d(64, 64, 3), nn.ELU(),
-            nn.Dropout(0.5),
-        )  # fmt: skip
-        self.steering = nn.Sequential(
-            nn.Flatten(),
-            nn.Linear(27456, 100), nn.ELU(),
-            nn.Linear(100, 50), nn.ELU(),
-            nn.Linear(50, 10), nn.ELU(),
-            nn.Linear(10, 1),
-        )  # fmt: skip
-
-    def forward(self, image: Tensor) -> Tensor:
-        """Predict steering for a batch of images."""
-        result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
-        return result
+    rate: float
+    rescale: bool = True
 
 
-class DropoutAheadOfMaximum(nn.Dropout):
-    """Dropout without rescaling, for use before max pooling.
+@dataclass(frozen=True, slots=True)
+class Elementwise:
+    """Layer without weights, by the name of its ONNX operator: `Elu`, `Relu` or `Flatten`."""
 
-    Standard dropout scales the kept values by 1 / (1 - p), which preserves the expected value of a sum. It makes a
-    maximum over nearly equal neighbours too large by the same factor, and only in training: when driving, the features
-    after Chauffeur's five blocks, and so its steering, would be 0.95^5 = 0.77 of those in training.
+    kind: str
+
+
+Layer = Conv | Dense | MaxPool | Dropout | Elementwise
+ELU, RELU, FLATTEN = Elementwise("Elu"), Elementwise("Relu"), Elementwise("Flatten")
+
+
+@dataclass(frozen=True, slots=True)
+class Architecture:
+    """Network from an image, (n, 3, 160, 320) YUV in 0 to 255, to steering, (n, 1), -1 full left to +1 full right.
+
+    Attributes:
+        title: name in the literature; also the name of the ONNX graph.
+        features: layers that see the image, scaled to -1 to 1.
+        steering: layers after them.
+        initialise_for_relu: whether convolutions start with He's weights instead of PyTorch's default.
     """
 
-    def forward(self, values: Tensor) -> Tensor:
-        """Set each value to 0 with probability `p` in training; return the values unchanged otherwise."""
-        return super().forward(values).mul_(1.0 - self.p) if self.training else values
+    title: str
+    features: tuple[Layer, ...]
+    steering: tuple[Layer, ...]
+    initialise_for_relu: bool = False
+
+    def layers(self) -> Iterator[tuple[str, Layer]]:
+        """Yield all layers in order, each with the prefix of its tensors in a weights file."""
+        for part, layers in (("features", self.features), ("steering", self.steering)):
+            for index, layer in enumerate(layers):
+                # PyTorch pads an even kernel with a layer of its own, in front of the convolution.
+                nested = isinstance(layer, Conv) and layer.padding[0] != layer.padding[1]
+                yield f"{part}.{index}.1" if nested else f"{part}.{index}", layer
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Return the shape of each tensor of a weights file."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        for name, layer in self.layers():
+            if isinstance(layer, Conv):
+                shapes[f"{name}.weight"] = (layer.filters, layer.inputs, layer.kernel, layer.kernel)
+                shapes[f"{name}.bias"] = (layer.filters,)
+            elif isinstance(layer, Dense):
+                shapes[f"{name}.weight"] = (layer.outputs, layer.inputs)
+                shapes[f"{name}.bias"] = (layer.outputs,)
+        return shapes
+
+    @property
+    def parameters(self) -> int:
+        """Return the number of trainable parameters."""
+        return sum(map(prod, self.shapes().values()))
 
 
-class Chauffeur(nn.Module):
-    """Chauffeur, from Udacity's second challenge, as used in the paper: six convolutions, 104,905 parameters.
-
-    Input and output as for `Dave2`.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        channels = 3
-        # Filters and kernel sizes (maxitwo); each block halves the image.
-        for filters, kernel in ((16, 5), (20, 5), (40, 3), (60, 3), (80, 2)):
-            layers += [_same(channels, filters, kernel), nn.ReLU(), DropoutAheadOfMaximum(0.05), nn.MaxPool2d(2)]
-            channels = filters
-        self.features = nn.Sequential(*layers, _same(channels, 128, 2), nn.ReLU())
-        # maxitwo's signature defaults to 0.1, but its training passes 0.5.
-        self.steering = nn.Sequential(nn.Flatten(), nn.Dropout(0.5), nn.Linear(6400, 1))
-        for layer in self.features.modules():
-            if isinstance(layer, nn.Conv2d):
-                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-
-    def forward(self, image: Tensor) -> Tensor:
-        """Predict steering for a batch of images."""
-        result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
-        return result
+def _chauffeur_block(inputs: int, filters: int, kernel: int) -> tuple[Layer, ...]:
+    return Conv(inputs, filters, kernel, same=True), RELU, Dropout(0.05, rescale=False), MaxPool(2)
 
 
-class Epoch(nn.Module):
-    """Epoch, from Udacity's second challenge, reduced as in the paper: three convolutions, 26,239,009 parameters.
-
-    Input and output as for `Dave2`.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        channels = 3
-        for filters in (16, 32, 64):
-            layers += [_same(channels, filters, 3), nn.ReLU(), nn.MaxPool2d(2), nn.Dropout(0.1)]
-            channels = filters
-        self.features = nn.Sequential(*layers)
-        self.steering = nn.Sequential(
-            nn.Flatten(),
-            nn.Linear(51200, 512), nn.ReLU(), nn.Dropout(0.5),
-            nn.Linear(512, 1),
-        )  # fmt: skip
-
-    def forward(self, image: Tensor) -> Tensor:
-        """Predict steering for a batch of images."""
-        result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
-        return result
+def _epoch_block(inputs: int, filters: int) -> tuple[Layer, ...]:
+    return Conv(inputs, filters, 3, same=True), RELU, MaxPool(2), Dropout(0.1)
 
 
-def _same(channels: int, filters: int, kernel: int) -> nn.Module:
-    """Make a convolution that keeps the image size; even kernels pad right and bottom, as in Keras."""
-    if kernel % 2:
-        return nn.Conv2d(channels, filters, kernel, padding=kernel // 2)
-    return nn.Sequential(nn.ZeroPad2d((0, 1, 0, 1)), nn.Conv2d(channels, filters, kernel))
+DAVE2 = Architecture(
+    "Dave2",
+    features=(
+        Conv(3, 24, 5, stride=2), ELU,
+        Conv(24, 36, 5, stride=2), ELU,
+        Conv(36, 48, 5, stride=2), ELU,
+        Conv(48, 64, 3), ELU,
+        Conv(64, 64, 3), ELU,
+        Dropout(0.5),
+    ),
+    steering=(FLATTEN, Dense(27456, 100), ELU, Dense(100, 50), ELU, Dense(50, 10), ELU, Dense(10, 1)),
+)  # fmt: skip
+"""Nvidia's Dave-2 as used in the paper: five convolutions and four dense layers, 2,882,619 parameters."""
 
+CHAUFFEUR = Architecture(
+    "Chauffeur",
+    # Filters and kernel sizes (maxitwo); each block halves the image.
+    features=(
+        *_chauffeur_block(3, 16, 5),
+        *_chauffeur_block(16, 20, 5),
+        *_chauffeur_block(20, 40, 3),
+        *_chauffeur_block(40, 60, 3),
+        *_chauffeur_block(60, 80, 2),
+        Conv(80, 128, 2, same=True), RELU,
+    ),
+    # maxitwo's signature defaults to 0.1, but its training passes 0.5.
+    steering=(FLATTEN, Dropout(0.5), Dense(6400, 1)),
+    initialise_for_relu=True,
+)  # fmt: skip
+"""Chauffeur, from Udacity's second challenge, as used in the paper: six convolutions, 104,905 parameters."""
 
-NETWORKS: dict[str, Callable[[], nn.Module]] = {"dave2": Dave2, "chauffeur": Chauffeur, "epoch": Epoch}
+EPOCH = Architecture(
+    "Epoch",
+    features=(*_epoch_block(3, 16), *_epoch_block(16, 32), *_epoch_block(32, 64)),
+    steering=(FLATTEN, Dense(51200, 512), RELU, Dropout(0.5), Dense(512, 1)),
+)
+"""Epoch, from Udacity's second challenge, reduced as in the paper: three convolutions, 26,239,009 parameters."""
+
+NETWORKS = {"dave2": DAVE2, "chauffeur": CHAUFFEUR, "epoch": EPOCH}
 """Name on the command line -> architecture."""
-
-
-def make_network(name: str) -> nn.Module:
-    """Create an untrained network.
-
-    Raises:
-        UnknownNetworkError: no network has this name.
-    """
-    if name not in NETWORKS:
-        raise UnknownNetworkError(f"unknown network {name!r}: expected one of {', '.join(NETWORKS)}, or a weights file")
-    return NETWORKS[name]()
-
-
-def count_parameters(network: nn.Module) -> int:
-    """Count the trainable parameters."""
-    return sum(p.numel() for p in network.parameters() if p.requires_grad)

@@ -11,14 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ds_driver.networks.backends import (
-    BackendError,
-    Runner,
-    onnx_runner,
-    torch_device,
-    torchscript_runner,
-)
+from ds_driver.networks.backends import BackendError, Runner
 from ds_driver.networks.memory_limit import limited_memory
+from ds_driver.networks.onnx_backend import check_onnx, onnx_runner
 from ds_driver.networks.openvino_backend import openvino_runner
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.preprocessing import Crop, checked
@@ -33,7 +28,11 @@ KINDS = {
     ".tflite": "tflite",
 }
 """File suffix -> format."""
-_BACKENDS_OF = {"onnx": ("onnx", "openvino"), "torchscript": ("torch", "openvino"), "tflite": ("openvino",)}
+_BACKENDS_OF = {
+    "onnx": ("onnx", "openvino", "openvino-bf16"),
+    "torchscript": ("torch", "openvino", "openvino-bf16"),
+    "tflite": ("openvino", "openvino-bf16"),
+}
 """Format -> backends that can run it; the first one is `auto`."""
 _COLOURS = {"bgr": cv2.COLOR_RGB2BGR, "yuv": cv2.COLOR_RGB2YUV, "grey": cv2.COLOR_RGB2GRAY}
 _RESIZING = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA, "nearest": cv2.INTER_NEAREST}
@@ -286,16 +285,24 @@ def _runner(file: Path, backend: str, device: str) -> Runner:
     possible = _BACKENDS_OF[kind]
     chosen = possible[0] if backend == "auto" else backend
     if chosen not in possible:
-        raise BackendError(f"backend {chosen} cannot run {file.name}: expected {' or '.join(possible)}")
+        raise BackendError(f"backend {chosen} cannot run {file.name}: expected {_either(possible)}")
     try:
         content = read_bounded(file, LARGEST_FILE)
     except (BoundedYamlError, OSError) as error:
         raise DriverError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    if chosen == "openvino":
-        return openvino_runner(content, file.name, kind=kind)
+    if kind == "onnx":
+        check_onnx(content, file.name)
+    if chosen.startswith("openvino"):
+        return openvino_runner(content, file.name, kind=kind, bf16=chosen == "openvino-bf16")
     if chosen == "onnx":
         return onnx_runner(content, file.name)
+    from ds_driver.networks.torch_backend import torch_device, torchscript_runner
+
     return torchscript_runner(content, torch_device(device), file.name)
+
+
+def _either(names: tuple[str, ...]) -> str:
+    return " or ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _is_kind(part: object) -> bool:

@@ -7,18 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.backends import Runner, onnx_runner, split_backend, torch_device, torch_runner
+from ds_driver.networks.backends import Runner, split_backend
 from ds_driver.networks.described_network import KINDS, DescribedNetworkPilot, file_of, read_description
+from ds_driver.networks.onnx_backend import onnx_runner
+from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.openvino_backend import openvino_runner
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.preprocessing import Crop, prepare
 from ds_driver.networks.user_class import UserClassPilot, source_of
-from ds_driver.networks.weights import load_network, shipped_networks, weights_sha256
+from ds_driver.networks.weights import load_weights, shipped_networks, weights_sha256
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.simulator import Command
 
@@ -176,14 +177,23 @@ def driver_sha256(driver: str) -> str:
 
 
 def _runner(name: str, backend: str, device: str) -> Runner:
-    where = torch_device(device)
-    network = load_network(name)
-    if backend != "torch":
-        from ds_driver.networks.onnx_export import to_onnx
+    if backend == "torch":
+        return _torch_runner(name, device)
+    content = to_onnx(load_weights(name))
+    if backend == "onnx":
+        return onnx_runner(content, name)
+    return openvino_runner(content, name, bf16=backend == "openvino-bf16", batches=True)
 
-        content = to_onnx(network)
-        return onnx_runner(content, name) if backend == "onnx" else openvino_runner(content, name, batches=True)
-    network = network.to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
+
+def _torch_runner(name: str, device: str) -> Runner:
+    """Run a network with PyTorch, which takes 2 s and 200 MB to import and is therefore imported on demand."""
+    import torch
+
+    from ds_driver.networks.torch_backend import torch_device, torch_runner
+    from ds_driver.networks.torch_networks import load_network
+
+    where = torch_device(device)
+    network = load_network(name).to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
     return torch_runner(lambda batch: network(batch.permute(0, 3, 1, 2).float()), where)
 
 

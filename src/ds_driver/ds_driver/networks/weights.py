@@ -1,26 +1,47 @@
-"""Stores network weights as safetensors, without pickle: half precision, the architecture in the metadata."""
+"""Reads network weights from safetensors, without pickle: half precision, the architecture in the metadata."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
-from torch import nn
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import deserialize, safe_open
 
-from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError, make_network
+from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError
 
 SHIPPED = Path(__file__).parents[1] / "models"
 """Folder of the shipped networks."""
 LARGEST_FILE = 2**29
 """Bytes of a weights file; chosen: ten times the largest shipped one."""
-_NUMBERS = ("F16", "BF16", "F32", "F64")
+_FLOAT32: dict[str, Callable[[bytes], NDArray[np.float32]]] = {
+    "F16": lambda data: np.frombuffer(data, "<f2").astype(np.float32),
+    # The upper half of a float32.
+    "BF16": lambda data: (np.frombuffer(data, "<u2").astype(np.uint32) << 16).view(np.float32),
+    "F32": lambda data: np.frombuffer(data, "<f4").astype(np.float32),
+    "F64": lambda data: np.frombuffer(data, "<f8").astype(np.float32),
+}
+"""Number type in a file -> what reads it."""
 
 
 class WeightsError(ValueError):
     """The weights file is missing, damaged, or of another architecture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """Trained weights of an architecture.
+
+    Attributes:
+        architecture: one of `ds_driver.networks.architectures.NETWORKS`.
+        tensors: name in the file -> values, with the names and shapes of `Architecture.shapes`.
+    """
+
+    architecture: Architecture
+    tensors: dict[str, NDArray[np.float32]]
 
 
 def shipped_networks() -> dict[str, Path]:
@@ -28,16 +49,8 @@ def shipped_networks() -> dict[str, Path]:
     return {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
 
 
-def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: dict[str, str] | None = None) -> None:
-    """Write a network's weights as float16, which halves the file; `load_network` returns float32."""
-    tensors = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
-    partial = path.with_suffix(".partial")
-    save_file(tensors, partial, metadata={"architecture": architecture, **(notes or {})})
-    partial.replace(path)
-
-
 def weights_sha256(name_or_path: str) -> str:
-    """Compute the SHA-256 of the weights file that `load_network` would read."""
+    """Compute the SHA-256 of the weights file that `load_weights` would read."""
     return hashlib.sha256(_path_of(name_or_path).read_bytes()).hexdigest()
 
 
@@ -46,7 +59,7 @@ def architecture_in(path: Path) -> str:
     if not path.is_file():
         return ""
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(path, framework="numpy") as file:
             return str((file.metadata() or {}).get("architecture", ""))
     except Exception:  # files of other formats can raise anything
         return ""
@@ -78,8 +91,8 @@ def _path_of(name_or_path: str) -> Path:
     return path
 
 
-def load_network(name_or_path: str) -> nn.Module:
-    """Load a shipped network by name, or a weights file by path; in evaluation mode, float32.
+def load_weights(name_or_path: str) -> Weights:
+    """Load the weights of a shipped network by name, or of a file by path.
 
     Raises:
         WeightsError: the file is missing, damaged, in another format, or does not fit its architecture.
@@ -87,20 +100,22 @@ def load_network(name_or_path: str) -> nn.Module:
     """
     path = _path_of(name_or_path)
     try:
-        with safe_open(path, framework="pt") as file:
-            architecture = (file.metadata() or {}).get("architecture", "")
-            if architecture not in NETWORKS:
+        with safe_open(path, framework="numpy") as file:
+            name = (file.metadata() or {}).get("architecture", "")
+            if name not in NETWORKS:
                 raise WeightsError(
-                    f"weights {path.name} name the architecture {architecture!r:.60}: expected one of "
-                    f"{', '.join(NETWORKS)}"
+                    f"weights {path.name} name the architecture {name!r:.60}: expected one of {', '.join(NETWORKS)}"
                 )
-            network = make_network(architecture)
-            expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-            slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-            found = {name: tuple(part.get_shape()) for name, part in slices.items()}
-            if found != expected or any(part.get_dtype() not in _NUMBERS for part in slices.values()):
-                raise WeightsError(f"weights {path.name} do not fit {architecture}: they belong to another network")
-            tensors = {name: file.get_tensor(name).float() for name in found}
+            slices = {key: file.get_slice(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+            found = {key: tuple(part.get_shape()) for key, part in slices.items()}
+            types = {part.get_dtype() for part in slices.values()}
+        if found != NETWORKS[name].shapes() or not types <= set(_FLOAT32):
+            raise WeightsError(f"weights {path.name} do not fit {name}: they belong to another network")
+        with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinity, which is refused below
+            tensors = {
+                key: _FLOAT32[part["dtype"]](part["data"]).reshape(part["shape"])
+                for key, part in deserialize(path.read_bytes())  # type: ignore[no-untyped-call]
+            }
     except WeightsError:
         raise
     except Exception as error:  # damaged files make the reader raise arbitrary errors
@@ -108,7 +123,6 @@ def load_network(name_or_path: str) -> nn.Module:
             f"weights {path.name} cannot be read ({' '.join(str(error).split()):.200}): the file is damaged, copy it "
             "again"
         ) from None
-    if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
+    if not all(bool(np.isfinite(tensor).all()) for tensor in tensors.values()):
         raise WeightsError(f"weights {path.name} hold NaN or infinity: train the network again")
-    network.load_state_dict(tensors)
-    return network.eval()
+    return Weights(NETWORKS[name], tensors)

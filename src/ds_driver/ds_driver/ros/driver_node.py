@@ -12,7 +12,7 @@ from ds_interfaces.srv import GetSimulatorInfo
 from numpy.typing import NDArray
 from rclpy.node import Node
 
-from ds_driver.networks.backends import with_backend
+from ds_driver.networks.backends import BACKENDS, DEVICES, with_backend
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.ros.simulator_client import Answer, SimulatorClient
@@ -33,8 +33,8 @@ class DriverNode(Node):
         super().__init__("driver")
         network = declare(self, "network", "dave2", "Shipped network, or what docs/bring_your_own_network.md names.")
         about = "Backend that runs the network."
-        backend = declare(self, "backend", "auto", about, choices=("auto", "torch", "onnx", "openvino"))
-        device = declare(self, "device", "cpu", "Device that runs the network.", choices=("cpu", "cuda"))
+        backend = declare(self, "backend", "auto", about, choices=BACKENDS)
+        device = declare(self, "device", "cpu", "Device that runs the network.", choices=DEVICES)
         self._namespaces = declare(self, "namespaces", [""], 'Namespaces of the simulators; "" is the node\'s own.')
         count = len(self._namespaces)
         about = "Image rows at the {} that the network does not see, one for each namespace; -1 asks the simulator."

@@ -21,9 +21,8 @@ from torch import Tensor, nn
 
 from ds_driver.data.crops import crops_of
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples
-from ds_driver.networks.architectures import make_network
 from ds_driver.networks.preprocessing import Crop, prepare
-from ds_driver.networks.weights import save_weights
+from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.training.augmentation import augment
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4

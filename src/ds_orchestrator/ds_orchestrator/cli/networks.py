@@ -117,13 +117,12 @@ def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Res
 
 def models() -> Result:
     """The shipped networks with their model cards."""
-    from ds_driver.networks.architectures import count_parameters
-    from ds_driver.networks.weights import load_network, shipped_networks
+    from ds_driver.networks.weights import load_weights, shipped_networks
 
     document = [
         {
             "name": name,
-            "parameters": count_parameters(load_network(name)),
+            "parameters": load_weights(name).architecture.parameters,
             "bytes": path.stat().st_size,
             "input": [160, 320, 3],
             "card": json.loads(path.with_suffix(".json").read_text()),

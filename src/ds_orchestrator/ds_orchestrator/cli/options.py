@@ -44,7 +44,7 @@ DriverName = Annotated[
         autocompletion=_complete_driver,
     ),
 ]
-Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx or openvino.")]
+Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
 Camera = Annotated[str | None, typer.Option(help="Image topic, where a bag has several.")]

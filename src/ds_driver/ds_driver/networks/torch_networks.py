@@ -1,0 +1,103 @@
+"""Makes the driving networks as PyTorch modules, for training, and stores their weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from ds_driver.networks.architectures import (
+    NETWORKS,
+    Architecture,
+    Conv,
+    Dense,
+    Dropout,
+    Layer,
+    MaxPool,
+    UnknownNetworkError,
+)
+from ds_driver.networks.weights import load_weights
+
+
+class DrivingNetwork(nn.Module):
+    """Network of an architecture, with random weights.
+
+    Input (n, 3, 160, 320) YUV in 0 to 255; output (n, 1), steering with -1 full left and +1 full right.
+    """
+
+    def __init__(self, architecture: Architecture) -> None:
+        super().__init__()
+        self.features = _sequence(architecture.features)
+        self.steering = _sequence(architecture.steering)
+        if architecture.initialise_for_relu:
+            for layer in self.features.modules():
+                if isinstance(layer, nn.Conv2d):
+                    nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Predict steering for a batch of images."""
+        result: Tensor = self.steering(self.features(image / 127.5 - 1.0))
+        return result
+
+
+class DropoutWithoutRescaling(nn.Dropout):
+    """Dropout for use before max pooling, see `ds_driver.networks.architectures.Dropout`."""
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Set each value to 0 with probability `p` in training; return the values unchanged otherwise."""
+        return super().forward(values).mul_(1.0 - self.p) if self.training else values
+
+
+def make_network(name: str) -> nn.Module:
+    """Create an untrained network.
+
+    Raises:
+        UnknownNetworkError: no network has this name.
+    """
+    if name not in NETWORKS:
+        raise UnknownNetworkError(f"unknown network {name!r}: expected one of {', '.join(NETWORKS)}, or a weights file")
+    return DrivingNetwork(NETWORKS[name])
+
+
+def load_network(name_or_path: str) -> nn.Module:
+    """Load a shipped network by name, or a weights file by path; in evaluation mode, float32.
+
+    Raises:
+        WeightsError: the file is missing, damaged, in another format, or does not fit its architecture.
+        UnknownNetworkError: neither a known name nor an existing file.
+    """
+    weights = load_weights(name_or_path)
+    network = DrivingNetwork(weights.architecture)
+    network.load_state_dict({name: torch.from_numpy(tensor) for name, tensor in weights.tensors.items()})
+    return network.eval()
+
+
+def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: dict[str, str] | None = None) -> None:
+    """Write a network's weights as float16, which halves the file; `load_weights` returns float32."""
+    tensors = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
+    partial = path.with_suffix(".partial")
+    save_file(tensors, partial, metadata={"architecture": architecture, **(notes or {})})
+    partial.replace(path)
+
+
+def _sequence(layers: Sequence[Layer]) -> nn.Sequential:
+    return nn.Sequential(*map(_module, layers))
+
+
+def _module(layer: Layer) -> nn.Module:
+    if isinstance(layer, Conv):
+        before, after = layer.padding
+        if before == after:
+            return nn.Conv2d(layer.inputs, layer.filters, layer.kernel, stride=layer.stride, padding=before)
+        convolution = nn.Conv2d(layer.inputs, layer.filters, layer.kernel, stride=layer.stride)
+        return nn.Sequential(nn.ZeroPad2d((before, after, before, after)), convolution)
+    if isinstance(layer, Dense):
+        return nn.Linear(layer.inputs, layer.outputs)
+    if isinstance(layer, MaxPool):
+        return nn.MaxPool2d(layer.size)
+    if isinstance(layer, Dropout):
+        return nn.Dropout(layer.rate) if layer.rescale else DropoutWithoutRescaling(layer.rate)
+    return {"Elu": nn.ELU, "Relu": nn.ReLU, "Flatten": nn.Flatten}[layer.kind]()
