@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
+import signal
 import sqlite3
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +27,7 @@ from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.maps.feature_map import to_json
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.run import SilentListener
-from ds_orchestrator.store.store import Store, StoreError
+from ds_orchestrator.store.store import Execution, Store, StoreError, Test
 from ds_road import Road
 from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
@@ -70,6 +73,35 @@ def test_a_stopped_campaign_goes_on_and_ends_the_same(tmp_path: Path, stop_after
     _, store = run(tmp_path / "parts", second)
     assert maps_text(store) == maps_text(undisturbed)
     assert len(first.roads) + len(second.roads) == 16 and not set(first.roads) & set(second.roads)
+
+
+@pytest.mark.parametrize("count", [1, 5, 14])
+def test_what_is_finished_survives_a_kill(tmp_path: Path, count: int) -> None:
+    """The process ends itself by SIGKILL in the moment in which the listener hears that a run is finished."""
+
+    class Killer(SilentListener):
+        left = count
+
+        def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+            self.left -= 1
+            if not self.left:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    def work() -> None:
+        store = Store(tmp_path / "campaign.sqlite", config=CONFIG.identity())
+        Campaign(CONFIG, tmp_path, store, MadeUpExecutor(), Killer(), SPACES).run()
+
+    child = multiprocessing.get_context("fork").Process(target=work)
+    child.start()
+    child.join(60)
+    assert child.exitcode == -signal.SIGKILL
+    kept = len(Store(tmp_path / "campaign.sqlite").executions())
+    assert kept >= count  # another simulator's thread may have stored a run that the listener had not heard of
+    rest = MadeUpExecutor()
+    _, store = run(tmp_path, rest)
+    assert len(rest.roads) == CONFIG.executions_at_most - kept == 16 - kept
+    _, undisturbed = run(tmp_path / "whole", MadeUpExecutor())
+    assert maps_text(store) == maps_text(undisturbed)
 
 
 def test_errors_are_retried_and_never_enter_a_map(tmp_path: Path) -> None:

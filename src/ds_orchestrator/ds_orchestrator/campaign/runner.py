@@ -280,6 +280,7 @@ class Campaign:
 
 def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") -> Execution:
     """Convert a run to the form in which the store keeps it."""
+    trajectory = _trajectory_of(run)
     return Execution(
         test_id=test_id,
         simulator=simulator,
@@ -289,8 +290,8 @@ def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") ->
         max_lateral_position=run.max_lateral_position,
         steps=run.steps,
         simulated_seconds=run.simulated_seconds,
-        trajectory_sha256=trajectory_sha256(run),
-        trajectory=_trajectory_of(run),
+        trajectory_sha256=rows.trajectory_sha256(trajectory),
+        trajectory=trajectory,
         bag=bag,
         steering=np.array([command.steering for command in run.commands], dtype=np.float64),
     )
