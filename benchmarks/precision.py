@@ -1,0 +1,168 @@
+"""Compares drives in bfloat16 with drives in single precision: the same network, roads and seeds.
+
+`python -m benchmarks.precision --out precision.jsonl` drives 200 random roads, in turn on bullet, softbody and donkey,
+with `dave2` and with `dave2_short` (which fails often enough to show a difference), with the backends `openvino` and
+`openvino-bf16` each: 800 drives without ROS. Every drive becomes a line of the file; a stopped run continues there.
+The roads are drawn as a search draws its first ones, with maximum angles of 100 to 300 degrees, from a seed that
+nothing else uses.
+
+The rule, fixed before the first drive: `openvino-bf16` is chosen for `ds_bringup/config/paper.yaml` only if, for each
+of the two networks, over all 200 roads, the 95 % interval of the paired difference of the failure rates (Bonett and
+Price 2012, which has a width even without any difference) contains 0 and its half width is at most 5 percentage points.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy import stats
+from statsmodels.stats.contingency_tables import mcnemar
+from statsmodels.stats.proportion import proportion_confint
+
+from ds_driver.closed_loop.simulation import Drive, drive_all
+from ds_driver.networks.backends import with_backend
+from ds_road import Road, generate
+from ds_sim.registry import SIMULATORS
+from ds_sim.simulator import Outcome
+
+SEED = 8_130_013
+"""Seed of the roads; used nowhere else. Road i is driven with seed SEED + i."""
+ROADS = 200
+NETWORKS = ("dave2", "dave2_short")
+SINGLE, HALF = "openvino", "openvino-bf16"
+ANGLES = range(100, 301, 10)
+"""Maximum angles, degrees (maxitwo; `ds_orchestrator.search.base.SearchSettings`)."""
+HALF_WIDTH = 5.0
+"""Largest half width of the interval of the paired difference, percentage points."""
+
+Record = dict[str, Any]
+Key = tuple[int, str, str]
+
+
+def roads(count: int) -> list[Road]:
+    """Generate the roads; fewer are the first ones of more."""
+    rng = np.random.default_rng(SEED)
+    return [generate(rng, max_angle=int(rng.choice(ANGLES))) for _ in range(count)]
+
+
+def read(path: Path) -> dict[Key, Record]:
+    """Read the finished drives; cut off a last line that was being written when the run stopped."""
+    if not path.exists():
+        return {}
+    content = path.read_bytes()
+    whole = content[: content.rfind(b"\n") + 1]
+    if whole != content:
+        path.write_bytes(whole)
+    records = [json.loads(line) for line in whole.splitlines()]
+    return {(r["road"], r["network"], r["backend"]): r for r in records}
+
+
+def drive_missing(path: Path, count: int, workers: int | None) -> None:
+    """Drive what the file lacks, road by road, and append it."""
+    done, names = read(path), list(SIMULATORS)
+    keys: list[Key] = []
+    drives: list[Drive] = []
+    for index, road in enumerate(roads(count)):
+        for network in NETWORKS:
+            for backend in (SINGLE, HALF):
+                if (index, network, backend) not in done:
+                    name = names[index % len(names)]
+                    keys.append((index, network, backend))
+                    drives.append(Drive(name, with_backend(network, backend), road, SEED + index))
+    with path.open("a") as file:
+        for (index, network, backend), job, run in zip(keys, drives, drive_all(drives, workers=workers), strict=True):
+            record = {
+                "road": index, "simulator": job.simulator, "network": network, "backend": backend,
+                "outcome": run.outcome.name, "verdict": run.outcome.is_verdict, "steps": run.steps,
+                "max_lateral_position": run.max_lateral_position,
+            }  # fmt: skip
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+
+
+def paired_difference(only_half: int, only_single: int, pairs: int) -> tuple[float, float, float]:
+    """Estimate the difference of two failure rates, bfloat16 minus single precision, in percentage points.
+
+    Args:
+        only_half: roads failed in bfloat16 only.
+        only_single: roads failed in single precision only.
+        pairs: all roads.
+
+    Returns:
+        Difference and the ends of its 95 % interval (D. G. Bonett, R. M. Price, "Adjusted Wald confidence interval for
+        a difference of binomial proportions based on paired data", J. Educ. Behav. Stat. 37(4), 2012).
+    """
+    p, q = (only_half + 1) / (pairs + 2), (only_single + 1) / (pairs + 2)
+    margin = stats.norm.ppf(0.975) * np.sqrt((p + q - (p - q) ** 2) / (pairs + 2))
+    return 100 * (only_half - only_single) / pairs, 100 * (p - q - margin), 100 * (p - q + margin)
+
+
+def compare(network: str, records: dict[Key, Record], console: Console) -> bool:
+    """Print both backends side by side; return whether the rule holds for this network."""
+    pairs = [
+        (record, records[road, network, HALF])
+        for (road, name, backend), record in sorted(records.items())
+        if (name, backend) == (network, SINGLE) and (road, network, HALF) in records
+    ]
+    decided = [pair for pair in pairs if pair[0]["verdict"] and pair[1]["verdict"]]
+    if not decided:
+        console.print(f"{network}: no pair of drives yet")
+        return False
+    table = Table(f"{network}: failures", *SIMULATORS, "all", "roads")
+    for column, backend in enumerate((SINGLE, HALF)):
+        failed = [pair[column]["simulator"] for pair in decided if pair[column]["outcome"] != Outcome.COMPLETED.name]
+        table.add_row(backend, *(str(failed.count(s)) for s in SIMULATORS), str(len(failed)), str(len(decided)))
+    console.print(table)
+    single, half = (
+        np.array([pair[column]["outcome"] != Outcome.COMPLETED.name for pair in decided]) for column in (0, 1)
+    )
+    only_single, only_half, count = int((single & ~half).sum()), int((half & ~single).sum()), len(decided)
+    test = mcnemar([[int((single & half).sum()), only_single], [only_half, int((~single & ~half).sum())]], exact=True)
+    agreeing = count - only_single - only_half
+    low, high = proportion_confint(agreeing, count, method="wilson")
+    estimate, lower, upper = paired_difference(only_half, only_single, count)
+    gaps = np.array([b["max_lateral_position"] - a["max_lateral_position"] for a, b in decided])
+    margin = stats.t.ppf(0.975, count - 1) * gaps.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan
+    holds = lower <= 0 <= upper and (upper - lower) / 2 <= HALF_WIDTH and count == ROADS
+    differing = [f"{a['road']} ({a['simulator']})" for a, b in decided if a["outcome"] != b["outcome"]]
+    for line in (
+        f"verdicts that differ: {only_single} failed in single precision only, {only_half} in bfloat16 only",
+        f"roads of another outcome: {', '.join(differing) or 'none'}",
+        f"agreeing verdicts: {agreeing} of {count}, {100 * agreeing / count:.1f} % "
+        f"(95 % interval {100 * low:.1f} to {100 * high:.1f})",
+        f"failure rate, bfloat16 minus single: {estimate:+.1f} percentage points ({lower:+.1f} to {upper:+.1f})",
+        f"exact McNemar test: p = {test.pvalue:.3g}",
+        f"largest lateral position, bfloat16 minus single: mean {gaps.mean():+.4f} m "
+        f"({gaps.mean() - margin:+.4f} to {gaps.mean() + margin:+.4f}), median of |difference| "
+        f"{np.median(abs(gaps)):.4f} m, largest {abs(gaps).max():.3f} m",
+        f"pairs with an error instead of a verdict: {len(pairs) - count}",
+        f"rule for {ROADS} roads: {'holds' if holds else 'does not hold' if count >= ROADS else 'not yet decided'}",
+    ):
+        console.print(f"  {line}", highlight=False)
+    return bool(holds)
+
+
+def main() -> None:
+    """Drive what is missing and print the comparison."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--out", type=Path, default=Path("precision.jsonl"), help="file of the finished drives")
+    parser.add_argument("--roads", type=int, default=ROADS)
+    parser.add_argument("--workers", type=int, help="processes; by default one for each processor")
+    parser.add_argument("--report", action="store_true", help="print what the file holds, drive nothing")
+    arguments = parser.parse_args()
+    if not arguments.report:
+        drive_missing(arguments.out, arguments.roads, arguments.workers)
+    console = Console(width=120)
+    records = read(arguments.out)
+    holds = [compare(network, records, console) for network in NETWORKS]
+    console.print(f"openvino-bf16 may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")
+
+
+if __name__ == "__main__":
+    main()
