@@ -2,7 +2,7 @@
 
 `python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, alternating between backends, so that a
 busy machine slows down all alike. It prints the CPU time of this process, which other programs affect little, and the
-wall-clock time.
+wall-clock time. The processor must have bfloat16.
 
 `--roads 17` also drives that many random roads in both directions on every simulator with each backend (17: 102 drives
 each), compares the outcomes with those of PyTorch, and compares the steering on frames of drives with PyTorch.
@@ -34,11 +34,13 @@ from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
-BACKENDS = ("torch", "onnx", "openvino")
+BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16")
+BATCHES = (1, 4, 8)
+"""Frames at once, where the backend takes as many with the bits that each gives alone."""
 
 
 def speed(name: str, frames: int, table: Table) -> None:
-    """Add one row per backend: time per frame including preprocessing, ms, and time to load, s."""
+    """Add one row per backend and batch: time per frame including preprocessing, ms, and time to load, s."""
     image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), dtype=np.uint8)
     frame = Frame(image=image, speed=5.0, crop=Crop(54, 0))
     pilots, loading = {}, {}
@@ -47,19 +49,22 @@ def speed(name: str, frames: int, table: Table) -> None:
         pilots[backend] = BuiltInPilot(name, backend)
         pilots[backend].predict(frame)
         loading[backend] = time.process_time() - started
-    cpu: dict[str, list[float]] = {backend: [] for backend in BACKENDS}
-    wall: dict[str, list[float]] = {backend: [] for backend in BACKENDS}
+    rows = [(backend, size) for backend, pilot in pilots.items() for size in BATCHES if size <= pilot.largest_batch]
+    cpu: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
+    wall: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
+    for backend, size in rows:
+        pilots[backend].predict_batch([frame] * size)  # compiles the graph for this size
     for _ in range(frames):
-        for backend, pilot in pilots.items():
+        for backend, size in rows:
             cpu_start, wall_start = time.process_time(), time.perf_counter()
-            pilot.predict(frame)
-            cpu[backend].append(1e3 * (time.process_time() - cpu_start))
-            wall[backend].append(1e3 * (time.perf_counter() - wall_start))
-    for backend in BACKENDS:
-        median, minimum = np.median(cpu[backend]), min(cpu[backend])
+            pilots[backend].predict_batch([frame] * size)
+            cpu[backend, size].append(1e3 * (time.process_time() - cpu_start) / size)
+            wall[backend, size].append(1e3 * (time.perf_counter() - wall_start) / size)
+    for row in rows:
+        backend, size = row
         table.add_row(
-            name, backend, f"{minimum:.2f}", f"{median:.2f}", f"{min(wall[backend]):.2f}",
-            f"{np.median(wall[backend]):.2f}", f"{loading[backend]:.2f}",
+            name, backend, str(size), f"{min(cpu[row]):.2f}", f"{np.median(cpu[row]):.2f}", f"{min(wall[row]):.2f}",
+            f"{np.median(wall[row]):.2f}", f"{loading[backend]:.2f}" if size == 1 else "",
         )  # fmt: skip
 
 
@@ -123,7 +128,9 @@ def main() -> None:
     arguments = parser.parse_args()
     console = Console(width=120)
     torch.set_num_threads(1)
-    table = Table("network", "backend", "CPU ms, minimum", "median", "wall ms, minimum", "median", "loading, CPU s")
+    table = Table(
+        "network", "backend", "batch", "CPU ms, minimum", "median", "wall ms, minimum", "median", "loading, CPU s"
+    )
     names = arguments.networks.split(",")
     if arguments.frames:
         for name in names:
