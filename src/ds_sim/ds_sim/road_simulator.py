@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ds_road import Road, RoadError
+from ds_sim.camera.atlas import AtlasMemory
 from ds_sim.camera.ground import Ground, paint_ground
-from ds_sim.camera.renderer import Camera, Sensor
+from ds_sim.camera.renderer import Camera
+from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.oracle import Oracle, OracleLimits
 from ds_sim.simulator import (
@@ -25,7 +27,7 @@ from ds_sim.vehicle import Vehicle
 
 
 class RoadSimulator:
-    """Implements `ds_sim.simulator.Simulator` for any vehicle model.
+    """Implements `ds_sim.simulator.Simulator` and `DrawsRows` for any vehicle model.
 
     Args:
         spec: description of the simulator.
@@ -42,7 +44,9 @@ class RoadSimulator:
     ) -> None:
         self._spec = spec
         self.vehicle = vehicle
+        self._rows = (0, spec.camera.height_px)
         self._camera = Camera(spec.camera, spec.look)
+        self._memory = AtlasMemory()
         self._limits = limits or OracleLimits()
         self._run: _Run | None = None
 
@@ -50,6 +54,15 @@ class RoadSimulator:
     def spec(self) -> SimulatorSpec:
         """Description of this simulator."""
         return self._spec
+
+    def draw_rows(self, top: int, bottom: int) -> None:
+        """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
+        height = self._spec.camera.height_px
+        if not 0 <= top < bottom <= height:
+            raise ValueError(f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {height}")
+        if (top, bottom) != self._rows:
+            self._rows = (top, bottom)
+            self._camera = Camera(self._spec.camera, self._spec.look, scene_rows(self._spec.camera, self._rows))
 
     def load(self, road: Road, *, seed: int) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""
@@ -64,10 +77,11 @@ class RoadSimulator:
         )
         tracker = LaneTracker(lane)
         run = _Run(
-            ground=paint_ground(road, self._spec.look),
+            camera=self._camera,
+            ground=paint_ground(road, self._spec.look, self._memory),
             tracker=tracker,
             oracle=Oracle(tracker.length, self._limits),
-            sensor=Sensor(self._spec.camera, np.random.default_rng(sensor_seed)),
+            sensor=Sensor(self._spec.camera, np.random.default_rng(sensor_seed), self._rows),
             half_lane=road.lane_width / 2,
         )
         self._run = run
@@ -89,11 +103,13 @@ class RoadSimulator:
     def close(self) -> None:
         """Release the simulator's resources."""
         self._run = None
+        self._memory = AtlasMemory()
         self.vehicle.close()
 
     def _observe(self, run: _Run) -> Observation:
         state = self.vehicle.state()
-        if not all(math.isfinite(v) for v in (state.x, state.y, state.yaw, state.speed)):
+        pose = (state.x, state.y, state.yaw, state.roll, state.pitch, state.heave)
+        if not all(math.isfinite(v) for v in (*pose, state.speed, state.lateral_speed, state.yaw_rate)):
             self._run = None
             raise SimulatorError(f"{self._spec.name}: the physics diverged at step {run.step}: a state is not finite")
         lateral, arc = run.tracker.update(state.x, state.y)
@@ -109,7 +125,7 @@ class RoadSimulator:
         )
         run.outcome = run.oracle.judge(step=run.step, lateral_distance=lane.lateral_distance, arc_length=arc)
         return Observation(
-            image=run.sensor.deliver(self._camera.render(run.ground, state)),
+            image=run.sensor.deliver(run.camera.render(run.ground, state)),
             step=run.step,
             time=run.step * FRAME_TIME,
             vehicle=state,
@@ -122,6 +138,7 @@ class RoadSimulator:
 class _Run:
     """State of one run on one road."""
 
+    camera: Camera
     ground: Ground
     tracker: LaneTracker
     oracle: Oracle

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -252,4 +252,24 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Release the simulator's resources; `load` may follow."""
+        ...
+
+
+@runtime_checkable
+class DrawsRows(Protocol):
+    """Simulator that can leave out rows of its images that nobody looks at."""
+
+    def draw_rows(self, top: int, bottom: int) -> None:
+        """Draw only some rows of the images of the runs to come; the other rows are zero.
+
+        A row that is drawn holds the same bits as without this call, which holds until the next one. A run in progress
+        goes on as it began.
+
+        Args:
+            top: first row to draw.
+            bottom: end of the rows to draw.
+
+        Raises:
+            ValueError: not 0 <= top < bottom <= rows of the image.
+        """
         ...

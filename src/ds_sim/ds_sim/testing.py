@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ds_road import Road, RoadError, generate
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
@@ -26,6 +27,7 @@ from ds_sim.simulator import (
     MAX_SPEED,
     AutopilotGains,
     Command,
+    DrawsRows,
     Observation,
     Outcome,
     Simulator,
@@ -324,6 +326,30 @@ def _image_shows_the_scene(simulator: Simulator) -> None:
     _expect((top[..., 1] - top[..., [0, 2]].max(axis=2)).mean() < 10, "there is grass above the horizon")
 
 
+def _drawn_rows_are_the_same(simulator: Simulator) -> None:
+    if not isinstance(simulator, DrawsRows):
+        return
+
+    def images() -> NDArray[np.uint8]:
+        driver = reference_driver(simulator.spec.autopilot)
+        return np.stack([o.image for o in drive(simulator, WINDING, driver, steps=15)])
+
+    whole = images()
+    for top, bottom in ((simulator.spec.crop_top, IMAGE_HEIGHT - simulator.spec.crop_bottom), (61, 62)):
+        simulator.draw_rows(top, bottom)
+        part = images()
+        _expect(
+            np.array_equal(part[:, top:bottom], whole[:, top:bottom]),
+            f"draw_rows({top}, {bottom}) changes these rows: expected the same bits as without",
+        )
+        _expect(
+            not part[:, :top].any() and not part[:, bottom:].any(),
+            f"draw_rows({top}, {bottom}) left other rows that are not zero",
+        )
+    simulator.draw_rows(0, IMAGE_HEIGHT)
+    _expect(np.array_equal(images(), whole), f"draw_rows(0, {IMAGE_HEIGHT}) does not bring all rows back")
+
+
 def _reference_driver_completes(simulator: Simulator) -> None:
     for road, way in ((WINDING, "forwards"), (WINDING.reversed(), "backwards")):
         outcome = drive(simulator, road, reference_driver(simulator.spec.autopilot))[-1].outcome
@@ -385,6 +411,7 @@ CHECKS: Mapping[str, Callable[[Factory], None]] = {
     "leaving_the_lane_ends_the_run": _on_one(_leaving_the_lane_ends_the_run),
     "image_has_the_right_type": _on_one(_image_has_the_right_type),
     "image_shows_the_scene": _on_one(_image_shows_the_scene),
+    "drawn_rows_are_the_same": _on_one(_drawn_rows_are_the_same),
     "reference_driver_completes": _on_one(_reference_driver_completes),
     "speed_has_a_limit": _on_one(_speed_has_a_limit),
     "memory_does_not_grow": _on_one(_memory_does_not_grow),

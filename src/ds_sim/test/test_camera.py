@@ -50,7 +50,7 @@ def spotted_ground(point: tuple[float, float]) -> Ground:
     levels = [raster]
     for _ in range(5):
         levels.append(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    return Ground(levels=tuple(levels), origin=(0.0, 0.0), resolution=resolution, outside=(60, 60, 60))
+    return Ground.from_levels(levels, origin=(0.0, 0.0), resolution=resolution, outside=(60, 60, 60))
 
 
 @pytest.mark.parametrize("lens", ["pinhole", "equidistant"])

@@ -41,29 +41,32 @@ class Panorama:
         rows = np.arange(-1.0, math.ceil(spec.height_px / _STEP) + 1) * _STEP + (_STEP - 1) / 2
         self._rays = rays(spec, np.asarray(columns[None, :], np.float64), np.asarray(rows[:, None], np.float64))
 
-    def draw(self, frame: Painted, rows: int, axes: NDArray[np.float64], yaw: float) -> None:
-        """Draw the background into the first rows of an RGBA image.
+    def draw(self, frame: Painted, top: int, bottom: int, axes: NDArray[np.float64], yaw: float) -> None:
+        """Draw the background into some rows of an RGBA image.
 
         Args:
             frame: (height, width, 4) uint8 image, changed in place.
-            rows: number of rows to fill.
+            top: first row to fill.
+            bottom: end of the rows to fill.
             axes: optical axes as rows right, down, forward, in coordinates that are rotated with the vehicle by `yaw`.
             yaw: heading of the vehicle, rad.
         """
-        if rows <= 0:
+        if bottom <= top:
             return
-        nodes = min(math.ceil(rows / _STEP) + 2, self._rays.shape[1])
-        x, y, z = np.tensordot(axes.T, self._rays[:, :nodes], 1)
+        first, last = top // _STEP, min(math.ceil(bottom / _STEP) + 2, self._rays.shape[1])
+        directions = np.dot(axes.T, self._rays.reshape(3, -1)).reshape(self._rays.shape)
+        x, y, z = directions[:, first:last]
         # Columns run to the right, that is clockwise: they increase with -azimuth.
         turned = (-yaw * self._scale + math.pi * self._scale) % self._columns_per_turn
         column = turned - np.arctan2(y, x) * self._scale
         up = (self._strip.shape[0] - _BELOW - 0.5) - np.arctan2(z, np.hypot(x, y)) * self._scale
-        size = (self._rays.shape[2] * _STEP, nodes * _STEP)
+        size = (self._rays.shape[2] * _STEP, (last - first) * _STEP)
+        begin = top + _STEP - first * _STEP
         maps = [
-            cv2.resize(v.astype(np.float32), size)[_STEP : _STEP + rows, _STEP : _STEP + self._spec.width]
+            cv2.resize(v.astype(np.float32), size)[begin : begin + bottom - top, _STEP : _STEP + self._spec.width]
             for v in (column, up)
         ]
-        cv2.remap(self._strip, maps[0], maps[1], cv2.INTER_LINEAR, frame[:rows], cv2.BORDER_REPLICATE)
+        cv2.remap(self._strip, maps[0], maps[1], cv2.INTER_LINEAR, frame[top:bottom], cv2.BORDER_REPLICATE)
 
 
 @lru_cache(maxsize=8)

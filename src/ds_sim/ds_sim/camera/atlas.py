@@ -1,0 +1,263 @@
+"""Pyramid of rasters of the ground, painted where it is looked at."""
+
+from __future__ import annotations
+
+import math
+import mmap
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_sim.camera.textures import halved
+
+TILE = 64
+"""Side of a tile in pixels of the finest level (3.2 m); on every level a tile covers the same ground."""
+
+
+class AtlasMemory:
+    """Memory for the ground of one road after another: only its first use costs page faults.
+
+    A page takes memory once it is written. Huge pages are declined, as a single tile touches many.
+    """
+
+    def __init__(self) -> None:
+        self._pages = {"atlas": mmap.mmap(-1, mmap.PAGESIZE), "mask": mmap.mmap(-1, mmap.PAGESIZE)}
+
+    def atlas(self, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
+        """Return an array (uint8) of undefined content, in the place of the one before."""
+        return self._array("atlas", shape)
+
+    def mask(self, shape: tuple[int, int]) -> NDArray[np.uint8]:
+        """Return an array (uint8) of zeros; whoever writes on it makes it zero again."""
+        return self._array("mask", shape)
+
+    def _array(self, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        size = math.prod(shape)
+        if len(self._pages[name]) < size:
+            self._pages[name] = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+            if hasattr(mmap, "MADV_NOHUGEPAGE"):
+                self._pages[name].madvise(mmap.MADV_NOHUGEPAGE)
+        return np.frombuffer(self._pages[name], np.uint8, size).reshape(shape)
+
+
+class Box(NamedTuple):
+    """Part of a raster, pixels; `bottom` and `right` are the first beyond."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+    def of(self, raster: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """View of this part of a raster."""
+        return raster[self.top : self.bottom, self.left : self.right]
+
+    def at_level(self, level: int) -> Box:
+        """Return the same part of a coarser level."""
+        return Box(*(v >> level for v in self))
+
+
+class Ground:
+    """Painted ground plane: a pyramid of rasters, each with half the resolution of the one before.
+
+    All levels lie side by side in one raster, `atlas`, (rows, 2 columns, 4) uint8 RGBA. With (x, y) in pixels of the
+    finest level from the outer corner, and s = 1, 1/2, 1/4 ... the scale of a level, a point is at
+    (2 columns + s (x - 2 columns), s y): the same formula for every level. There are four channels because OpenCV reads
+    them twice as fast as three. Every level has a border in the colour of the outside.
+
+    The atlas of a road has some 90 MB, of which a drive sees a part. The fine levels, `lazy_levels`, are therefore
+    painted tile by tile by `reveal`, and pages of the atlas that are never painted take no memory.
+
+    Args:
+        shape: rows and columns of the finest level; divisible by 2 ** (number of levels - 1).
+        origin: x and y of the outer corner of pixel (0, 0), m, the same for every level; row 0 holds the smallest y.
+        resolution: size of a pixel of the finest level, m.
+        outside: colour of the plane beyond the rasters.
+        texture: what covers the plane where nothing else is painted, (n, n, 4) uint8 RGBA for each level, repeated
+            from the outer corner; n is a multiple of `TILE` on the finest level.
+        lazy_levels: number of levels, finest first, that are painted by `reveal`.
+        memory: memory to paint in, which ends the use of any ground painted in it before; its own if omitted.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        *,
+        origin: tuple[float, float],
+        resolution: float,
+        outside: tuple[int, int, int],
+        texture: Sequence[NDArray[np.uint8]],
+        lazy_levels: int,
+        memory: AtlasMemory | None = None,
+    ) -> None:
+        rows, columns = shape
+        self.shape = shape
+        self.origin = origin
+        self.resolution = resolution
+        self.outside = outside
+        self.lazy_levels = lazy_levels
+        self.atlas = (memory or AtlasMemory()).atlas((rows, 2 * columns, 4))
+        self._texture = texture
+        self._starts = [2 * columns - (2 * columns >> level) for level in range(len(texture) + 1)]
+        self._rasters = tuple(
+            self.atlas[: rows >> level, start : start + (columns >> level)]
+            for level, start in enumerate(self._starts[:-1])
+        )
+        self._tiles = (math.ceil(rows / TILE), math.ceil(columns / TILE))
+        self._is_painted = np.zeros((lazy_levels, *self._tiles), np.bool_)
+        self._revealed = [(0, -1, 0, -1)] * lazy_levels
+        for level in range(lazy_levels, len(texture)):
+            self._cover(level, 0, 0, *self._rasters[level].shape[:2])
+
+    @classmethod
+    def from_levels(
+        cls,
+        levels: Sequence[NDArray[np.uint8]],
+        *,
+        origin: tuple[float, float],
+        resolution: float,
+        outside: tuple[int, int, int],
+    ) -> Ground:
+        """Ground of given rasters, (rows, columns, 3) uint8 RGB, finest first, each half the size of the one before."""
+        rows, columns = levels[0].shape[:2]
+        opaque = [np.asarray(cv2.cvtColor(level, cv2.COLOR_RGB2RGBA), np.uint8) for level in levels]
+        return cls(
+            (rows, columns), origin=origin, resolution=resolution, outside=outside, texture=opaque, lazy_levels=0
+        )
+
+    @property
+    def levels(self) -> tuple[NDArray[np.uint8], ...]:
+        """All rasters, painted in full, (rows, columns, 4) each, finest first: parts of the atlas."""
+        for level in range(self.lazy_levels):
+            self._reveal_tiles(level, 0, self._tiles[0] - 1, 0, self._tiles[1] - 1)
+        return self._rasters
+
+    @property
+    def coarsest_scale(self) -> float:
+        """Scale of the coarsest level relative to the finest."""
+        return 0.5 ** (len(self._rasters) - 1)
+
+    @cached_property
+    def to_atlas(self) -> NDArray[np.float64]:
+        """Matrix (3, 3) from (x, y, 1) in m to (x - 2 columns, y, 1) in pixels of the finest level; see the class."""
+        r = self.resolution
+        left = self.origin[0] / r + 2 * self.shape[1]
+        return np.array([[1 / r, 0.0, -left], [0.0, 1 / r, -self.origin[1] / r], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def from_atlas(self) -> NDArray[np.float64]:
+        """Inverse of `to_atlas`."""
+        return np.asarray(np.linalg.inv(self.to_atlas), np.float64)
+
+    def distance_to_border(self, x: float, y: float) -> float:
+        """Distance from a point to the nearest border of the rasters, m; negative outside."""
+        x, y = x - self.origin[0], y - self.origin[1]
+        return min(x, y, self.shape[1] * self.resolution - x, self.shape[0] * self.resolution - y)
+
+    def reveal(self, level: int, low: tuple[float, float], high: tuple[float, float]) -> None:
+        """Paint what is missing of one of the lazy levels within a box, m.
+
+        Args:
+            level: less than `lazy_levels`.
+            low: smallest x and y; everything beyond the rasters shows their border.
+            high: largest x and y.
+        """
+        # A bilinear sample reads one pixel further; a second one covers rounding.
+        margin = 2.0 * self.resolution * 2.0**level
+        size = TILE * self.resolution
+        left, top = ((low[i] - margin - self.origin[i]) / size for i in (0, 1))
+        right, bottom = ((high[i] + margin - self.origin[i]) / size for i in (0, 1))
+        rows, columns = self._tiles
+        first, last = min(max(math.floor(top), 0), rows - 1), min(max(math.floor(bottom), 0), rows - 1)
+        begin, end = min(max(math.floor(left), 0), columns - 1), min(max(math.floor(right), 0), columns - 1)
+        self._reveal_tiles(level, first, last, begin, end)
+
+    def _reveal_tiles(self, level: int, first: int, last: int, begin: int, end: int) -> None:
+        """Paint the missing tiles of a lazy level in some rows (first to last) and columns (begin to end) of tiles."""
+        if self._revealed[level] == (first, last, begin, end):
+            return
+        missing = np.zeros(self._tiles, np.bool_)
+        missing[first : last + 1, begin : end + 1] = ~self._is_painted[level, first : last + 1, begin : end + 1]
+        for box in self.boxes(missing):
+            self._cover(level, *box.at_level(level))
+        self._is_painted[level] |= missing
+        self._revealed[level] = (first, last, begin, end)
+
+    def open_tiles(self, tiles: NDArray[np.bool_]) -> NDArray[np.uint8]:
+        """Cover some tiles of the finest level with the texture, to be drawn on; `close_tiles` ends the drawing.
+
+        Args:
+            tiles: which of the tiles, (rows, columns) of `tiles_shape`.
+
+        Returns:
+            The finest raster, (rows, columns, 4), of which the rest may be unpainted.
+        """
+        for box in self.boxes(tiles):
+            self._cover(0, *box)
+        return self._rasters[0]
+
+    def close_tiles(self, tiles: NDArray[np.bool_]) -> None:
+        """Carry what was drawn on some tiles of the finest level over to the other levels."""
+        for box in self.boxes(tiles):
+            fine = box.of(self._rasters[0])
+            for level in range(1, len(self._rasters)):
+                coarse = box.at_level(level).of(self._rasters[level])
+                fine = halved(fine, coarse)
+        self._is_painted |= tiles
+
+    @property
+    def tiles_shape(self) -> tuple[int, int]:
+        """Number of rows and columns of tiles."""
+        return self._tiles
+
+    def boxes(self, tiles: NDArray[np.bool_]) -> Iterator[Box]:
+        """Parts of the finest level that some tiles cover; none crosses a period of the texture."""
+        period = self._texture[0].shape[1] // TILE
+        starts = tiles.copy()
+        starts[:, 1:] &= ~tiles[:, :-1] | (np.arange(1, tiles.shape[1]) % period == 0)
+        ends = tiles.copy()
+        ends[:, :-1] &= ~tiles[:, 1:] | (np.arange(1, tiles.shape[1]) % period == 0)
+        for (row, start), end in zip(np.argwhere(starts).tolist(), ends.nonzero()[1].tolist(), strict=True):
+            bottom, right = min((row + 1) * TILE, self.shape[0]), min((end + 1) * TILE, self.shape[1])
+            yield Box(row * TILE, start * TILE, bottom, right)
+
+    def _cover(self, level: int, top: int, left: int, bottom: int, right: int) -> None:
+        """Cover a part of a level with the texture, and with the border where it has a part in it.
+
+        The part begins at a tile's corner.
+        """
+        raster, texture = self._rasters[level], self._texture[level]
+        height, width = texture.shape[:2]
+        row = top
+        while row < bottom:
+            end = min(row - row % height + height, bottom)
+            column = left
+            while column < right:
+                stop = min(column - column % width + width, right)
+                raster[row:end, column:stop] = texture[
+                    row % height : row % height + end - row, column % width : column % width + stop - column
+                ]
+                column = stop
+            row = end
+        rows, columns = raster.shape[:2]
+        if top == 0 or left == 0 or bottom == rows or right == columns:
+            self._draw_border(level, top, left, bottom, right)
+
+    def _draw_border(self, level: int, top: int, left: int, bottom: int, right: int) -> None:
+        """Draw the border of a level within a part of it, and the pixels beyond that a sample on it reads."""
+        rows, columns = self._rasters[level].shape[:2]
+        outside = (*self.outside, 255)
+        start = self._starts[level]
+        beyond = bottom + 1 if bottom == rows else bottom
+        if top == 0:
+            self.atlas[0, start + left : start + right] = outside
+        if bottom == rows:
+            self.atlas[rows - 1 : rows + 1, start + left : start + right] = outside
+        if left == 0:
+            self.atlas[top:beyond, max(start - 1, 0) : start + 1] = outside
+        if right == columns:
+            self.atlas[top:beyond, start + columns - 1 : start + columns + 1] = outside
