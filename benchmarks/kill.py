@@ -114,13 +114,14 @@ class Session:
         """Choose processes to kill; the orchestrator if there is currently no process of this kind."""
         me = self.process.pid
         graph = {pid: domain for pid, domain in marked(self.folder).items() if pid != me}
-        of_kind = {pid: "driver" if "ds_driver" in command_line(pid) else "simulator" for pid in graph}
+        lines = {pid: command_line(pid) for pid in graph}  # a process may hold a simulator and its driver
+        parts = {"driver": "ds_driver", "simulator": "simulator:="}
         if kind == "worker" and graph:
             domain = rng.choice(sorted(set(graph.values())))
             return [pid for pid, own in graph.items() if own == domain]
         if kind == "two" and graph:
             return [int(pid) for pid in rng.choice(sorted([me, *graph]), 2, replace=False)]
-        chosen = sorted(pid for pid, what in of_kind.items() if what == kind)
+        chosen = sorted(pid for pid, line in lines.items() if kind in parts and parts[kind] in line)
         return [int(rng.choice(chosen))] if chosen else [me]
 
 
@@ -174,7 +175,7 @@ def driven(folder: Path) -> Counter[tuple[str, str]]:
     counts: Counter[tuple[str, str]] = Counter()
     space_of = {"bullet": "ds1", "softbody": "ds2", "donkey": "twin"}
     for simulator, space in space_of.items():
-        for log in folder.glob(f"logs/**/simulator_{space}.log"):
+        for log in folder.glob(f"logs/**/closed_loop_{space}.log"):
             verdicts = r": ([0-9a-f]{12}): (?:COMPLETED|OUT_OF_BOUNDS|STUCK|TIMEOUT) after"
             counts.update((simulator, road) for road in re.findall(verdicts, log.read_text(errors="replace")))
     return counts
@@ -278,11 +279,11 @@ def disturbed(
 
 
 def name_of(pid: int, orchestrator: int) -> str:
-    """Role of a process: orchestrator, driver, or the name of a simulator."""
+    """Role of a process: orchestrator, or the name of the simulator that shares it with its driver."""
     line = command_line(pid)
     if pid == orchestrator:
         return "orchestrator"
-    return "driver" if "ds_driver" in line else (re.findall(r"simulator:=\"?(\w+)", line) or ["gone"])[0]
+    return (re.findall(r"simulator:=\"?(\w+)", line) or ["gone"])[0]
 
 
 def differences(folder: Path, whole: Path, before: dict[tuple[str, str], tuple[object, ...]]) -> list[str]:

@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "driver = ds_driver.executables:driver",
             "autopilot = ds_driver.executables:autopilot",
+            "closed_loop = ds_driver.executables:closed_loop",
             "camera_driver = ds_driver.executables:camera_driver",
             "cmd_vel_adapter = ds_driver.executables:cmd_vel_adapter",
         ],

@@ -32,6 +32,7 @@ def test_a_campaign_outlives_its_driver(
     """The driver fails once, during a run; the test is repeated, and the error enters no map."""
     from ds_orchestrator.cli.campaigns import status
     from ds_orchestrator.graph import session as running
+    from ds_orchestrator.graph.process_specs import simulator_processes
     from ds_orchestrator.graph.supervisor import ProcessSpec
     from ds_orchestrator.run import run_campaign
 
@@ -41,7 +42,12 @@ def test_a_campaign_outlives_its_driver(
         namespace="/ds1",
         parameters={"fault": fault, "once": str(tmp_path / "once")},
     )
-    monkeypatch.setattr(running, "driver_process", lambda *_: faulty)
+
+    def separate(_driver: str, namespaces: dict[str, str], limit: float, *, composed: bool) -> list[ProcessSpec]:
+        assert composed
+        return [*simulator_processes(namespaces, limit), faulty]
+
+    monkeypatch.setattr(running, "processes_of", separate)
     began = time.monotonic()
     result = run_campaign(parse_config(CONFIG, "test"), tmp_path / "out")
     assert time.monotonic() - began < 100.0

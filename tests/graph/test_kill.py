@@ -27,8 +27,8 @@ pytestmark = pytest.mark.graph
 SEED = 2
 ORDER = ("orchestrator", "driver", "sigint", "simulator", "worker", "two", "sigterm")
 """Process killed at each moment, in turn. The first is in every run of the tests, the others are marked `long`."""
-PROCESSES = 4
-"""Processes of a graph: three simulators and a driver."""
+PROCESSES = 3
+"""Processes of a graph: three simulators, each with a driver."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -108,6 +108,7 @@ def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal
     [
         ("ds_sim/simulator", "is ready"),
         ("ds_driver/autopilot", "drives"),
+        ("ds_driver/closed_loop", "drives"),
         ("ds_driver/cmd_vel_adapter", "drives"),
     ],
 )

@@ -182,7 +182,7 @@ def test_another_driver_takes_the_wheel_without_touching_anything_else(lonely_si
 def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> None:
     import threading
 
-    victim = graph._supervisor._processes["simulator_ds1"]
+    victim = graph._supervisor._processes["closed_loop_ds1"]
     threading.Timer(1.0, lambda: os.kill(victim.pid, signal.SIGKILL)).start()
     slow = Road([(125.0, 25.0 * i) for i in range(9)])
     outcomes = [graph.execute("donkey", road, 1).outcome for road in (ROAD, slow, ROAD)]
@@ -203,14 +203,14 @@ def test_a_driver_that_answers_nan_is_an_error_that_says_so(
         run = executor.execute("donkey", ROAD, 1)
     assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 5
     assert "no command within 6 s" in run.message and "steering is nan" in run.message
-    log = (logs / "driver.log").read_text()
+    log = (logs / "closed_loop_ds1.log").read_text()
     assert "the network's steering is nan" in log and "5 frames answered: median" in log and "Traceback" not in log
 
 
 def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Callable[..., None]) -> None:
     """The network driver refuses it in one line, and answers the next good image."""
     import rclpy
-    from ds_interfaces.msg import DriveCommand, VehicleState
+    from ds_interfaces.msg import DriveCommand, Frame
     from rclpy.node import Node
     from sensor_msgs.msg import Image
 
@@ -220,12 +220,10 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
 
     domain = RosDomain()
     driver = driver_process("dave2", SPACE)
-    driver.parameters.update({"crop_top": [40], "crop_bottom": [0]})  # no simulator is there to be asked
     supervisor = Supervisor([driver], domain=domain.number, logs=logs)
     rclpy.init(domain_id=domain.number)
     node = Node("camera")
-    images = node.create_publisher(Image, "/ds1/camera/image_raw", 1)
-    states = node.create_publisher(VehicleState, "/ds1/state", 1)
+    frames = node.create_publisher(Frame, "/ds1/frame", 1)
     answers: list[DriveCommand] = []
     node.create_subscription(DriveCommand, "/ds1/drive", answers.append, 10)
     spin(node)
@@ -234,19 +232,18 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
         image = Image(height=rows, width=columns, encoding="rgb8", step=columns * 3)
         image.data = bytes(rows * columns * 3)
         image.header.stamp.sec = second
-        state = VehicleState(header=image.header)
+        frame = Frame(header=image.header, crop_top=40, image=image)
         before = len(answers)
         until = time.monotonic() + seconds
         while time.monotonic() < until:
-            states.publish(state)
-            images.publish(image)
+            frames.publish(frame)
             time.sleep(0.1)
             if len(answers) > before:
                 return True
         return False
 
     deadline = time.monotonic() + 60.0
-    while not images.get_subscription_count() and time.monotonic() < deadline:
+    while not frames.get_subscription_count() and time.monotonic() < deadline:
         time.sleep(0.1)
     try:
         assert show(160, 320, 1)
@@ -306,7 +303,7 @@ def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(graph: An
     second = subprocess.Popen(command, env=environment, start_new_session=True)
     try:
         deadline = time.monotonic() + 60.0
-        log = graph._supervisor._log("simulator_ds1")
+        log = graph._supervisor._log("closed_loop_ds1")
         while "2 simulators live in /ds1" not in log.read_text() and time.monotonic() < deadline:
             time.sleep(0.1)
         time.sleep(0.5)  # until the second has discovered the first, too
@@ -321,5 +318,5 @@ def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(graph: An
 
 def test_a_driver_without_parameters_asks_its_simulator_and_says_so(graph: Any) -> None:
     gains = spec_of("donkey").autopilot
-    log = graph._supervisor._log("driver").read_text()
+    log = graph._supervisor._log("closed_loop_ds1").read_text()
     assert f"/ds1: gains from donkey: proportional {gains.proportional:g}" in log

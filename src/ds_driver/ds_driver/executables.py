@@ -15,6 +15,11 @@ def autopilot() -> None:
     start("ds_driver.ros.autopilot_node")
 
 
+def closed_loop() -> None:
+    """Run a simulator together with its driver."""
+    start("ds_driver.ros.closed_loop_node")
+
+
 def camera_driver() -> None:
     """Run a network on another ROS stack."""
     start("ds_driver.ros.camera_driver_node")

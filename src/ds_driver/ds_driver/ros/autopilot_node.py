@@ -6,10 +6,8 @@ import sys
 from dataclasses import asdict, replace
 from functools import partial
 
-import numpy as np
 from ds_interfaces.msg import VehicleState
 from ds_interfaces.srv import GetSimulatorInfo
-from numpy.typing import NDArray
 from rclpy.node import Node
 
 from ds_driver.control.autopilot import Autopilot
@@ -54,7 +52,7 @@ class AutopilotNode(Node):
         self._simulators = []
         for index, (namespace, given) in enumerate(zip(self._namespaces, self._given, strict=True)):
             asks = ASK in given.values()
-            client = SimulatorClient(self, namespace, partial(self._info.ask, index) if asks else None)
+            client = SimulatorClient(self, namespace, VehicleState, partial(self._info.ask, index) if asks else None)
             self._simulators.append(client)
             if asks:
                 self._info.ask(index)
@@ -80,7 +78,7 @@ class AutopilotNode(Node):
 def _pilot(gains: AutopilotGains) -> Answer:
     autopilot = Autopilot(gains)
 
-    def answer(_image: NDArray[np.uint8], state: VehicleState) -> Command:
+    def answer(state: VehicleState) -> Command:
         nonlocal autopilot
         if state.step == 0:
             autopilot = Autopilot(gains)

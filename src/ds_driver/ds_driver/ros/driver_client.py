@@ -6,7 +6,7 @@ import time
 from types import TracebackType
 
 import rclpy
-from ds_interfaces.msg import DriveCommand, VehicleState
+from ds_interfaces.msg import DriveCommand, Frame, VehicleState
 from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
 from sensor_msgs.msg import Image
@@ -41,6 +41,7 @@ class DriverClient:
         self._node = Node("bag_questions", start_parameter_services=False)
         self._image = self._node.create_publisher(Image, f"{namespace}/camera/image_raw", 5)
         self._state = self._node.create_publisher(VehicleState, f"{namespace}/state", 50)
+        self._frame = self._node.create_publisher(Frame, f"{namespace}/frame", 5)
         self._node.create_subscription(DriveCommand, f"{namespace}/drive", self._on_command, 10)
         self._node.create_service(GetSimulatorInfo, f"{namespace}/get_info", self._on_get_info)
         self._asked = Header()
@@ -49,13 +50,17 @@ class DriverClient:
         self._crop: Crop | None = None
 
     def wait_for_driver(self, limit: float = 20.0) -> None:
-        """Wait until a node subscribes to images and publishes commands.
+        """Wait until a node subscribes to images or frames and publishes commands.
 
         Raises:
             NoDriverError: there is none within `limit` seconds.
         """
         deadline = time.monotonic() + limit
-        while not (self._image.get_subscription_count() and self._node.count_publishers(f"{self._namespace}/drive")):
+        publishers = (self._frame, self._image)
+        while not (
+            any(publisher.get_subscription_count() for publisher in publishers)
+            and self._node.count_publishers(f"{self._namespace}/drive")
+        ):
             if time.monotonic() > deadline:
                 raise NoDriverError(f"after {limit:.0f} s there is no driver for {self._namespace}: start one first")
             rclpy.spin_once(self._node, timeout_sec=0.05)
@@ -63,7 +68,7 @@ class DriverClient:
     def __call__(self, frame: RecordedFrame, crop: Crop) -> float | None:
         """Return the node's steering for one image, (160, 320, 3), or None if it does not answer in time.
 
-        A change of the crop begins another run, as the node asks for the crop only then.
+        A change of the crop begins another run, as a driver may ask for the crop only then.
         """
         assert frame.image is not None
         self._step = self._step + 1 if crop == self._crop else 0
@@ -76,11 +81,14 @@ class DriverClient:
         image = Image(header=self._asked, height=rows, width=columns, encoding="rgb8", step=columns * channels)
         image.data = frame.image.tobytes()
         state = VehicleState(header=self._asked, step=self._step, speed=frame.speed)
+        whole = Frame(header=self._asked, step=self._step, speed=frame.speed, image=image)
+        whole.crop_top, whole.crop_bottom = crop.top, crop.bottom
         deadline, again = time.monotonic() + ANSWER_LIMIT, 0.0
         while self._answer is None and time.monotonic() < deadline:
             if time.monotonic() >= again:
                 self._state.publish(state)
                 self._image.publish(image)
+                self._frame.publish(whole)
                 again = time.monotonic() + REPEAT
             rclpy.spin_once(self._node, timeout_sec=0.05)
         return self._answer

@@ -10,6 +10,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
+from ds_sim.ros.runtime import end_with
+
 ASK_EVERY = 0.5
 """Time between two requests, s; a request to a process that has just died is never answered."""
 REPORT_EVERY = 30.0
@@ -70,9 +72,8 @@ class SimulatorInfo:
         now = time.monotonic()
         missing = ", ".join(self._names[index] for index in sorted(self._pending))
         if not self._found_any and now - self._began > LIMIT:
-            raise ValueError(
-                f"no get_info in {missing} within {LIMIT:.0f} s, {self._purpose}: start the simulator first"
-            )
+            message = f"no get_info in {missing} within {LIMIT:.0f} s, {self._purpose}: start the simulator first"
+            end_with(ValueError(message))
         if now - self._reported > REPORT_EVERY:
             self._reported = now
             self._node.get_logger().info(f"waiting for get_info in {missing}, {self._purpose}")

@@ -16,25 +16,25 @@ from ds_interfaces.action import DriveRoad
 from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.action import ActionClient
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from ds_orchestrator.graph.process_specs import DRIVER_PROCESS, simulator_process_name
+from ds_orchestrator.graph.process_specs import DRIVER_PROCESS, closed_loop_process_name, simulator_process_name
 from ds_orchestrator.graph.supervisor import Supervisor
 from ds_road import Road
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
-from ds_sim.ros.runtime import init_ros
-from ds_sim.session import NO_IMAGE, RunRecord
-from ds_sim.simulator import Observation, Outcome, Reason
+from ds_sim.ros.runtime import init_ros, make_executor
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome, Reason
 
 SERVICE_TIME = 20.0
 """Limit for a simulator's answer to a service or a goal, s."""
-ATTEMPTS = 10
-"""Calls of a service within that time: a call to a process that just died is never answered."""
+ANSWER_TIME = 2.0
+"""Time after which a service is called again, s: a call to a process that just died is never answered."""
 START_TIME = 90.0
 """Limit for the start of a graph, s; includes importing libraries on a busy machine."""
 BUSY_TIME = 25.0
@@ -79,7 +79,10 @@ class GraphExecutor:
         self._supervisor = supervisor
         self._report = report
         self._revival = threading.Lock()
-        self._driver_renewed, self._driver_starts = -math.inf, False
+        self._renewed: dict[str, float] = {}
+        """Monotonic time of the last restart of a process, s."""
+        self._starting: set[str] = set()
+        """Restarted processes whose driver has not answered yet."""
         self._start_time = START_TIME
         self._stopped, self._closing = threading.Event(), threading.Event()
         # A separate context, because one process may drive several graphs, each in its own domain.
@@ -88,7 +91,7 @@ class GraphExecutor:
         # Several clients may take turns on one simulator and find each other by these names.
         self._node = Node(f"orchestrator_{os.getpid()}_{next(_NUMBERS)}", context=self._context)
         self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = make_executor(self._context)
         self._executor.add_node(self._node)
         self._spinner = threading.Thread(target=self._spin, name="spinner", daemon=True)
         self._spinner.start()
@@ -158,9 +161,10 @@ class GraphExecutor:
             self._revive()
             began = time.monotonic()
             record.outcome, record.message = self._execute(simulator, record)
-            if record.commands and self._driver_renewed < began:
-                self._driver_starts = False
-            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for_driver(began, record)):
+            driver = self._driver_of(simulator)
+            if record.commands and self._renewed.get(driver, -math.inf) < began:
+                self._starting -= self._processes(simulator)
+            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for(driver, began, record)):
                 break
         if self._stopped.is_set() and record.outcome.is_error:
             record.outcome = Outcome.CANCELLED
@@ -183,41 +187,64 @@ class GraphExecutor:
 
     def _processes(self, simulator: str) -> set[str]:
         """Names of the processes that a run on a simulator needs."""
-        return {simulator_process_name(self._namespaces[simulator]), DRIVER_PROCESS}
+        return {self._simulator_of(simulator), self._driver_of(simulator)}
+
+    def _simulator_of(self, simulator: str) -> str:
+        """Name of the process with a simulator's node; the supervisor need not run it."""
+        namespace = self._namespaces[simulator]
+        together = closed_loop_process_name(namespace)
+        known = () if self._supervisor is None else self._supervisor.names
+        return together if together in known else simulator_process_name(namespace)
+
+    def _driver_of(self, simulator: str) -> str:
+        """Name of the process with a simulator's driver; the supervisor need not run it."""
+        together = closed_loop_process_name(self._namespaces[simulator])
+        return together if self._simulator_of(simulator) == together else DRIVER_PROCESS
 
     def _restart(self, simulator: str) -> None:
         """Restart a simulator's process, if the supervisor runs it."""
         if self._supervisor is not None and not self._stopped.is_set():
             with self._revival:
-                self._supervisor.restart(simulator_process_name(self._namespaces[simulator]))
+                self._renew(self._simulator_of(simulator))
+
+    def _renew(self, process: str) -> None:
+        """Restart a process; the caller holds `_revival`."""
+        assert self._supervisor is not None
+        self._supervisor.restart(process)
+        self._note_restart(process)
+
+    def _note_restart(self, process: str) -> None:
+        self._renewed[process] = time.monotonic()
+        self._starting.add(process)
 
     def _revive(self) -> None:
         """Restart every process of the supervisor that has ended."""
         if self._supervisor is not None:
             with self._revival:
-                if DRIVER_PROCESS in self._supervisor.revive():
-                    self._driver_renewed, self._driver_starts = time.monotonic(), True
+                for process in self._supervisor.revive():
+                    self._note_restart(process)
 
-    def _waits_for_driver(self, began: float, record: RunRecord) -> bool:
+    def _waits_for(self, driver: str, began: float, record: RunRecord) -> bool:
         """Check whether a restarted driver is still starting; discovery may still list the old one's publisher."""
-        patient = self._driver_starts and began - self._driver_renewed < START_TIME and not self._stopped.is_set()
+        renewed = self._renewed.get(driver, -math.inf)
+        patient = driver in self._starting and began - renewed < START_TIME and not self._stopped.is_set()
         # A run from before the new driver, or one that the new driver answered in any way, keeps its outcome.
         answered = bool(record.commands) or record.reason is Reason.COMMAND_REFUSED
-        return patient and self._driver_renewed < began and not answered
+        return patient and renewed < began and not answered
 
-    def _renew_driver(self, began: float, record: RunRecord) -> None:
+    def _renew_driver(self, simulator: str, began: float, record: RunRecord) -> None:
         """Restart the supervisor's driver if it hangs; one that sends invalid commands does not hang.
 
-        It drives the other simulators too, whose runs lose the old process as well: they must not restart it again.
+        It may drive other simulators too, whose runs lose the old process as well: they must not restart it again.
         """
-        if self._supervisor is None or self._stopped.is_set() or DRIVER_PROCESS not in self._supervisor.names:
+        driver = self._driver_of(simulator)
+        if self._supervisor is None or self._stopped.is_set() or driver not in self._supervisor.names:
             return
-        if record.reason is Reason.COMMAND_REFUSED or self._waits_for_driver(began, record):
+        if record.reason is Reason.COMMAND_REFUSED or self._waits_for(driver, began, record):
             return
         with self._revival:
-            if self._driver_renewed < began:
-                self._supervisor.restart(DRIVER_PROCESS)
-                self._driver_renewed, self._driver_starts = time.monotonic(), True
+            if self._renewed.get(driver, -math.inf) < began:
+                self._renew(driver)
 
     def _execute(self, name: str, record: RunRecord) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
@@ -227,15 +254,19 @@ class GraphExecutor:
         except (GraphError, RuntimeError) as error:
             return Outcome.SIM_ERROR, str(error)
         # A goal must not be sent twice, but a service may be called until a simulator that has just started answers.
-        if self._ask(simulator.info, GetSimulatorInfo.Request()) is None:
+        limit = START_TIME if self._simulator_of(name) in self._starting else SERVICE_TIME
+        if self._ask(simulator.info, GetSimulatorInfo.Request(), limit) is None:
             self._restart(name)
-            return Outcome.SIM_ERROR, f"get_info was not answered within {SERVICE_TIME:.0f} s"
+            return Outcome.SIM_ERROR, f"get_info was not answered within {limit:.0f} s"
         result = self._drive(name, record)
         if isinstance(result, str):
             return Outcome.SIM_ERROR, result
-        _fill(record, result)
+        try:
+            _fill(record, result)
+        except ValueError as error:
+            return Outcome.SIM_ERROR, f"the result makes no sense: {error}"
         if Outcome(result.outcome.value) is Outcome.DRIVER_SILENT:
-            self._renew_driver(began, record)
+            self._renew_driver(name, began, record)
         return Outcome(result.outcome.value), result.message
 
     def _drive(self, name: str, record: RunRecord) -> DriveRoad.Result | str:
@@ -315,10 +346,11 @@ class GraphExecutor:
                 return True
         return False
 
-    def _ask(self, client: Any, request: Any) -> Any:
+    def _ask(self, client: Any, request: Any, limit: float = SERVICE_TIME) -> Any:
         """Call a service, repeatedly if needed; None without an answer."""
-        for _ in range(ATTEMPTS):
-            answer = self._call(lambda: client.call_async(request), SERVICE_TIME / ATTEMPTS)
+        deadline = time.monotonic() + limit
+        while time.monotonic() < deadline:
+            answer = self._call(lambda: client.call_async(request), ANSWER_TIME)
             if answer is not None or self._stopped.is_set():
                 return answer
         return None
@@ -391,16 +423,5 @@ class _Simulator:
 def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
     """Copy a simulator's result into a record."""
     record.reason = Reason(result.reason.value)
-    for state in result.states:
-        vehicle, lane, outcome = messages.state_from_message(state)
-        record.observations.append(
-            Observation(
-                image=NO_IMAGE,
-                step=state.step,
-                time=state.simulated_time,
-                vehicle=vehicle,
-                lane=lane,
-                outcome=outcome,
-            )
-        )
-    record.commands.extend(messages.command_from_message(command) for command in result.commands)
+    record.observations = messages.observations_of(result.trajectory)
+    record.commands = messages.commands_of(result.trajectory)

@@ -1,4 +1,4 @@
-"""Processes of a graph: one node per simulator in its own namespace, and one driver for all of them."""
+"""Processes of a graph: a simulator and a driver together for each namespace, or one by one."""
 
 from __future__ import annotations
 
@@ -22,6 +22,26 @@ DRIVER_PROCESS = "driver"
 def simulator_process_name(namespace: str) -> str:
     """Name the process, and its log, of the simulator in a namespace."""
     return f"simulator_{namespace.strip('/').replace('/', '_')}"
+
+
+def closed_loop_process_name(namespace: str) -> str:
+    """Name the process, and its log, of the simulator in a namespace together with its driver."""
+    return f"closed_loop_{namespace.strip('/').replace('/', '_')}"
+
+
+def closed_loop_processes(driver: str, namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
+    """Specify one process per simulator, with a driver's node beside the simulator's."""
+    return [
+        ProcessSpec(
+            name=closed_loop_process_name(namespace),
+            module="ds_driver.ros.closed_loop_node",
+            arguments=("autopilot",) if driver == AUTOPILOT else ("driver",),
+            namespace=namespace,
+            parameters={"simulator": name, "command_timeout": command_timeout}
+            | ({} if driver == AUTOPILOT else {"network": driver}),
+        )
+        for name, namespace in namespaces.items()
+    ]
 
 
 def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:

@@ -7,12 +7,21 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ds_orchestrator.graph.executor import START_TIME, GraphExecutor
-from ds_orchestrator.graph.process_specs import driver_process, simulator_processes
+from ds_orchestrator.graph.process_specs import closed_loop_processes, driver_process, simulator_processes
 from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_orchestrator.graph.shared_memory import remove_leftovers
 from ds_orchestrator.graph.signals import IgnoreSignals
-from ds_orchestrator.graph.supervisor import Supervisor
+from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 from ds_orchestrator.graph.worker_pool import WorkerPool
+
+
+def processes_of(
+    driver: str, namespaces: dict[str, str], command_timeout: float, *, composed: bool
+) -> list[ProcessSpec]:
+    """Specify the processes of a graph; see `running_graph`."""
+    if composed:
+        return closed_loop_processes(driver, namespaces, command_timeout)
+    return [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
 
 
 @contextmanager
@@ -23,6 +32,7 @@ def running_graph(
     command_timeout: float,
     logs: Path,
     attach: bool = False,
+    composed: bool = True,
     wait: float = START_TIME,
     report: Callable[[str], None] = lambda line: None,
 ) -> Iterator[GraphExecutor]:
@@ -34,6 +44,8 @@ def running_graph(
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         logs: folder for the processes' logs.
         attach: start nothing; use running nodes in the environment's ROS domain.
+        composed: each simulator shares its process with a driver of its own; otherwise every node has a process, and
+            one driver drives all.
         wait: limit for the start of the nodes, s.
         report: called with one line when a run has to wait for another client.
 
@@ -51,7 +63,7 @@ def running_graph(
             reserved = RosDomain()
             stack.callback(reserved.close)
             domain = reserved.number
-            specs = [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
+            specs = processes_of(driver, namespaces, command_timeout, composed=composed)
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
         executor = GraphExecutor(

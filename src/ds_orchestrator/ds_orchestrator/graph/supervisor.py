@@ -26,11 +26,12 @@ class ProcessError(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessSpec:
-    """Process with one node.
+    """Process with a node or two.
 
     Attributes:
         name: name in messages, and of the log.
         module: Python module to run.
+        arguments: of the command line, before those of ROS.
         namespace: ROS namespace.
         parameters: ROS parameters; lists are written as YAML lists.
         remappings: topic or service -> name in the graph.
@@ -38,13 +39,15 @@ class ProcessSpec:
 
     name: str
     module: str
+    arguments: tuple[str, ...] = ()
     namespace: str = "/"
     parameters: dict[str, object]
     remappings: dict[str, str] = field(default_factory=dict)
 
     def command(self) -> list[str]:
         """Build the command line."""
-        arguments = [sys.executable, "-m", self.module, "--ros-args", "-r", f"__ns:={self.namespace}"]
+        arguments = [sys.executable, "-m", self.module, *self.arguments]
+        arguments += ["--ros-args", "-r", f"__ns:={self.namespace}"]
         for name, other in self.remappings.items():
             arguments += ["-r", f"{name}:={other}"]
         for key, value in self.parameters.items():

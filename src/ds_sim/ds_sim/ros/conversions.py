@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from array import array
 from dataclasses import asdict, fields
+from operator import attrgetter
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from ds_interfaces.action import DriveRoad
-from ds_interfaces.msg import DriveCommand, VehicleState
+from ds_interfaces.msg import DriveCommand, Frame, Trajectory, VehicleState
 from ds_interfaces.msg import Outcome as OutcomeMsg
 from ds_interfaces.msg import Reason as ReasonMsg
 from ds_interfaces.msg import Road as RoadMsg
 from ds_interfaces.srv import GetSimulatorInfo
 from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
 from rclpy.action.server import ServerGoalHandle
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
@@ -23,7 +27,7 @@ from ds_road import Road, road_from_fields
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose
-from ds_sim.session import RunRecord
+from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import (
     FRAME_RATE,
     MAX_SPEED,
@@ -36,6 +40,10 @@ from ds_sim.simulator import (
     SimulatorSpec,
 )
 from ds_sim.simulator import VehicleState as PlainState
+
+_VEHICLE = tuple(field.name for field in fields(PlainState))
+_LANE = tuple(field.name for field in fields(LaneState))
+_COMMAND = tuple(field.name for field in fields(Command))
 
 FEEDBACK_EVERY = 10
 """Frames between two feedback messages of a run; two messages per simulated second."""
@@ -94,6 +102,32 @@ def image_to_message(observation: Observation, header: Header) -> Image:
     return message
 
 
+def pixels_of(message: Image) -> NDArray[np.uint8]:
+    """Return the pixels of an rgb8 image, (rows, columns, 3), without copying them.
+
+    Raises:
+        ValueError: another encoding, or another number of bytes.
+    """
+    if message.encoding != "rgb8" or len(message.data) != message.height * message.width * 3:
+        raise ValueError(
+            f"image of encoding {message.encoding!r}, {message.width} x {message.height} px and {len(message.data)} "
+            "bytes, expected rgb8 with three bytes a pixel"
+        )
+    return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
+
+
+def frame_to_message(observation: Observation, header: Header, spec: SimulatorSpec) -> Frame:
+    """Convert one frame to the message that a driving network needs."""
+    return Frame(
+        header=header,
+        step=observation.step,
+        speed=observation.vehicle.speed,
+        crop_top=spec.crop_top,
+        crop_bottom=spec.crop_bottom,
+        image=image_to_message(observation, header),
+    )
+
+
 def camera_info_message(camera: CameraSpec, header: Header) -> CameraInfo:
     """Make the message with intrinsics and distortion of the delivered image, exact for `cv2.undistort`.
 
@@ -134,29 +168,6 @@ def state_to_message(observation: Observation, header: Header, road_id: str) -> 
         arc_length=lane.arc_length,
         outcome=OutcomeMsg(value=int(observation.outcome)),
     )
-
-
-def state_from_message(message: VehicleState) -> tuple[PlainState, LaneState, Outcome]:
-    """Convert a message to vehicle state, lane state and outcome of one frame."""
-    vehicle = PlainState(
-        x=message.x,
-        y=message.y,
-        yaw=message.yaw,
-        speed=message.speed,
-        lateral_speed=message.lateral_speed,
-        yaw_rate=message.yaw_rate,
-        steering_angle=message.steering_angle,
-        roll=message.roll,
-        pitch=message.pitch,
-        heave=message.heave,
-    )
-    lane = LaneState(
-        lateral_position=message.lateral_position,
-        lateral_distance=message.lateral_distance,
-        preview_lateral_position=message.preview_lateral_position,
-        arc_length=message.arc_length,
-    )
-    return vehicle, lane, Outcome(message.outcome.value)
 
 
 def odometry_message(vehicle: PlainState, header: Header, child_frame: str) -> Odometry:
@@ -200,11 +211,6 @@ def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> G
     return response
 
 
-def crop_of(info: GetSimulatorInfo.Response) -> tuple[int, int]:
-    """Return the numbers of image rows hidden from networks at the top and at the bottom."""
-    return info.crop_top, info.crop_bottom
-
-
 def gains_of(info: GetSimulatorInfo.Response) -> AutopilotGains:
     """Return the reference driver's gains for the vehicle of a simulator."""
     return AutopilotGains(**{field.name: getattr(info, f"autopilot_{field.name}") for field in fields(AutopilotGains)})
@@ -220,7 +226,7 @@ def drive_feedback(observation: Observation, road: Road) -> DriveRoad.Feedback:
 
 
 def drive_result(run: RunRecord) -> DriveRoad.Result:
-    """Convert a run to a result: outcome, measures, all states and commands; stamps count from the start of the run."""
+    """Convert a run to a result: outcome, measures, the last frame, and the whole trajectory."""
     result = DriveRoad.Result(
         outcome=OutcomeMsg(value=int(run.outcome)),
         reason=ReasonMsg(value=int(run.reason)),
@@ -229,16 +235,55 @@ def drive_result(run: RunRecord) -> DriveRoad.Result:
         max_lateral_position=run.max_lateral_position,
         steps=run.steps,
         simulated_seconds=run.simulated_seconds,
+        trajectory=trajectory_of(run),
     )
-    headers = [Header(stamp=to_time(o.time), frame_id=ROAD_FRAME) for o in run.observations]
-    result.states = [
-        state_to_message(observation, header, run.road.road_id)
-        for observation, header in zip(run.observations, headers, strict=True)
-    ]
-    result.commands = [
-        command_to_message(command, header) for command, header in zip(run.commands, headers, strict=False)
-    ]
+    if run.observations:
+        last = run.observations[-1]
+        header = Header(stamp=to_time(last.time), frame_id=ROAD_FRAME)
+        result.final_state = state_to_message(last, header, run.road.road_id)
     return result
+
+
+def trajectory_of(run: RunRecord) -> Trajectory:
+    """Convert the frames and commands of a run to columns."""
+    frames, commands = run.observations, run.commands
+    vehicles, lanes = [frame.vehicle for frame in frames], [frame.lane for frame in frames]
+    columns: dict[str, array[float]] = {"time": array("d", [frame.time for frame in frames])}
+    for names, rows in ((_VEHICLE, vehicles), (_LANE, lanes), (_COMMAND, commands)):
+        columns |= {name: array("d", map(attrgetter(name), rows)) for name in names}
+    steps, outcomes = array("I", [frame.step for frame in frames]), array("B", [frame.outcome for frame in frames])
+    return Trajectory(step=steps, outcome=outcomes, **columns)
+
+
+def observations_of(trajectory: Trajectory) -> list[Observation]:
+    """Convert a trajectory's columns to observations, without images.
+
+    Raises:
+        ValueError: the columns differ in length, or an outcome is unknown.
+    """
+    vehicles = zip(*(getattr(trajectory, name) for name in _VEHICLE), strict=True)
+    lanes = zip(*(getattr(trajectory, name) for name in _LANE), strict=True)
+    rows = zip(trajectory.step, trajectory.time, trajectory.outcome, vehicles, lanes, strict=True)
+    return [
+        Observation(
+            image=NO_IMAGE,
+            step=step,
+            time=time,
+            vehicle=PlainState(**dict(zip(_VEHICLE, vehicle, strict=True))),
+            lane=LaneState(**dict(zip(_LANE, lane, strict=True))),
+            outcome=Outcome(outcome),
+        )
+        for step, time, outcome, vehicle, lane in rows
+    ]
+
+
+def commands_of(trajectory: Trajectory) -> list[Command]:
+    """Convert a trajectory's columns to commands; command k led from frame k to frame k + 1.
+
+    Raises:
+        ValueError: the columns differ in length, or a command is out of range.
+    """
+    return [Command(*pair) for pair in zip(trajectory.steering, trajectory.throttle, strict=True)]
 
 
 def refusal_result(reason: Reason, message: str) -> DriveRoad.Result:

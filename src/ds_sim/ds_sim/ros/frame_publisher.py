@@ -1,8 +1,8 @@
-"""Publishes a simulator's frames: image, camera info, vehicle state, odometry, transforms and the road."""
+"""Publishes a simulator's frames: image, vehicle state, both in one, camera info, odometry, transforms, the road."""
 
 from __future__ import annotations
 
-from ds_interfaces.msg import VehicleState
+from ds_interfaces.msg import Frame, VehicleState
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -32,6 +32,7 @@ class FramePublisher:
         self._camera_frame = camera_frame(node.get_namespace())
         self._base_frame = base_frame(node.get_namespace())
         self._transforms = TransformPublisher(node, spec.camera, self._camera_frame, self._base_frame)
+        self._frame = node.create_publisher(Frame, "frame", 5)
         self._image = node.create_publisher(Image, "camera/image_raw", 5)
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", 5)
         self._state = node.create_publisher(VehicleState, "state", 50)
@@ -41,12 +42,19 @@ class FramePublisher:
         self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
 
     def publish(self, observation: Observation, road: Road, stamp: float) -> Header:
-        """Publish one frame, the state before its image; return the header that its answer must carry."""
+        """Publish one frame, the state before its image; return the header that its answer must carry.
+
+        What nobody subscribes to is not built. A driver that connects late gets the first frame when it is repeated.
+        """
         header = Header(stamp=messages.to_time(stamp), frame_id=self._camera_frame)
         if self._clock is not None:
             self._clock.publish(Clock(clock=header.stamp))
-        self._state.publish(messages.state_to_message(observation, header, road.road_id))
-        self._image.publish(messages.image_to_message(observation, header))
+        if self._state.get_subscription_count():
+            self._state.publish(messages.state_to_message(observation, header, road.road_id))
+        if self._image.get_subscription_count():
+            self._image.publish(messages.image_to_message(observation, header))
+        if self._frame.get_subscription_count():
+            self._frame.publish(messages.frame_to_message(observation, header, self._spec))
         if self._info.get_subscription_count():
             self._info.publish(messages.camera_info_message(self._spec.camera, header))
         if self._odom.get_subscription_count():

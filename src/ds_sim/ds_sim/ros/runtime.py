@@ -1,7 +1,8 @@
-"""Runs one node in a process until a signal stops it, within a second whatever the node is doing."""
+"""Runs one node or two in a process until a signal stops them, within a second whatever the nodes are doing."""
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import sys
@@ -11,12 +12,20 @@ from types import FrameType
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.context import Context
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+try:
+    from rclpy.experimental import EventsExecutor
+except ImportError:  # rclpy before 7.1.5 has none
+    EventsExecutor = SingleThreadedExecutor
+
 GRACE = 0.7
 """Seconds that a node gets after a signal to end by itself; chosen so that everything fits into a second."""
+SPIN_TIME = 0.1
+"""Longest wait of an executor before it looks for a signal, s; the events executor ignores a time-out of None."""
 
 
 class Stop:
@@ -72,22 +81,93 @@ def init_ros(**arguments: Any) -> None:
         raise LogFolderError(f"{reason}: set ROS_LOG_DIR to a folder that can be written") from None
 
 
-def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Make a node and spin it; the exit status is 0, or 2 when the node could not be made for bad input.
+def make_executor(context: Context | None = None) -> Executor:
+    """Make the fastest executor that this rclpy has; spin it with a time-out.
 
-    SIGINT and SIGTERM end it within a second. A ValueError is printed in one line.
+    `SingleThreadedExecutor` builds its wait set anew, in Python, for every message: 350 us of processor time, where
+    `EventsExecutor` takes 30.
+    """
+    return EventsExecutor(context=context)
+
+
+def with_info(callback: Callable[[Any, dict[str, Any]], None]) -> Callable[..., None]:
+    """Wrap a subscription's callback that takes the message's information too.
+
+    The events executor of rclpy 7.1 passes both as one tuple, and every other executor as two arguments.
+    """
+
+    def call(*received: Any) -> None:
+        message, info = received if len(received) == 2 else received[0]
+        callback(message, info)
+
+    call.__signature__ = inspect.signature(callback)  # type: ignore[attr-defined]
+    return call
+
+
+_failures: list[BaseException] = []
+
+
+def end_with(error: ValueError) -> None:
+    """End the nodes of this process after the present callback, with one line and status 2.
+
+    An exception in a callback does the same, but the events executor logs its traceback first.
+    """
+    _failures.append(error)
+
+
+def _spin(node: Node, stop: Stop) -> None:
+    executor = make_executor()
+    executor.add_node(node)
+    while rclpy.ok() and not stop.requested and not _failures:
+        executor.spin_once(timeout_sec=SPIN_TIME)
+
+
+def _spin_beside(node: Node, stop: Stop) -> None:
+    try:
+        _spin(node, stop)
+    except ExternalShutdownException:
+        pass
+    except BaseException as error:
+        _failures.append(error)
+
+
+def _spin_all(nodes: list[Node], stop: Stop) -> None:
+    """Spin the first node in this thread, and each other one in a thread of its own, until a signal or an error."""
+    threads = [
+        threading.Thread(target=_spin_beside, args=(node, stop), name=node.get_name(), daemon=True)
+        for node in nodes[1:]
+    ]
+    for thread in threads:
+        thread.start()
+    try:
+        _spin(nodes[0], stop)
+    finally:
+        stop.requested = True
+        for thread in threads:
+            thread.join(GRACE)
+    if _failures:
+        raise _failures.pop()
+
+
+def run_node(*make_nodes: Callable[[], Node], args: list[str] | None = None) -> int:
+    """Make nodes and spin them; the exit status is 0, or 2 when a node could not be made, or ended, for bad input.
+
+    SIGINT and SIGTERM end them within a second. A ValueError is printed in one line. Each node has a thread of its own,
+    so that one answers while another computes.
+
+    Args:
+        make_nodes: make one node each, in this order.
+        args: command line; `sys.argv` if None.
     """
     stop = Stop()
-    node: Node | None = None
+    nodes: list[Node] = []
     try:
         # rclpy's own handlers would shut the context down while the node is being created.
         init_ros(args=args)
-        node = make_node()
+        for make_node in make_nodes:
+            nodes.append(make_node())
         stop.interrupts = False
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while rclpy.ok() and not stop.requested:
-            executor.spin_once(timeout_sec=0.1)
+        _spin_all(nodes, stop)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -95,7 +175,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
         pass
     finally:
         stop.interrupts = False  # a second Ctrl-C must not interrupt the cleanup
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

@@ -26,7 +26,7 @@ from ds_sim.ros.loaded_road import LoadedRoad
 from ds_sim.ros.neighbours import Neighbours, two_drivers
 from ds_sim.ros.real_time_loop import RealTimeLoop
 from ds_sim.ros.refusal import RequestRefused, no_road
-from ds_sim.ros.runtime import run_node
+from ds_sim.ros.runtime import run_node, with_info
 from ds_sim.ros.simulator_parameters import check_goal, declare_parameters
 from ds_sim.session import Session
 from ds_sim.simulator import FRAME_TIME, Command, CommandError, Observation, Outcome, Reason
@@ -56,7 +56,7 @@ class SimulatorNode(Node):
         # Stamps never decrease during the life of the node, as tf, bags and filters expect. They begin above 0, so that
         # an unset stamp never matches by accident.
         self._run_start = 1.0
-        self.create_subscription(DriveCommand, "drive", self._on_command, 10)
+        self.create_subscription(DriveCommand, "drive", with_info(self._on_command), 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
         self.create_service(
             GetSimulatorInfo, "get_info", lambda _, info: messages.info_response(self._session.simulator.spec, info)

@@ -1,0 +1,88 @@
+"""A simulator and its driver in one process: what happens to the run, and to the next one, when the driver fails."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ds_road import Road
+from ds_sim.simulator import Outcome, Reason
+
+pytestmark = pytest.mark.graph
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+LIMIT = 3.0
+"""Command timeout of the simulator, s."""
+BUSY = 10.0
+"""What a run and its services may take on a busy machine, in addition to the timeouts, s."""
+DRIVER = """
+import os, pathlib, time
+
+class Ordered:
+    def drive(self, seen):
+        order = pathlib.Path(__file__).with_name("order")
+        if seen.step == 20 and order.exists():
+            what = order.read_text()
+            order.unlink()
+            if what == "crash":
+                os._exit(3)
+            time.sleep(3600.0)
+        return 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Path]]:
+    """A donkey with a driver that hangs or crashes when the file exists, once; yields (executor, file)."""
+    from ds_orchestrator.graph.session import running_graph
+
+    folder = tmp_path_factory.mktemp("ordered")
+    (folder / "ordered_driver.py").write_text(DRIVER)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+        with running_graph(
+            {"donkey": "/ds1"}, "ordered_driver:Ordered", command_timeout=LIMIT, logs=folder / "logs"
+        ) as executor:
+            yield executor, folder / "order"
+
+
+def test_both_nodes_have_their_names_and_topics(ordered: tuple[Any, Path]) -> None:
+    executor, _ = ordered
+    node = executor._node
+    assert {"simulator", "driver"} <= {name for name, space in node.get_node_names_and_namespaces() if space == "/ds1"}
+    (publisher,) = node.get_publishers_info_by_topic("/ds1/drive")
+    (subscriber,) = node.get_subscriptions_info_by_topic("/ds1/frame")
+    assert publisher.node_name == subscriber.node_name == "driver"
+
+
+def test_a_hanging_driver_stops_neither_reset_nor_watchdog_and_is_replaced(ordered: tuple[Any, Path]) -> None:
+    from std_srvs.srv import Trigger
+
+    executor, order = ordered
+    order.write_text("hang")
+    runs: list[Any] = []
+    drive = threading.Thread(target=lambda: runs.append(executor.execute("donkey", STRAIGHT, 1)))
+    drive.start()
+    deadline = time.monotonic() + 60.0
+    while order.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert executor._ask(executor._simulators["donkey"].reset, Trigger.Request()).success
+    drive.join(LIMIT + BUSY)
+    assert (runs[0].outcome, runs[0].reason, runs[0].steps) == (Outcome.CANCELLED, Reason.RESET, 20)
+    silent = executor.execute("donkey", STRAIGHT, 1)  # it still hangs
+    assert silent.outcome is Outcome.DRIVER_SILENT and silent.steps == 0
+    assert executor.execute("donkey", STRAIGHT, 1).outcome is Outcome.COMPLETED
+
+
+def test_a_crashing_driver_takes_its_simulator_along_and_both_come_back(ordered: tuple[Any, Path]) -> None:
+    executor, order = ordered
+    order.write_text("crash")
+    run = executor.execute("donkey", STRAIGHT, 1)
+    assert run.outcome is Outcome.SIM_ERROR and "closed_loop_ds1 ended during the run" in run.message
+    assert executor.execute("donkey", STRAIGHT, 1).outcome is Outcome.COMPLETED
