@@ -1,103 +1,191 @@
-"""Speed of the closed loop through ROS, and where the time is spent.
+"""Speed of the closed loop through ROS, by turns with other simulators, and where the time is spent.
 
-`python benchmarks/loop.py [--driver dave2] [--roads 5]` prints, per simulator, the frames per second of a simulator
-node and a driver node in lockstep, and the parts of a frame, measured in this process: physics, camera, network. The
-remainder is transport: messages, scheduling, waking up, loading the road and returning the result.
+`python benchmarks/loop.py [--driver dave2] [--sims bullet] [--roads 3]` prints, per simulator, frames per second of
+processor time (of all processes of the graph and of the client) and of the wall clock, with one process per node and
+with the simulator and its driver in one process. Below: the parts of a frame without ROS, and other simulators, all
+measured in the same minutes, as a busy machine halves everything.
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
+import os
 import tempfile
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.control.autopilot import Autopilot
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.preprocessing import Crop
+from ds_orchestrator.graph.executor import GraphExecutor
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road, generate
-from ds_sim.registry import SIMULATORS, make_simulator
+from ds_sim.registry import make_simulator
 from ds_sim.road_simulator import RoadSimulator
-from ds_sim.simulator import FRAME_RATE, Outcome
+from ds_sim.simulator import Outcome
+
+PEER_FRAMES = 300
+"""Frames of another simulator in one turn."""
+_TICKS = os.sysconf("SC_CLK_TCK")
+Total = tuple[int, float, float]
+"""Frames, processor time in s, and wall time in s."""
 
 
-def loop(name: str, driver: str, roads: list[Road]) -> tuple[float, float]:
-    """Time per frame through ROS, ms: median over the roads, and how much longer the slowest road takes."""
-    space = {name: "/ds1"}
-    with (
-        tempfile.TemporaryDirectory() as logs,
-        running_graph(space, driver, command_timeout=10.0, logs=Path(logs)) as executor,
-    ):
-        executor.execute(name, roads[0], 0)
-        per_frame = []
-        for road in roads:
-            started = time.perf_counter()
-            steps = executor.execute(name, road, 0).steps
-            per_frame.append(1e3 * (time.perf_counter() - started) / steps)
-    median = statistics.median(per_frame)
-    return median, max(per_frame) - median
+def processor_time() -> float:
+    """Processor time of this process and of its children that run, s."""
+    total, me = time.process_time(), str(os.getpid())
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if fields[1] == me:
+            total += (int(fields[11]) + int(fields[12])) / _TICKS
+    return total
 
 
-def parts(name: str, driver: NetworkDriver, roads: list[Road]) -> dict[str, float]:
-    """Median time of each part of a frame in this process, ms."""
+def timed(drive: Callable[[], int]) -> Total:
+    """Frames that a function drives, and what they cost."""
+    wall, cpu = time.perf_counter(), processor_time()
+    frames = drive()
+    return frames, processor_time() - cpu, time.perf_counter() - wall
+
+
+def drive_through(graph: GraphExecutor, name: str, road: Road) -> int:
+    """Drive a road through a graph; returns the number of frames."""
+    return graph.execute(name, road, 0).steps
+
+
+def parts(name: str, driver: NetworkDriver, road: Road) -> dict[str, Total]:
+    """Cost of each part of the frames of a road in this process, without ROS."""
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator)
     crop = Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
-    vehicle = simulator.vehicle
-    times: dict[str, list[float]] = {"physics": [], "camera and lane": [], "network": []}
-    advance = vehicle.advance
+    spent = dict.fromkeys(("physics", "camera, lane", "network"), 0.0)
+    advance = simulator.vehicle.advance
 
-    for road in roads:
-        pilot = Autopilot(simulator.spec.autopilot)
-        observation = simulator.load(road, seed=0)
-        while observation.outcome is Outcome.RUNNING:
-            command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
-            spent = [0.0]
+    def physics(command: object) -> None:
+        began = time.process_time()
+        advance(command)  # type: ignore[arg-type]
+        spent["physics"] += time.process_time() - began
 
-            def timed(command: object, spent: list[float] = spent) -> None:
-                started = time.perf_counter()
-                advance(command)  # type: ignore[arg-type]
-                spent[0] = time.perf_counter() - started
-
-            vehicle.advance = timed  # type: ignore[method-assign, assignment]
-            started = time.perf_counter()
-            observation = simulator.step(command)
-            times["camera and lane"].append(time.perf_counter() - started - spent[0])
-            times["physics"].append(spent[0])
-            started = time.perf_counter()
-            driver.command(observation.image, observation.vehicle.speed, crop)
-            times["network"].append(time.perf_counter() - started)
+    simulator.vehicle.advance = physics  # type: ignore[method-assign, assignment]
+    observation, frames = simulator.load(road, seed=0), 0
+    while observation.outcome is Outcome.RUNNING:
+        began = time.process_time()
+        command = driver.command(observation.image, observation.vehicle.speed, crop, observation.step)
+        answered = time.process_time()
+        observation = simulator.step(command)
+        spent["network"] += answered - began
+        spent["camera, lane"] += time.process_time() - answered
+        frames += 1
     simulator.close()
-    return {part: 1e3 * float(np.median(values)) for part, values in times.items()}
+    spent["camera, lane"] -= spent["physics"]
+    return {part: (frames, seconds, 0.0) for part, seconds in spent.items()}
+
+
+def car_racing() -> Callable[[], int]:
+    """Gymnasium's CarRacing-v3, images of 96 x 96, no network.
+
+    Raises:
+        ImportError: Gymnasium or Box2D is not installed.
+    """
+    import Box2D  # noqa: F401
+    import gymnasium
+
+    environment = gymnasium.make("CarRacing-v3")
+
+    def drive() -> int:
+        environment.reset(seed=0)
+        for _ in range(PEER_FRAMES):
+            environment.step(np.array([0.0, 0.1, 0.0], np.float32))
+        return PEER_FRAMES
+
+    return drive
+
+
+def tiny_renderer() -> Callable[[], int]:
+    """PyBullet's racecar on a plane, seen through TinyRenderer at 320 x 160, no network.
+
+    Raises:
+        ImportError: PyBullet is not installed.
+    """
+    import pybullet
+    import pybullet_data
+
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setAdditionalSearchPath(pybullet_data.getDataPath())
+    pybullet.setGravity(0, 0, -9.8, physicsClientId=client)
+    pybullet.loadURDF("plane.urdf", physicsClientId=client)
+    pybullet.loadURDF("racecar/racecar.urdf", physicsClientId=client)
+    view = pybullet.computeViewMatrix([0, 0, 1], [3, 0, 0], [0, 0, 1])
+    lens = pybullet.computeProjectionMatrixFOV(60, 2.0, 0.1, 100)
+
+    def drive() -> int:
+        for _ in range(PEER_FRAMES):
+            for _ in range(12):  # 240 Hz
+                pybullet.stepSimulation(physicsClientId=client)
+            pybullet.getCameraImage(320, 160, view, lens, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client)
+        return PEER_FRAMES
+
+    return drive
+
+
+def peers() -> dict[str, Callable[[], int]]:
+    """Other simulators that are installed."""
+    found = {}
+    for title, make in (("CarRacing-v3, 96 x 96", car_racing), ("PyBullet TinyRenderer, 320 x 160", tiny_renderer)):
+        try:
+            found[title] = make()
+        except ImportError as error:
+            print(f"{title}: left out, {error}")
+    return found
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--driver", default="dave2")
-    parser.add_argument("--roads", type=int, default=5)
-    parser.add_argument("--sims", default=",".join(SIMULATORS))
+    parser.add_argument("--roads", type=int, default=3)
+    parser.add_argument("--sims", default="bullet")
     arguments = parser.parse_args()
     roads = [generate(np.random.default_rng(seed), max_angle=120) for seed in range(arguments.roads)]
-    table = Table(
-        "simulator", "frames/s", "x real time", "frame ms", "physics", "camera, lane", "network", "transport", "spread"
-    )
-    network = NetworkDriver(arguments.driver)
+    totals: dict[str, list[Total]] = {}
+    network, others = NetworkDriver(arguments.driver), peers()
     for name in arguments.sims.split(","):
-        frame, spread = loop(name, arguments.driver, roads)
-        cost = parts(name, network, roads[:2])
-        transport = frame - sum(cost.values())
-        rate = 1e3 / frame
-        table.add_row(
-            name, f"{rate:.0f}", f"{rate / FRAME_RATE:.1f}", f"{frame:.2f}", f"{cost['physics']:.2f}",
-            f"{cost['camera and lane']:.2f}", f"{cost['network']:.2f}", f"{transport:.2f}", f"{spread:.2f}",
-        )  # fmt: skip
+        with ExitStack() as stack:
+            graphs = {
+                f"{name}, {title}": stack.enter_context(
+                    running_graph(
+                        {name: "/ds1"}, arguments.driver, command_timeout=10.0,
+                        logs=Path(stack.enter_context(tempfile.TemporaryDirectory())), composed=composed,
+                    )
+                )
+                for title, composed in (("a process each", False), ("one process", True))
+            }  # fmt: skip
+            for graph in graphs.values():
+                graph.execute(name, roads[0], 0)  # warm caches
+            for road in roads:
+                for title, graph in graphs.items():
+                    total = timed(partial(drive_through, graph, name, road))
+                    totals.setdefault(title, []).append(total)
+                for part, total in parts(name, network, road).items():
+                    totals.setdefault(f"{name}, no ROS: {part}", []).append(total)
+                for title, drive in others.items():
+                    totals.setdefault(title, []).append(timed(drive))
+    table = Table("", "ms a frame, processor", "frames per processor second", "frames per second")
+    for title, rows in totals.items():
+        frames, cpu, wall = (sum(column) for column in zip(*rows, strict=True))
+        if "no ROS" in title:
+            table.add_row(title, f"{1e3 * cpu / frames:.2f}", "", "")
+        else:
+            table.add_row(title, f"{1e3 * cpu / frames:.2f}", f"{frames / cpu:.0f}", f"{frames / wall:.0f}")
     Console(width=120).print(table)
 
 
