@@ -149,6 +149,7 @@ def test_a_clean_environment_has_no_other_ros_in_it() -> None:
             "ROS_DISTRO": "humble",
             "ROS_DOMAIN_ID": "7",
             "PYTHONPATH": "/opt/ros/humble/lib/python3.10/site-packages",
+            "PYTHONDONTWRITEBYTECODE": "1",
             "LD_LIBRARY_PATH": "/opt/ros/humble/lib",
             "PATH": "/opt/ros/humble/bin:/usr/bin",
             "HOME": "/home/someone",

@@ -17,7 +17,11 @@ BOOTSTRAP_DONE = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 _ROS_VARIABLES = re.compile(
     r"AMENT_|COLCON_|ROS_(DISTRO|VERSION|PYTHON_VERSION|ETC_DIR|PACKAGE_PATH)|CMAKE_PREFIX_PATH$"
 )
-_PYTHON_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", BOOTSTRAP_DONE)
+_PYTHON_VARIABLES = (
+    *("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", BOOTSTRAP_DONE),
+    # Without bytecode, each of the hundreds of Python processes of a build would compile its modules again.
+    *("PYTHONDONTWRITEBYTECODE", "PYTHONPYCACHEPREFIX"),
+)
 
 
 def sourced_prefix(environment: Mapping[str, str], root: Path) -> Path | None:

@@ -20,6 +20,13 @@ COMPILED_FROM_SOURCE = "pybullet"
 EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
 """Requirements that only some commands need -> their description for the user."""
 
+USED_MODULES = (
+    *("ds_sim.ros.simulator_node", "ds_sim_bullet.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
+    *("ds_driver.ros.driver_node", "onnxruntime", "ds_orchestrator.graph.executor", "ds_orchestrator.maps.heatmap"),
+    *("ds_orchestrator.run", "ds_orchestrator.report.html_report", "sklearn.metrics", "plotly.graph_objects"),
+)
+"""Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""
+
 _NETWORK = "is the network there? see the log, then try again: what is done is kept"
 
 
@@ -103,6 +110,8 @@ class Setup:
                 workspace=self.workspace,
                 wheels=None if self._prefix else self.environment,
             )
+        with self.console.step("bytecode of the modules in use"):
+            self._import_used_modules()
 
     def _steps(self) -> list[Step]:
         files = {name: self.root / f"requirements/{name}.txt" for name in ("build", "ros", "project", *EXTRAS)}
@@ -231,8 +240,8 @@ class Setup:
     def _pip(self, *arguments: str) -> None:
         """Install packages.
 
-        Modules are not compiled to bytecode, which would take twice as long as the rest; Python compiles the few that
-        are used when it first imports them.
+        Modules are not compiled to bytecode, which would take twice as long as the rest; `_import_used_modules`
+        compiles the few that are used.
         """
         try:
             self.console.run(
@@ -286,6 +295,19 @@ class Setup:
 
     def _prepare_prefix(self) -> None:
         wheels.prepare_prefix(self.environment, self._variables())
+
+    def _import_used_modules(self) -> None:
+        """Import what a campaign imports, so that its processes, which start together, do not all compile it."""
+        variables = ros.environment_after(self.environment / "env.sh", ros.clean_environment(os.environ))
+        try:
+            self.console.run(
+                [self.environment / "bin/python", "-c", f"import {', '.join(USED_MODULES)}"],
+                environment=variables,
+                folder=self.root,
+                advice="see `./ds doctor`",
+            )
+        except CommandFailedError:
+            return  # `ds doctor` names a library that cannot be imported; set-up is complete all the same
 
     # ------------------------------------------------------------------ the workspace
 

@@ -12,6 +12,7 @@ from .registry import (
 )
 from .resimulation import ResimulationError, resimulate
 from .road_simulator import RoadSimulator
+from .run_codec import RunCodecError, decode_run, encode_run
 from .session import RunRecord, Session
 from .simulator import (
     AutopilotGains,
@@ -44,6 +45,7 @@ __all__ = [
     "Outcome",
     "ResimulationError",
     "RoadSimulator",
+    "RunCodecError",
     "RunRecord",
     "SIMULATORS",
     "Session",
@@ -54,6 +56,8 @@ __all__ = [
     "UntrustedSimulatorError",
     "Vehicle",
     "VehicleState",
+    "decode_run",
+    "encode_run",
     "make_simulator",
     "received_simulator",
     "resimulate",
