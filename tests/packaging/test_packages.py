@@ -54,6 +54,7 @@ NO_KEY = {
     "pymunk": "pymunk",
     "safetensors": "safetensors",
     "statsmodels": "statsmodels",
+    "zstandard": "zstandard",
 }
 """Imported module -> name on PyPI, if rosdep has no key."""
 WITHOUT_IMPORT = {
