@@ -16,6 +16,8 @@ from ds_driver import Autopilot, DriverError, Frame, NetworkDriver, drive_road, 
 from ds_driver.closed_loop.simulation import Drive, drive_all
 from ds_orchestrator.graph.process_specs import check_driver
 import ds_driver.ros.autopilot_node, ds_driver.ros.camera_driver_node, ds_driver.ros.driver_node
+import ds_driver.ros.closed_loop_node
+from ds_orchestrator.run import run_campaign
 from ds_road import Road
 from ds_sim import make_simulator
 
