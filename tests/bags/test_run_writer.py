@@ -129,7 +129,7 @@ def test_transforms_and_camera_info_put_the_road_where_the_camera_draws_it() -> 
         return made
 
     chain = matrix(body) @ matrix(camera)
-    axes, position = Camera(spec.camera, spec.look)._pose(vehicle)
+    axes, position = (np.array(v) for v in Camera(spec.camera, spec.look)._pose(vehicle))
     np.testing.assert_allclose(chain[:3, :3].T, axes, atol=1e-12)
     np.testing.assert_allclose(chain[:3, 3], position, atol=1e-12)
 

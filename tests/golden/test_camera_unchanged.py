@@ -84,7 +84,7 @@ def plain_image(
 ) -> NDArray[np.uint8]:
     """Draw the scene row by row, as if every row could see beyond the painted world; (rows, columns, 3)."""
     lens = spec.camera
-    axes, position = camera._pose(vehicle)
+    axes, position = (np.array(v) for v in camera._pose(vehicle))
     height, focal = max(float(position[2]), 1e-3), float(lens.intrinsics[0, 0])
     centre = sample_rays(lens, 1)[0].reshape(3, lens.height_px, lens.width)
     probes = np.linspace(0, lens.width - 1, 5).round().astype(int)
@@ -103,7 +103,7 @@ def plain_image(
         wanted = density / max(descents[row, 1], height / renderer.FARTHEST)
         samples = next((n for n in (1, 2, 4) if n >= wanted), 8)
         samples = max(samples, 2 if lens.exposure else 1)
-        matrices = camera._motion_matrices(to_atlas, ground, vehicle, samples)
+        matrices = camera._motion_matrices(to_atlas, ground, vehicle)[samples]
         rays = sample_rays(lens, samples)[:, :, row * lens.width : (row + 1) * lens.width]
         across, along, descent = np.matmul(matrices, rays).swapaxes(0, 1)
         descent = np.maximum(descent, np.float32(height / renderer.FARTHEST))

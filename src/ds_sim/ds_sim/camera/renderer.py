@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import weakref
 from typing import NamedTuple
 
 import cv2
@@ -36,11 +37,18 @@ _SAMPLES = np.array(SAMPLES)
 DENSITY = {"pinhole": 0.4, "equidistant": 0.25}
 """Samples per unit of aspect ratio (length over width) of a pixel's footprint; chosen: the smallest values with at
 least 40 dB for every simulator (a low pinhole: 42 dB with 0.4, 38 dB with 0.3; the twin's lens: 44 dB with 0.25)."""
+_MOMENTS = np.concatenate([((np.arange(n) * (n // 2 + 1)) % n + 0.5) / n for n in SAMPLES])
+"""Moments within the exposure, 0 to 1, of the samples of a pixel, for one number of samples after the other. They are
+permuted, so that a sample's height in the pixel does not correlate with its time."""
 SHARPNESS = 1.4
 """A level is used where the footprint of a pixel is 0.7 to 1.4 raster pixels wide; chosen: crisp lines. A value of 1 is
 as close to the reference for the pinholes, and 1 dB closer for the twin."""
 FARTHEST = 400.0
 """Distance beyond which the ground looks the same, m."""
+_SPARE = 2.5
+"""Width of the ground that is painted beyond what is in view, m, so that not every image has to look for more; chosen:
+several steps."""
+_Vector = tuple[float, float, float]
 
 
 class Camera:
@@ -73,76 +81,94 @@ class Camera:
         self._forward_least = float(centre[2].min()) - 0.01
         self._frame = np.zeros((spec.height_px, spec.width, 4), np.uint8)
         self._memory = _Memory(0)
+        self._revealed: _Revealed | None = None
 
     def render(self, ground: Ground, vehicle: VehicleState) -> NDArray[np.uint8]:
         """Render the scene as the lens projects it, before the sensor: (rows, columns, 3) uint8 RGB."""
         spec, frame = self._spec, self._frame
-        axes, position = self._pose(vehicle)
-        x, y, z = position.tolist()
+        axes, (x, y, z) = self._pose(vehicle)
         height = max(z, 1e-3)
         self._reveal(ground, vehicle, axes, x, y)
         # Descent per unit along each ray: > 0 is ground, <= 0 is sky.
-        descent = np.dot(-axes[None, :, 2], self._probe_rays).reshape(spec.height_px, -1)
-        ordered = np.sort(descent, axis=1)
+        descent = np.dot(np.array([[-axis[2] for axis in axes]]), self._probe_rays).reshape(spec.height_px, -1)
+        descent.sort(axis=1)
         pixel = 1.0 / self._focal
-        is_ground, is_sky = ordered[:, -1] > -pixel, ordered[:, 0] < pixel
+        is_ground, is_sky = descent[:, -1] > -pixel, descent[:, 0] < pixel
         first = int(is_ground.argmax()) if is_ground.any() else spec.height_px
         sky_end = spec.height_px - int(is_sky[::-1].argmax()) if is_sky.any() else 0
-        top, bottom = max(first, self._top), self._bottom
-        self._panorama.draw(frame, self._top, min(sky_end, bottom), axes @ _rotation(vehicle.yaw), vehicle.yaw)
-        sky = frame[top : min(sky_end, bottom)].copy()
-        to_atlas = ground.to_atlas @ np.column_stack((height * axes[:, :2] - axes[:, 2:] * position[:2], -axes[:, 2])).T
-        for band in self._bands(ordered[first:], height, first, ground.distance_to_border(x, y)):
-            if band.bottom > top and band.top < bottom:
-                matrices = self._motion_matrices(to_atlas, ground, vehicle, band.samples)
-                self._draw_band(ground, matrices, band.within(top, bottom), height)
+        top, bottom = max(first, self._top), min(sky_end, self._bottom)
+        self._panorama.draw(frame, self._top, bottom, np.array(axes) @ _rotation(vehicle.yaw), vehicle.yaw)
+        sky = frame[top:bottom].copy()
+        to_plane = np.array([(height * a - c * x, height * b - c * y, -c) for a, b, c in axes])
+        to_atlas = ground.to_atlas @ to_plane.T
+        bands = [
+            band.within(self._top, self._bottom)
+            for band in self._bands(descent[first:], height, first, ground.distance_to_border(x, y))
+            if band.bottom > self._top and band.top < self._bottom
+        ]
+        motion = self._motion_matrices(to_atlas, ground, vehicle)
+        per_descent = 2.0 * SHARPNESS * ground.resolution * self._focal / height
+        # Where all rows use the finest level, less is to be computed.
+        is_near = descent[:, 0] * per_descent > 1.0
+        for group in ([b for b in bands if not is_near[b.top]], [b for b in bands if is_near[b.top]]):
+            if group:
+                self._draw_bands(ground, motion, group, height)
         if len(sky):
-            self._blend_horizon(sky, axes[:, 2], first, sky_end, top)
+            self._blend_horizon(sky, axes, first, sky_end, top)
         image = np.zeros((spec.height_px, spec.width, 3), np.uint8)
-        cv2.cvtColor(frame[self._top : bottom], cv2.COLOR_RGBA2RGB, image[self._top : bottom])
+        cv2.cvtColor(frame[self._top : self._bottom], cv2.COLOR_RGBA2RGB, image[self._top : self._bottom])
         return image
 
-    def _pose(self, vehicle: VehicleState) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Optical axes in the road frame, rows right, down, forward (3, 3), and the optical centre (3,), m."""
+    def _pose(self, vehicle: VehicleState) -> tuple[tuple[_Vector, _Vector, _Vector], _Vector]:
+        """Optical axes right, down, forward in the road frame, and the optical centre, m."""
         spec = self._spec
         yaw, pitch, roll = vehicle.yaw, vehicle.pitch, vehicle.roll
         cy, sy, cp, sp, cr, sr = (
             math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll),
         )  # fmt: skip
-        forward = (cy * cp, sy * cp, -sp)
-        left = (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr)
-        up = (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)
+        fx, fy, fz = cy * cp, sy * cp, -sp
+        ux, uy, uz = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
         # The body rotates about its centre at ground level: a common simplification of roll and pitch centres.
-        centre = (vehicle.x, vehicle.y, vehicle.heave)
-        position = np.array(
-            [c + f * spec.forward + u * spec.height for c, f, u in zip(centre, forward, up, strict=True)]
+        ahead, above = spec.forward, spec.height
+        position = (
+            vehicle.x + fx * ahead + ux * above,
+            vehicle.y + fy * ahead + uy * above,
+            vehicle.heave + fz * ahead + uz * above,
         )
         ct, st = math.cos(spec.pitch), math.sin(spec.pitch)
-        axes = np.array(
-            [
-                [-v for v in left],
-                [-(u * ct + f * st) for f, u in zip(forward, up, strict=True)],
-                [f * ct - u * st for f, u in zip(forward, up, strict=True)],
-            ]
-        )
-        return axes, position
+        right = (-(cy * sp * sr - sy * cr), -(sy * sp * sr + cy * cr), -(cp * sr))
+        down = (-(ux * ct + fx * st), -(uy * ct + fy * st), -(uz * ct + fz * st))
+        forward = (fx * ct - ux * st, fy * ct - uy * st, fz * ct - uz * st)
+        return (right, down, forward), position
 
-    def _reveal(self, ground: Ground, vehicle: VehicleState, axes: NDArray[np.float64], x: float, y: float) -> None:
+    def _reveal(
+        self, ground: Ground, vehicle: VehicleState, axes: tuple[_Vector, _Vector, _Vector], x: float, y: float
+    ) -> None:
         """Have all ground painted that can be seen from (x, y) at the levels that are not painted in full."""
-        cos, sin = math.cos(vehicle.yaw), math.sin(vehicle.yaw)
-        across, down, ahead = (axes[:, 0] * cos + axes[:, 1] * sin).tolist()
+        yaw, spec = vehicle.yaw, self._spec
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        across, down, ahead = (axis[0] * cos + axis[1] * sin for axis in axes)
         # Least component along the heading of any ray. If it is positive, nothing behind the camera is in view.
         least = ahead * self._forward_least if ahead > 0.0 else -math.inf
         least += min(down * self._down_least, down * self._down_most) - abs(across) * self._right_most
+        only_ahead = least > 0.0
+        # Beyond this distance, m, a footprint is wider than what the finest level is used for; see `_draw_bands`.
+        reach = 2.0 * SHARPNESS * ground.resolution * self._focal * self._max_ray_length * 1.01
+        farthest = reach * 2.0 ** (ground.lazy_levels - 1)
+        moved = math.hypot(vehicle.speed, vehicle.lateral_speed) + 2.0 * farthest * abs(vehicle.yaw_rate)
+        blur = spec.exposure * moved
+        then = self._revealed
+        if then is not None and then.ground() is ground and (only_ahead or not then.only_ahead):
+            change = max(abs(x - then.x), abs(y - then.y)) + farthest * abs(yaw - then.yaw) + blur - then.blur
+            if change < _SPARE:
+                return
+        margin = blur + _SPARE
         for level in range(ground.lazy_levels):
-            # Beyond this distance, m, a footprint is wider than what the level is used for; see `_draw_band`.
-            reach = 2.0**level * 2.0 * SHARPNESS * ground.resolution * self._focal * self._max_ray_length * 1.01
-            moved = math.hypot(vehicle.speed, vehicle.lateral_speed) + 2.0 * reach * abs(vehicle.yaw_rate)
-            margin = self._spec.exposure * moved + 0.1
-            ahead_only = least > 0.0
-            left, right = _extent(cos, abs(sin), reach, ahead_only)
-            bottom, top = _extent(sin, abs(cos), reach, ahead_only)
+            left, right = _extent(cos, abs(sin), reach, only_ahead)
+            bottom, top = _extent(sin, abs(cos), reach, only_ahead)
             ground.reveal(level, (x - left - margin, y - bottom - margin), (x + right + margin, y + top + margin))
+            reach *= 2.0
+        self._revealed = _Revealed(weakref.ref(ground), x, y, yaw, blur, only_ahead)
 
     def _bands(self, ordered: NDArray[np.float64], height: float, first: int, border_distance: float) -> list[_Band]:
         """Bands of rows that are drawn alike.
@@ -161,45 +187,53 @@ class Camera:
         # tilted, the farthest fifth of a row uses the number of samples that suits the rest.
         wanted = _SAMPLES.searchsorted(DENSITY[self._spec.lens] / np.maximum(ordered[:, 1], height / FARTHEST))
         wanted = wanted.clip(self._min_sample_index, len(SAMPLES) - 1)
-        edges = [0, *((wanted[1:] != wanted[:-1]).nonzero()[0] + 1).tolist(), len(wanted)]
-        return [
-            _Band(first + a, first + b, SAMPLES[wanted[a]], bool(far[a:b].any()))
-            for a, b in zip(edges[:-1], edges[1:], strict=True)
-        ]
+        edges = [0, *((wanted[1:] != wanted[:-1]).nonzero()[0] + 1).tolist()]
+        samples = [SAMPLES[index] for index in wanted[edges].tolist()]
+        ends = [*edges[1:], len(wanted)]
+        is_far = np.logical_or.reduceat(far, edges).tolist()
+        return [_Band(first + a, first + b, n, f) for a, b, n, f in zip(edges, ends, samples, is_far, strict=True)]
 
     def _motion_matrices(
-        self, to_atlas: NDArray[np.float64], ground: Ground, vehicle: VehicleState, samples: int
-    ) -> NDArray[np.float32]:
-        """Matrices from rays to the atlas for each sample of a pixel during the exposure, (samples or 1, 3, 3)."""
+        self, to_atlas: NDArray[np.float64], ground: Ground, vehicle: VehicleState
+    ) -> dict[int, NDArray[np.float32]]:
+        """Matrices from rays to the atlas for each sample of a pixel during the exposure, (samples or 1, 3, 3).
+
+        The keys are numbers of samples.
+        """
         if not self._spec.exposure:
-            return to_atlas[None].astype(np.float32)
-        # Times are permuted, so that a sample's height in the pixel does not correlate with its time.
-        order = (np.arange(samples) * (samples // 2 + 1)) % samples if samples > 1 else np.zeros(1)
-        times = -self._spec.exposure * (order + 0.5) / samples
+            return dict.fromkeys(SAMPLES, to_atlas[None].astype(np.float32))
+        times = -self._spec.exposure * _MOMENTS
         x, y, yaw = vehicle.x, vehicle.y, vehicle.yaw
         along = vehicle.speed * math.cos(yaw) - vehicle.lateral_speed * math.sin(yaw)
         across = vehicle.speed * math.sin(yaw) + vehicle.lateral_speed * math.cos(yaw)
         c, s = np.cos(vehicle.yaw_rate * times), np.sin(vehicle.yaw_rate * times)
-        motion = np.zeros((samples, 3, 3))
+        motion = np.zeros((len(times), 3, 3))
         motion[:, 0, 0], motion[:, 0, 1], motion[:, 0, 2] = c, -s, x - c * x + s * y + along * times
         motion[:, 1, 0], motion[:, 1, 1], motion[:, 1, 2] = s, c, y - s * x - c * y + across * times
         motion[:, 2, 2] = 1.0
-        return np.asarray(ground.to_atlas @ motion @ ground.from_atlas @ to_atlas, np.float32)
+        moved = (ground.to_atlas @ motion @ ground.from_atlas @ to_atlas).astype(np.float32)
+        ends = np.cumsum(SAMPLES).tolist()
+        return {samples: moved[end - samples : end] for samples, end in zip(SAMPLES, ends, strict=True)}
 
-    def _draw_band(self, ground: Ground, matrices: NDArray[np.float32], band: _Band, height: float) -> None:
-        """Draw one band of the image."""
-        width, samples = self._spec.width, band.samples
-        rows = band.bottom - band.top
-        count = samples * rows * width
-        if self._memory.size < count:
-            self._memory = _Memory(count)
-        across, along, descent = points = self._memory.points[:, :count]
-        np.matmul(
-            matrices,
-            sample_rays(self._spec, samples)[:, :, band.top * width : band.bottom * width],
-            points.reshape(3, samples, -1).transpose(1, 0, 2),
-        )
-        if band.far:
+    def _draw_bands(
+        self, ground: Ground, motion: dict[int, NDArray[np.float32]], bands: list[_Band], height: float
+    ) -> None:
+        """Draw some bands of the image, from matrices as `_motion_matrices` returns them."""
+        width = self._spec.width
+        counts = [band.samples * (band.bottom - band.top) * width for band in bands]
+        count = sum(counts)
+        memory = self._memory = self._memory if self._memory.size >= count else _Memory(count)
+        end = 0
+        for band, size in zip(bands, counts, strict=True):
+            np.matmul(
+                motion[band.samples],
+                sample_rays(self._spec, band.samples)[:, :, band.top * width : band.bottom * width],
+                memory.points[:, end : end + size].reshape(3, band.samples, -1).transpose(1, 0, 2),
+            )
+            end += size
+        across, along, descent = memory.points[:, :count]
+        far = any(band.far for band in bands)
+        if far:
             np.maximum(descent, np.float32(height / FARTHEST), out=descent)
         lines, columns = ground.shape
         # Scale of the pyramid level: clearing the fraction bits of a float rounds it down to a power of two.
@@ -207,11 +241,11 @@ class Camera:
         if descent.min() * per_descent >= 1.0:
             scale = None
         else:
-            scale = np.multiply(descent, per_descent, self._memory.scale[:count])
+            scale = np.multiply(descent, per_descent, memory.scale[:count])
             bits = scale.view(np.int32)
             np.bitwise_and(bits, 0x7F800000, bits)
             scale.clip(np.float32(ground.coarsest_scale), np.float32(1.0), scale)
-        if band.far:
+        if far:
             np.divide(np.float32(1.0), descent, descent)
             np.multiply(across, descent, across).clip(np.float32(-2 * columns), np.float32(-columns), across)
             np.multiply(along, descent, along).clip(np.float32(0), np.float32(lines), along)
@@ -224,34 +258,51 @@ class Camera:
             along *= descent
         across += np.float32(2 * columns - 0.5)
         along -= np.float32(0.5)
-        shape = (samples * rows, width)
-        part = self._frame[band.top : band.bottom]
-        drawn = part if samples == 1 else self._memory.drawn[: 4 * count].reshape(*shape, 4)
+        drawn = memory.drawn[: 4 * count].reshape(-1, width, 4)
         cv2.remap(
-            ground.atlas, across.reshape(shape), along.reshape(shape), cv2.INTER_LINEAR, drawn, cv2.BORDER_REPLICATE
+            ground.atlas,
+            across.reshape(-1, width),
+            along.reshape(-1, width),
+            cv2.INTER_LINEAR,
+            drawn,
+            cv2.BORDER_REPLICATE,
         )
-        if samples > 1:
-            mean = cv2.reduce(drawn.reshape(samples, -1), 0, cv2.REDUCE_AVG)
-            part[:] = mean.reshape(part.shape)
+        end = 0
+        for band, size in zip(bands, counts, strict=True):
+            part, rows = self._frame[band.top : band.bottom], band.bottom - band.top
+            samples = memory.drawn[4 * end : 4 * (end + size)].reshape(band.samples, rows, -1)
+            end += size
+            if band.samples == 1:
+                part[:] = samples.reshape(part.shape)
+            else:
+                total = memory.total[: 4 * size // band.samples].reshape(rows, -1)
+                samples.sum(axis=0, dtype=np.uint16, out=total)
+                cv2.convertScaleAbs(total, part.reshape(rows, -1), alpha=1.0 / band.samples)
 
     def _blend_horizon(
-        self, sky: NDArray[np.uint8], axes_up: NDArray[np.float64], first: int, sky_end: int, top: int
+        self, sky: NDArray[np.uint8], axes: tuple[_Vector, _Vector, _Vector], first: int, sky_end: int, top: int
     ) -> None:
         """Blend sky into rows that the horizon crosses.
 
         Args:
             sky: background in the rows to blend, (rows, columns, 4).
-            axes_up: upward components of the optical axes.
+            axes: optical axes.
             first: first row that shows ground.
             sky_end: end of the rows that show sky.
             top: first row of `sky`.
         """
-        rays = self._centre_rays[:, first:sky_end]
-        descent = np.dot((-axes_up * self._focal).astype(np.float32)[None], rays.reshape(3, -1)).reshape(rays.shape[1:])
-        cover = np.clip((0.5 - descent[top - first : top - first + len(sky)]) * 256.0, 0, 256)
-        share = cover.astype(np.uint16)[:, :, None]
+        up = np.array([[-axis[2] * self._focal for axis in axes]]).astype(np.float32)
+        descent = np.dot(up, self._centre_rays[:, first:sky_end].reshape(3, -1)).reshape(sky_end - first, -1)
+        descent = descent[top - first : top - first + len(sky)]
+        np.subtract(0.5, descent, descent)
+        descent *= 256.0
+        share = descent.clip(0, 256, descent).astype(np.uint16)[:, :, None]
         frame = self._frame[top : top + len(sky)]
-        frame[:] = (frame * (256 - share) + sky * share + 128) >> 8
+        mixed = sky * share
+        mixed += frame * (256 - share)
+        mixed += 128
+        mixed >>= 8
+        frame[:] = mixed
 
 
 class _Band(NamedTuple):
@@ -267,6 +318,17 @@ class _Band(NamedTuple):
         return self._replace(top=max(self.top, top), bottom=min(self.bottom, bottom))
 
 
+class _Revealed(NamedTuple):
+    """From where a camera last had ground painted: position, m, heading, rad, motion during an exposure, m."""
+
+    ground: weakref.ref[Ground]
+    x: float
+    y: float
+    yaw: float
+    blur: float
+    only_ahead: bool
+
+
 class _Memory:
     """Working memory for a number of rays: it stays in the cache from band to band."""
 
@@ -275,6 +337,7 @@ class _Memory:
         self.points = np.empty((3, size), np.float32)
         self.scale = np.empty(size, np.float32)
         self.drawn = np.empty(4 * size, np.uint8)
+        self.total = np.empty(2 * size, np.uint16)  # of two samples or more
 
 
 def _extent(heading: float, side: float, reach: float, ahead_only: bool) -> tuple[float, float]:

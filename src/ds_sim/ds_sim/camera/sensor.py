@@ -28,6 +28,7 @@ class Sensor:
         self._rows = slice(*(rows or (0, spec.height_px)))
         levels = np.arange(256) / 255.0
         self._response = np.clip(255.0 * (spec.gain * levels) ** spec.gamma, 0, 255).round().astype(np.uint8)
+        self._is_linear = np.array_equal(self._response, np.arange(256))
         self._noise: tuple[NDArray[np.uint8], NDArray[np.uint8]] | None = None
         if spec.noise > 0.0:
             shape = (spec.height_px + _NOISE_MARGIN, spec.width + _NOISE_MARGIN, 3)
@@ -50,14 +51,16 @@ class Sensor:
             scene: (rows, columns, 3) uint8 RGB, of which `scene_rows` are read.
         """
         spec = self._spec
-        delivered = np.zeros_like(scene)
-        image = delivered[self._rows]
+        delivered = np.zeros(scene.shape, np.uint8)
+        image, seen = delivered[self._rows], scene[self._rows]
         if spec.blur > 0.0:
             first, last = scene_rows(spec, (self._rows.start, self._rows.stop))
-            blurred = cv2.GaussianBlur(scene[first:last], (0, 0), spec.blur)
-            cv2.LUT(blurred[self._rows.start - first : self._rows.stop - first], self._response, image)
+            blurred = np.asarray(cv2.GaussianBlur(scene[first:last], (0, 0), spec.blur), np.uint8)
+            seen = blurred[self._rows.start - first : self._rows.stop - first]
+        if self._is_linear:
+            image[:] = seen
         else:
-            cv2.LUT(scene[self._rows], self._response, image)
+            cv2.LUT(seen, self._response, image)
         if self._noise is not None:
             # A random window of one precomputed noise plate is much cheaper than new noise for each image.
             row, column = self._rng.integers(0, _NOISE_MARGIN, 2).tolist()
