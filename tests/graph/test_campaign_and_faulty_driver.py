@@ -43,8 +43,10 @@ def test_a_campaign_outlives_its_driver(
         parameters={"fault": fault, "once": str(tmp_path / "once")},
     )
 
-    def separate(_driver: str, namespaces: dict[str, str], limit: float, *, composed: bool) -> list[ProcessSpec]:
-        assert composed
+    def separate(
+        _driver: str, namespaces: dict[str, str], limit: float, *, composed: bool, draw: str
+    ) -> list[ProcessSpec]:
+        assert composed and draw == "seen"
         return [*simulator_processes(namespaces, limit), faulty]
 
     monkeypatch.setattr(running, "processes_of", separate)

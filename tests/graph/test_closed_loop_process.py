@@ -52,6 +52,44 @@ def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Pat
             yield executor, folder / "order"
 
 
+def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Path) -> None:
+    """A subscriber that is there before a run gets whole images; without one, the crop is drawn."""
+    import numpy as np
+    from rclpy.node import Node
+    from sensor_msgs.msg import Image
+
+    from ds_driver.closed_loop.simulation import drive_road, make_driver
+    from ds_orchestrator.campaign.runner import trajectory_sha256
+    from ds_orchestrator.graph.session import running_graph
+    from ds_sim.registry import make_simulator
+    from ds_sim.ros.conversions import pixels_of
+
+    simulator = make_simulator("donkey")
+    here = drive_road(simulator, make_driver("dave2_short", simulator.spec), STRAIGHT, 1)
+    top = simulator.spec.crop_top
+    simulator.close()
+    spaces = {"donkey": "/ds1"}
+    with running_graph(spaces, "dave2_short", command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
+        # One that comes while a run is under way takes part in the next one.
+        unseen = executor.execute("donkey", STRAIGHT, 1)
+        node = Node("viewer", context=executor.context)
+        images: list[Any] = []
+        node.create_subscription(Image, "/ds1/camera/image_raw", images.append, 1000)
+        executor._executor.add_node(node)
+        deadline = time.monotonic() + 20.0
+        while node.count_publishers("/ds1/camera/image_raw") == 0 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(1.0)  # until the simulator has discovered the viewer, too
+        seen = executor.execute("donkey", STRAIGHT, 1)
+        while len(images) < len(seen.observations) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        executor._executor.remove_node(node)
+        node.destroy_node()
+    assert trajectory_sha256(unseen) == trajectory_sha256(seen) == trajectory_sha256(here)
+    assert len(images) >= len(seen.observations) and top > 0
+    assert all(np.any(pixels_of(image)[:top]) for image in images)
+
+
 def test_both_nodes_have_their_names_and_topics(ordered: tuple[Any, Path]) -> None:
     executor, _ = ordered
     node = executor._node

@@ -177,7 +177,7 @@ def _drive(config: CampaignConfig, folder: Path, store: Store, listener: Listene
     graphs = (
         running_workers(config.workers, namespaces, config.driver, command_timeout=timeout, logs=logs)
         if config.workers > 1
-        else running_graph(namespaces, config.driver, command_timeout=timeout, logs=logs, attach=attach)
+        else running_graph(namespaces, config.driver, command_timeout=timeout, logs=logs, attach=attach, draw="seen")
     )
     try:
         with graphs as executor:

@@ -16,7 +16,7 @@ from ds_driver.ros.simulator_info import SimulatorInfo
 from ds_sim.ros.conversions import gains_of
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
-from ds_sim.simulator import AutopilotGains, Command
+from ds_sim.simulator import AutopilotGains, Command, SimulatorSpec
 
 ASK = -1.0
 """Value of a gain parameter that asks the simulator."""
@@ -60,6 +60,10 @@ class AutopilotNode(Node):
                 self._use(index, AutopilotGains(**given), "from parameters")
         names = ", ".join(filter(None, self._namespaces)) or self.get_namespace()
         self.get_logger().info(f"the autopilot drives {names}")
+
+    def rows_seen(self, _spec: SimulatorSpec) -> tuple[int, int]:
+        """Return first row and end of the rows that it looks at: as few as a simulator can draw."""
+        return 0, 1
 
     def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
         given = {name: value for name, value in self._given[index].items() if value != ASK}

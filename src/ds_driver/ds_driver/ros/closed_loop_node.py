@@ -7,12 +7,13 @@ or a reset, and its watchdog ends the run, while the driver's network hangs.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from importlib import import_module
+from typing import Any, cast
 
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 from ds_sim.ros.simulator_node import SimulatorNode
 
@@ -32,9 +33,23 @@ def main() -> None:
             f"error: {' '.join(arguments)!r} names no driver's node: expected {' or '.join(DRIVERS)}", file=sys.stderr
         )
         sys.exit(2)
+    simulators: list[SimulatorNode] = []
+
+    def make_simulator() -> Node:
+        simulators.append(SimulatorNode("bullet"))
+        return simulators[0]
+
+    sys.exit(run_node(make_simulator, lambda: _make_driver(kind, simulators[0])))
+
+
+def _make_driver(kind: str, simulator: SimulatorNode) -> Node:
+    """Make the driver's node; with `draw:=seen` the simulator draws the rows that it sees."""
     module, name = DRIVERS[kind]
-    make_driver: Callable[[], Node] = getattr(import_module(module), name)
-    sys.exit(run_node(lambda: SimulatorNode("bullet"), make_driver))
+    driver: Any = getattr(import_module(module), name)()
+    about = "all: the simulator draws whole images; seen: rows that the driver sees, unless another node subscribes."
+    if declare(simulator, "draw", "all", about, choices=("all", "seen")) == "seen":
+        simulator.drawn.draw_for(driver.rows_seen, subscriptions=int(kind == "driver"))
+    return cast(Node, driver)
 
 
 if __name__ == "__main__":

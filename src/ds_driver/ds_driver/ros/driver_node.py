@@ -17,7 +17,7 @@ from ds_driver.ros.simulator_client import SimulatorClient
 from ds_sim.ros.conversions import pixels_of
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
-from ds_sim.simulator import Command
+from ds_sim.simulator import Command, SimulatorSpec
 
 SIMULATORS = -1
 """Value of a crop parameter that stands for the simulator's own."""
@@ -59,14 +59,28 @@ class DriverNode(Node):
         known = self._crops[index]
         if known is not None and frame.step > 0:
             return known
-        given, reported = self._given[index], (frame.crop_top, frame.crop_bottom)
-        crop = Crop(*(there if here == SIMULATORS else here for here, there in zip(given, reported, strict=True)))
+        crop = self._crop_of(index, frame.crop_top, frame.crop_bottom)
         if crop != known:
             name = self._namespaces[index] or self.get_namespace()
             rows = f"{crop.top} rows cut off at the top, {crop.bottom} at the bottom"
-            self.get_logger().info(f"{name}: {rows} ({'from parameters' if SIMULATORS not in given else 'as it says'})")
+            source = "as it says" if SIMULATORS in self._given[index] else "from parameters"
+            self.get_logger().info(f"{name}: {rows} ({source})")
         self._crops[index] = crop
         return crop
+
+    def _crop_of(self, index: int, top: int, bottom: int) -> Crop:
+        """Return the crop of the parameters, or where they leave it to the simulator, its own."""
+        pairs = zip(self._given[index], (top, bottom), strict=True)
+        return Crop(*(reported if given == SIMULATORS else given for given, reported in pairs))
+
+    def rows_seen(self, spec: SimulatorSpec) -> tuple[int, int] | None:
+        """Return first row and end of the rows that the network looks at; None if it may look at all.
+
+        Args:
+            spec: description of the simulator in this node's own namespace.
+        """
+        crop = self._crop_of(0, spec.crop_top, spec.crop_bottom)
+        return (crop.top, spec.camera.height_px - crop.bottom) if self._driver.sees_crop_only else None
 
     def destroy_node(self) -> None:
         """Print the latency of the answers."""

@@ -29,15 +29,24 @@ def closed_loop_process_name(namespace: str) -> str:
     return f"closed_loop_{namespace.strip('/').replace('/', '_')}"
 
 
-def closed_loop_processes(driver: str, namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
-    """Specify one process per simulator, with a driver's node beside the simulator's."""
+def closed_loop_processes(
+    driver: str, namespaces: dict[str, str], command_timeout: float, *, draw: str = "all"
+) -> list[ProcessSpec]:
+    """Specify one process per simulator, with a driver's node beside the simulator's.
+
+    Args:
+        driver: name of the driver.
+        namespaces: simulator name -> namespace.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
+        draw: `all`, or `seen` for the rows of the images that the driver sees.
+    """
     return [
         ProcessSpec(
             name=closed_loop_process_name(namespace),
             module="ds_driver.ros.closed_loop_node",
             arguments=("autopilot",) if driver == AUTOPILOT else ("driver",),
             namespace=namespace,
-            parameters={"simulator": name, "command_timeout": command_timeout}
+            parameters={"simulator": name, "command_timeout": command_timeout, "draw": draw}
             | ({} if driver == AUTOPILOT else {"network": driver}),
         )
         for name, namespace in namespaces.items()

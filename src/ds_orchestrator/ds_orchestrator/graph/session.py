@@ -16,11 +16,11 @@ from ds_orchestrator.graph.worker_pool import WorkerPool
 
 
 def processes_of(
-    driver: str, namespaces: dict[str, str], command_timeout: float, *, composed: bool
+    driver: str, namespaces: dict[str, str], command_timeout: float, *, composed: bool, draw: str
 ) -> list[ProcessSpec]:
     """Specify the processes of a graph; see `running_graph`."""
     if composed:
-        return closed_loop_processes(driver, namespaces, command_timeout)
+        return closed_loop_processes(driver, namespaces, command_timeout, draw=draw)
     return [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
 
 
@@ -33,6 +33,7 @@ def running_graph(
     logs: Path,
     attach: bool = False,
     composed: bool = True,
+    draw: str = "all",
     wait: float = START_TIME,
     report: Callable[[str], None] = lambda line: None,
 ) -> Iterator[GraphExecutor]:
@@ -46,6 +47,7 @@ def running_graph(
         attach: start nothing; use running nodes in the environment's ROS domain.
         composed: each simulator shares its process with a driver of its own; otherwise every node has a process, and
             one driver drives all.
+        draw: `all`, or `seen` to draw, in a composed graph, only rows of the images that somebody looks at.
         wait: limit for the start of the nodes, s.
         report: called with one line when a run has to wait for another client.
 
@@ -63,7 +65,7 @@ def running_graph(
             reserved = RosDomain()
             stack.callback(reserved.close)
             domain = reserved.number
-            specs = processes_of(driver, namespaces, command_timeout, composed=composed)
+            specs = processes_of(driver, namespaces, command_timeout, composed=composed, draw=draw)
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
         executor = GraphExecutor(
@@ -96,7 +98,9 @@ def running_workers(
     with ExitStack() as stack:
         graphs = [
             stack.enter_context(
-                running_graph(namespaces, driver, command_timeout=command_timeout, logs=logs / f"worker_{number}")
+                running_graph(
+                    namespaces, driver, command_timeout=command_timeout, logs=logs / f"worker_{number}", draw="seen"
+                )
             )
             for number in range(1, count + 1)
         ]

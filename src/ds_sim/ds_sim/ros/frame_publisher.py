@@ -41,6 +41,11 @@ class FramePublisher:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
 
+    @property
+    def viewers(self) -> int:
+        """Number of subscriptions to images: `camera/image_raw` and `frame`."""
+        return int(self._image.get_subscription_count() + self._frame.get_subscription_count())
+
     def publish(self, observation: Observation, road: Road, stamp: float) -> Header:
         """Publish one frame, the state before its image; return the header that its answer must carry.
 

@@ -20,6 +20,7 @@ from ds_sim.registry import make_simulator
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.command_monitor import CommandMonitor
 from ds_sim.ros.command_watchdog import CommandWatchdog
+from ds_sim.ros.drawn_rows import DrawnRows
 from ds_sim.ros.drive_road_server import DriveRoadServer
 from ds_sim.ros.frame_publisher import FramePublisher
 from ds_sim.ros.loaded_road import LoadedRoad
@@ -45,13 +46,11 @@ class SimulatorNode(Node):
         self._sync, self._timeout = parameters.sync, parameters.command_timeout
         self._session = Session(make_simulator(parameters.simulator))
         self._frames = FramePublisher(self, self._session.simulator.spec, clock=parameters.publish_clock)
-        self._neighbours = Neighbours(self)
-        self._loaded = LoadedRoad()
-        self._sync_now = self._sync
+        self.drawn = DrawnRows(self._session.simulator, self._frames)
+        self._neighbours, self._loaded = Neighbours(self), LoadedRoad()
+        self._sync_now, self._handed_over, self._awaited = self._sync, False, Header()
         self._goal: ServerGoalHandle | None = None
-        self._handed_over = False
         self._last: Observation | None = None
-        self._awaited = Header()
         self._watchdog, self._monitor = CommandWatchdog(self._timeout), CommandMonitor()
         # Stamps never decrease during the life of the node, as tf, bags and filters expect. They begin above 0, so that
         # an unset stamp never matches by accident.
@@ -113,6 +112,7 @@ class SimulatorNode(Node):
             raise no_road()
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
+        self.drawn.choose()
         first = self._session.start(self._loaded.road, self._loaded.seed)  # takes no time from the driver's answer
         limit = request.command_timeout or self._timeout
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
