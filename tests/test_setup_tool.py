@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import multiprocessing
 import shutil
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from setup_tool import machine, ros, wheels, workspace
+from setup_tool import machine, ros, steps, wheels, workspace
 from setup_tool.console import CommandFailedError, Console, SetupError
 from setup_tool.machine import Need, Python
 from setup_tool.stamps import UNFINISHED, Stamps, digest, one_at_a_time
@@ -156,6 +157,10 @@ def test_a_clean_environment_has_no_other_ros_in_it() -> None:
         }
     )
     assert clean == {"ROS_DOMAIN_ID": "7", "PATH": "/usr/bin", "HOME": "/home/someone"}
+
+
+def test_the_modules_that_set_up_imports_exist() -> None:
+    assert [name for name in steps.USED_MODULES if importlib.util.find_spec(name) is None] == []
 
 
 def test_a_ros_that_is_gone_is_reported_in_one_line(tmp_path: Path) -> None:

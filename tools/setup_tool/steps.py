@@ -21,9 +21,10 @@ EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
 """Requirements that only some commands need -> their description for the user."""
 
 USED_MODULES = (
-    *("ds_sim.ros.simulator_node", "ds_sim_bullet.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
-    *("ds_driver.ros.driver_node", "onnxruntime", "ds_orchestrator.graph.executor", "ds_orchestrator.maps.heatmap"),
-    *("ds_orchestrator.run", "ds_orchestrator.report.html_report", "sklearn.metrics", "plotly.graph_objects"),
+    *("ds_driver.ros.closed_loop_node", "ds_sim.ros.simulator_node", "ds_driver.ros.driver_node", "onnxruntime"),
+    *("ds_sim_bullet.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
+    *("ds_orchestrator.run", "ds_orchestrator.graph.executor", "ds_orchestrator.maps.heatmap"),
+    *("ds_orchestrator.report.html_report", "sklearn.metrics", "plotly.graph_objects"),
 )
 """Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""
 

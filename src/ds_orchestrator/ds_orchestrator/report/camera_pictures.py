@@ -29,7 +29,7 @@ from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, Simula
 CAMERA_PLACE = 45.0
 """Arc length of the place that every camera shows, m; chosen: a third of a usual road."""
 DRIVEN_TESTS = 24
-"""Largest number of tests whose drives are shown; chosen: 1.5 MB, rendered in 15 s on two cores."""
+"""Largest number of tests whose drives are shown; chosen: 1.5 MB, rendered in 8 s of processor time."""
 MOMENTS = 5
 """Pictures of one drive; chosen: a row of them fits on a screen."""
 BEFORE_FAILURE = 1.0
