@@ -22,16 +22,22 @@ class LaneTracker:
     """
 
     def __init__(self, centre_line: NDArray[np.float64]) -> None:
-        self._points = centre_line
-        self._segments = np.diff(centre_line, axis=0)
-        self._segment_lengths = np.hypot(self._segments[:, 0], self._segments[:, 1])
-        self._arc = np.concatenate(([0.0], np.cumsum(self._segment_lengths)))
+        segments = np.diff(centre_line, axis=0)
+        lengths = np.hypot(segments[:, 0], segments[:, 1])
+        self._arc: list[float] = np.concatenate(([0.0], np.cumsum(lengths))).tolist()
+        # Start x and y, vector x and y, length, and limits of the arc length along it. Numbers instead of arrays: a
+        # window is too short for arrays to be faster.
+        low, high = np.zeros_like(lengths), lengths.copy()
+        low[0], high[-1] = -math.inf, math.inf
+        self._segments: list[tuple[float, ...]] = np.column_stack(
+            (centre_line[:-1], segments, lengths, low, high)
+        ).tolist()
         self._nearest = 0
 
     @property
     def length(self) -> float:
         """Length of the centre line, m."""
-        return float(self._arc[-1])
+        return self._arc[-1]
 
     def update(self, x: float, y: float) -> tuple[float, float]:
         """Move to (x, y), m; returns (lateral position, arc length), m, where right of the line is positive."""
@@ -49,22 +55,15 @@ class LaneTracker:
             Lateral position (m), arc length (m), index of the segment.
         """
         first = max(0, self._nearest - WINDOW)
-        last = min(len(self._segments), self._nearest + WINDOW + 1)
-        segments, lengths = self._segments[first:last], self._segment_lengths[first:last]
-        to_x, to_y = x - self._points[first:last, 0], y - self._points[first:last, 1]
-        along = (to_x * segments[:, 0] + to_y * segments[:, 1]) / lengths
-        low = np.zeros_like(along)
-        high = lengths.copy()
-        if first == 0:
-            low[0] = -math.inf
-        if last == len(self._segments):
-            high[-1] = math.inf
-        along = np.clip(along, low, high)
-        off_x = to_x - along * segments[:, 0] / lengths
-        off_y = to_y - along * segments[:, 1] / lengths
-        squared = off_x * off_x + off_y * off_y
-        best = int(np.argmin(squared))
-        side = segments[best, 0] * off_y[best] - segments[best, 1] * off_x[best]
-        distance = math.sqrt(float(squared[best]))
-        index = first + best
-        return (-distance if side > 0 else distance), float(self._arc[index] + along[best]), index
+        least, best, place, side = math.inf, first, 0.0, 0.0
+        for index, segment in enumerate(self._segments[first : self._nearest + WINDOW + 1], first):
+            start_x, start_y, ahead_x, ahead_y, length, low, high = segment
+            to_x, to_y = x - start_x, y - start_y
+            along = min(max((to_x * ahead_x + to_y * ahead_y) / length, low), high)
+            off_x, off_y = to_x - along * ahead_x / length, to_y - along * ahead_y / length
+            squared = off_x * off_x + off_y * off_y
+            if squared < least:
+                least, best, place = squared, index, along
+                side = ahead_x * off_y - ahead_y * off_x
+        distance = math.sqrt(least)
+        return (-distance if side > 0 else distance), self._arc[best] + place, best

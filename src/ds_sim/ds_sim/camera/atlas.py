@@ -56,10 +56,6 @@ class Box(NamedTuple):
         """View of this part of a raster."""
         return raster[self.top : self.bottom, self.left : self.right]
 
-    def at_level(self, level: int) -> Box:
-        """Return the same part of a coarser level."""
-        return Box(*(v >> level for v in self))
-
 
 class Ground:
     """Painted ground plane: a pyramid of rasters, each with half the resolution of the one before.
@@ -183,7 +179,7 @@ class Ground:
         missing = np.zeros(self._tiles, np.bool_)
         missing[first : last + 1, begin : end + 1] = ~self._is_painted[level, first : last + 1, begin : end + 1]
         for box in self.boxes(missing):
-            self._cover(level, *box.at_level(level))
+            self._cover(level, *(v >> level for v in box))
         self._is_painted[level] |= missing
         self._revealed[level] = (first, last, begin, end)
 
@@ -203,10 +199,11 @@ class Ground:
     def close_tiles(self, tiles: NDArray[np.bool_]) -> None:
         """Carry what was drawn on some tiles of the finest level over to the other levels."""
         for box in self.boxes(tiles):
+            top, left, bottom, right = box
             fine = box.of(self._rasters[0])
-            for level in range(1, len(self._rasters)):
-                coarse = box.at_level(level).of(self._rasters[level])
-                fine = halved(fine, coarse)
+            for raster in self._rasters[1:]:
+                top, left, bottom, right = top >> 1, left >> 1, bottom >> 1, right >> 1
+                fine = halved(fine, raster[top:bottom, left:right])
         self._is_painted |= tiles
 
     @property

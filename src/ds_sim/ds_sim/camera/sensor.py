@@ -39,9 +39,9 @@ class Sensor:
                 grey = plate[:, :, :1]
                 plate = grey * np.sqrt(1 - spec.noise_colour**2) + plate * spec.noise_colour
             plate *= spec.noise / plate.std()
-            np.rint(plate, plate)
+            signed = np.rint(plate, plate).astype(np.int16)
             # Bytes that are added or taken away saturate as signed noise does, and are much faster.
-            self._noise = (plate.clip(0, 255).astype(np.uint8), (-plate).clip(0, 255).astype(np.uint8))
+            self._noise = (signed.clip(0, 255).astype(np.uint8), (-signed).clip(0, 255).astype(np.uint8))
         self._delayed: list[NDArray[np.uint8]] = []
 
     def deliver(self, scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
