@@ -28,6 +28,8 @@ class LocalExecutor:
         self._errors_after = errors_after
         self.error = Outcome.DRIVER_SILENT
 
+    capacity: int | None = None
+
     def stop(self) -> None: ...
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:

@@ -14,6 +14,8 @@ from ds_orchestrator.campaign.folder import locked, open_store, prepare_folder, 
 from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
 from ds_orchestrator.campaign.stage_timer import StageTimer
 from ds_orchestrator.campaign.status import is_driven
+from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.engines.start import check_engine, running_engine
 from ds_orchestrator.evaluation.campaign_evaluation import read_correlations
 from ds_orchestrator.evaluation.correlation import Correlation
 from ds_orchestrator.report.build import write_all
@@ -59,6 +61,7 @@ def run_campaign(
     listener: Listener | None = None,
     *,
     attach: bool = False,
+    cluster: ClusterOptions | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> CampaignOutcome:
     """Run a campaign to its report, or resume the one in the folder.
@@ -68,7 +71,8 @@ def run_campaign(
         folder: campaign folder, created if missing.
         listener: receives every stage and every finished execution, from several threads.
         attach: use the nodes that are already running in this environment's ROS domain instead of starting any.
-        say: called with one line for each stage after driving.
+        cluster: cluster of the engine `dask`; one on this machine if None.
+        say: called with one line for each stage after driving, and about a cluster's workers.
 
     Raises:
         ConfigError: the driver or a simulator of the configuration has changed since the campaign began.
@@ -79,8 +83,8 @@ def run_campaign(
     from ds_orchestrator.graph.process_specs import check_driver
     from ds_sim.registry import make_simulator
 
-    if attach and config.workers > 1:
-        raise ConfigError(f"workers: {config.workers} cannot be used with --attach: set it to 1, or leave out --attach")
+    cluster = cluster or ClusterOptions()
+    check_engine(config, cluster, attach=attach)
     check_driver(config.driver)
     for name in config.simulators:
         make_simulator(name).close()
@@ -93,7 +97,7 @@ def run_campaign(
         if is_driven(known := read_campaign(store)):
             data = known
         else:
-            in_error = _drive(config, folder, store, listener or SilentListener(), attach=attach)
+            in_error = _drive(config, folder, store, listener or SilentListener(), say, attach=attach, cluster=cluster)
         # The simulators come from the caller's configuration, so their code is trusted.
         report = write_all(folder, store, data=data, again=False, say=say, trusted=config.simulators)
         return CampaignOutcome(
@@ -167,20 +171,23 @@ def _record_provenance(store: Store, config: CampaignConfig, folder: Path) -> No
             store.note(key, content)
 
 
-def _drive(config: CampaignConfig, folder: Path, store: Store, listener: Listener, *, attach: bool) -> int:
+def _drive(
+    config: CampaignConfig,
+    folder: Path,
+    store: Store,
+    listener: Listener,
+    say: Callable[[str], None],
+    *,
+    attach: bool,
+    cluster: ClusterOptions,
+) -> int:
     """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
     from ds_orchestrator.graph.process_specs import namespaces_of
-    from ds_orchestrator.graph.session import running_graph, running_workers
 
-    namespaces, logs = namespaces_of(config.siblings, config.twin), folder / "logs"
-    timeout = config.command_timeout
-    graphs = (
-        running_workers(config.workers, namespaces, config.driver, command_timeout=timeout, logs=logs)
-        if config.workers > 1
-        else running_graph(namespaces, config.driver, command_timeout=timeout, logs=logs, attach=attach, draw="seen")
-    )
+    namespaces = namespaces_of(config.siblings, config.twin)
+    engine = running_engine(config, namespaces, logs=folder / "logs", attach=attach, cluster=cluster, say=say)
     try:
-        with graphs as executor:
+        with engine as executor:
             timer = StageTimer(listener, store)
             campaign = Campaign(config, folder, store, executor, timer, namespaces)
             try:

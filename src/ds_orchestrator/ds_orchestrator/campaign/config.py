@@ -17,6 +17,7 @@ from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, feature_
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.registry import SIMULATORS
 
+Engine = Literal["graph", "local", "dask"]
 Record = Literal["none", "telemetry", "compressed", "raw"]
 MOST_WORKERS = 64
 """Chosen: each worker is four processes or more."""
@@ -123,7 +124,10 @@ class CampaignConfig(_Strict):
             each search run.
         operators: merge operators.
         seed: seed from which every other seed is derived.
-        workers: ROS graphs that drive in parallel; results do not depend on it, so a resumed campaign may change it.
+        engine: what drives: `graph`, nodes of ROS; `local`, processes on this machine without ROS; `dask`, the same
+            processes on a cluster. Results do not depend on it.
+        workers: graphs or processes that drive in parallel; results do not depend on it either, so a resumed campaign
+            may change both.
         retries: further attempts after a run that ended in an error.
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         record: content of a run's bag, `telemetry`, `compressed` or `raw`; `none` records no bag.
@@ -139,6 +143,7 @@ class CampaignConfig(_Strict):
     migration: Literal["all", "elites"] = "all"
     operators: OperatorsConfig = OperatorsConfig()
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    engine: Engine = "graph"
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] = 1
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     command_timeout: Annotated[float, Field(gt=0, le=3600)] = 10.0
@@ -217,7 +222,7 @@ class CampaignConfig(_Strict):
 
     def identity(self) -> str:
         """JSON text of every key that affects results; a campaign resumes only with an equal one."""
-        return self.model_dump_json(exclude={"workers"})
+        return self.model_dump_json(exclude={"engine", "workers"})
 
 
 def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Protocol
@@ -36,6 +37,11 @@ three may be coincidence."""
 
 class Executor(Protocol):
     """Drives roads on simulators, in this process or in others."""
+
+    @property
+    def capacity(self) -> int | None:
+        """Drives at a time, on whatever simulators; None where each simulator takes `config.workers` at a time."""
+        ...
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         """Drive to an outcome; errors are outcomes too. Called from one thread per simulator and worker."""
@@ -80,8 +86,8 @@ class Listener(Protocol):
 class Campaign:
     """Runs a campaign's stages; safe to stop at any moment.
 
-    Search runs on one sibling are independent of each other, and so are the executions of the later stages. Up to
-    `config.workers` of them run in parallel on every simulator; results do not depend on their number.
+    Search runs on one sibling are independent of each other, and so are the executions of the later stages. As many of
+    them run in parallel as the executor has capacity for; results do not depend on their number.
 
     Args:
         config: configuration of the campaign.
@@ -161,16 +167,17 @@ class Campaign:
         return [test for test in tests if test.test_id in elites]
 
     def _in_parallel(self, work: Mapping[str, Sequence[Callable[[], object]]]) -> None:
-        """Run work on one thread per simulator and worker; the first error stops all threads, even during a run."""
-        queues: list[SimpleQueue[Callable[[], object]]] = []
-        for units in work.values():
-            queues.append(SimpleQueue())
-            for unit in units:
-                queues[-1].put(unit)
-        workers = self._config.workers
-        with ThreadPoolExecutor(len(queues) * workers) as pool:
+        """Run work on one thread per drive at a time; the first error stops all threads, even during a run."""
+        capacity = self._executor.capacity
+        if capacity is None:
+            queues, threads_each = [_queue(units) for units in work.values()], self._config.workers
+        else:
+            # In turns, so that all simulators are busy until the end.
+            mixed = [unit for turn in zip_longest(*work.values()) for unit in turn if unit is not None]
+            queues, threads_each = [_queue(mixed)], max(1, min(capacity, len(mixed)))
+        with ThreadPoolExecutor(len(queues) * threads_each) as pool:
             try:
-                futures = [pool.submit(self._work_off, queue) for queue in queues for _ in range(workers)]
+                futures = [pool.submit(self._work_off, queue) for queue in queues for _ in range(threads_each)]
                 for future in as_completed(futures):
                     future.result()
             except BaseException:
@@ -276,6 +283,13 @@ class Campaign:
         execution = execution_of(test.test_id, simulator, run, bag)
         self._store.add_execution(execution)
         return execution
+
+
+def _queue(units: Sequence[Callable[[], object]]) -> SimpleQueue[Callable[[], object]]:
+    queue: SimpleQueue[Callable[[], object]] = SimpleQueue()
+    for unit in units:
+        queue.put(unit)
+    return queue
 
 
 def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") -> Execution:

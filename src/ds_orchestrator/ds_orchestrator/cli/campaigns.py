@@ -8,7 +8,7 @@ import time
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.console import Console
@@ -19,12 +19,39 @@ from ds_orchestrator.cli.output import Interrupted, Result, answer, duration, en
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig
+    from ds_orchestrator.engines.cluster import ClusterOptions
     from ds_orchestrator.store.store import Store
 
 Workers = Annotated[
     int | None,
     typer.Option(
-        min=1, help="Graphs that drive at the same time, instead of the configuration's; results do not depend on it."
+        min=1,
+        help="Graphs or processes that drive at the same time, instead of the configuration's; results do not depend "
+        "on it.",
+    ),
+]
+EngineName = Annotated[
+    str | None,
+    typer.Option(
+        "--engine",
+        help="What drives, instead of the configuration's: graph (nodes of ROS), local (processes without ROS) or dask "
+        "(processes on a cluster); results do not depend on it.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(help="With --engine dask: the scheduler, tls://HOST:PORT; a cluster on this machine if left out."),
+]
+Listen = Annotated[
+    str, typer.Option(help="With --engine dask and no --scheduler: address on which further workers may join.")
+]
+TlsCa = Annotated[Path | None, typer.Option(help="Certificate of the cluster's authority, PEM.")]
+TlsCert = Annotated[Path | None, typer.Option(help="Own certificate, PEM.")]
+TlsKey = Annotated[Path | None, typer.Option(help="Key of the own certificate, PEM.")]
+Unencrypted = Annotated[
+    bool,
+    typer.Option(
+        "--unencrypted", help="Accept a cluster on a network without TLS, where anybody may run code on its machines."
     ),
 ]
 
@@ -33,7 +60,9 @@ campaign_app = typer.Typer(help="Run, resume and inspect campaigns.", no_args_is
 app.add_typer(campaign_app, name="campaign")
 
 
-def campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Result:
+def campaign(
+    config: CampaignConfig, out: Path, *, attach: bool = False, cluster: ClusterOptions | None = None
+) -> Result:
     """Run a campaign to its report, or resume it.
 
     Raises:
@@ -49,7 +78,7 @@ def campaign(config: CampaignConfig, out: Path, *, attach: bool = False) -> Resu
     listener = ScreenListener()
     try:
         with listener:
-            outcome = run_campaign(config, out, listener, attach=attach, say=say)
+            outcome = run_campaign(config, out, listener, attach=attach, cluster=cluster, say=say)
     except (KeyboardInterrupt, Stopped):
         known = (out / "campaign.sqlite").is_file()
         raise Interrupted(_kept(out, listener.done) if known else "") from None
@@ -143,13 +172,36 @@ def _status(folder: Path, store: Store) -> Result:
     return Result(document=document, show=show)
 
 
-def _with(config: CampaignConfig, workers: int | None) -> CampaignConfig:
-    """The configuration with another number of workers."""
-    from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError
+def _with(config: CampaignConfig, workers: int | None, engine: str | None) -> CampaignConfig:
+    """The configuration with another number of workers, or another engine."""
+    from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError, Engine
 
     if workers is not None and workers > MOST_WORKERS:
         raise ConfigError(f"--workers {workers}: expected 1 to {MOST_WORKERS}")
-    return config if workers is None else config.model_copy(update={"workers": workers})
+    if engine is not None and engine not in get_args(Engine):
+        raise ConfigError(f"--engine {engine}: expected one of {', '.join(get_args(Engine))}")
+    changed = {"workers": workers, "engine": engine}
+    return config.model_copy(update={key: value for key, value in changed.items() if value is not None})
+
+
+def _cluster(
+    scheduler: str | None,
+    listen: str,
+    tls_ca: Path | None,
+    tls_cert: Path | None,
+    tls_key: Path | None,
+    unencrypted: bool,
+) -> ClusterOptions:
+    from ds_orchestrator.engines.cluster import ClusterOptions
+
+    return ClusterOptions(
+        scheduler=scheduler,
+        listen=listen,
+        tls_ca=tls_ca,
+        tls_cert=tls_cert,
+        tls_key=tls_key,
+        unencrypted=unencrypted,
+    )
 
 
 def shipped_config(name: str) -> CampaignConfig:
@@ -169,13 +221,17 @@ def shipped_config(name: str) -> CampaignConfig:
 
 @app.command("demo")
 def demo_command(
-    out: OutFolder = Path("demo"), workers: Workers = None, attach: AttachFlag = False, as_json: JsonFlag = False
+    out: OutFolder = Path("demo"),
+    workers: Workers = None,
+    engine: EngineName = None,
+    attach: AttachFlag = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Run a small campaign with the shipped network, from search to report.
 
     The last line is the path of the HTML report.
     """
-    end(campaign(_with(shipped_config("demo"), workers), out, attach=attach), as_json)
+    end(campaign(_with(shipped_config("demo"), workers, engine), out, attach=attach), as_json)
 
 
 @campaign_app.command("run")
@@ -183,25 +239,43 @@ def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
     out: OutFolder,
     workers: Workers = None,
+    engine: EngineName = None,
+    scheduler: Scheduler = None,
+    listen: Listen = "127.0.0.1",
+    tls_ca: TlsCa = None,
+    tls_cert: TlsCert = None,
+    tls_key: TlsKey = None,
+    unencrypted: Unencrypted = False,
     attach: AttachFlag = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Run a campaign; resume it if the folder holds one with the same configuration."""
     from ds_orchestrator.campaign.config import read_config
 
-    end(campaign(_with(read_config(config, hint=say), workers), out, attach=attach), as_json)
+    cluster = _cluster(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
+    changed = _with(read_config(config, hint=say), workers, engine)
+    end(campaign(changed, out, attach=attach, cluster=cluster), as_json)
 
 
 @campaign_app.command("resume")
 def campaign_resume_command(
     folder: Folder,
     workers: Workers = None,
+    engine: EngineName = None,
+    scheduler: Scheduler = None,
+    listen: Listen = "127.0.0.1",
+    tls_ca: TlsCa = None,
+    tls_cert: TlsCert = None,
+    tls_key: TlsKey = None,
+    unencrypted: Unencrypted = False,
     attach: AttachFlag = False,
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Resume a campaign that was stopped."""
-    end(campaign(_with(stored_config(folder, trust), workers), folder, attach=attach), as_json)
+    """Resume a campaign that was stopped; with any engine."""
+    cluster = _cluster(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
+    changed = _with(stored_config(folder, trust), workers, engine)
+    end(campaign(changed, folder, attach=attach, cluster=cluster), as_json)
 
 
 @campaign_app.command("status")

@@ -97,6 +97,11 @@ class GraphExecutor:
         self._spinner.start()
 
     @property
+    def capacity(self) -> int | None:
+        """None: each simulator takes one drive at a time."""
+        return None
+
+    @property
     def context(self) -> Context:
         """ROS context in the graph's domain, for further nodes of this process."""
         return self._context

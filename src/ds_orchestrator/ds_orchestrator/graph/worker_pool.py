@@ -28,6 +28,11 @@ class WorkerPool:
             for worker in self._workers:
                 free.put(worker)
 
+    @property
+    def capacity(self) -> int | None:
+        """None: each simulator takes as many drives as there are workers."""
+        return None
+
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         """Drive a road as soon as a worker is free."""
         worker = self._free[simulator].get()

@@ -1,0 +1,73 @@
+"""Process that drives roads for `ds_driver.closed_loop.worker_process.WorkerProcess`, without ROS.
+
+Requests and answers are frames of a `multiprocessing.connection.Connection`: a request is one JSON object (key,
+simulator, road, seed); an answer is the key, eight bytes little-endian, and the run of `ds_sim.run_codec`. The first
+answer says whether the driver was loaded. Nothing is pickled.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from multiprocessing.connection import Connection
+from typing import Any
+
+from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, InterleavedDrives, Phase
+from ds_driver.closed_loop.phase_memory import PhaseMemory
+from ds_road.files import road_from_json, road_to_json
+from ds_sim.run_codec import encode_run
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
+
+KEY_BYTES = 8
+
+
+def request_of(key: int, simulator: str, road: Any, seed: int) -> bytes:
+    """Encode a request to drive; `road` is a `ds_road.Road`."""
+    return json.dumps({"key": key, "simulator": simulator, "road": road_to_json(road), "seed": seed}).encode()
+
+
+def serve(connection: Connection, memory: PhaseMemory, driver: str) -> None:
+    """Drive whatever is requested until the other side closes the connection."""
+    try:
+        drives = InterleavedDrives(driver, memory.note)
+    except ValueError as error:
+        connection.send_bytes(json.dumps({"error": " ".join(str(error).split())}).encode())
+        return
+    connection.send_bytes(json.dumps({"largest_batch": drives.largest_batch}).encode())
+    while True:
+        if not len(drives):
+            memory.note(Phase.IDLE, ALL_DRIVES)
+        while not len(drives) or connection.poll():
+            try:
+                request = json.loads(connection.recv_bytes())
+            except EOFError:
+                return
+            _begin(connection, drives, request)
+        for key, run in drives.step():
+            _answer(connection, key, run)
+
+
+def _begin(connection: Connection, drives: InterleavedDrives, request: dict[str, Any]) -> None:
+    key, road, seed = request["key"], road_from_json(request["road"]), request["seed"]
+    try:
+        drives.begin(key, request["simulator"], road, seed)
+    except Exception as error:  # a simulator of a user may raise anything: an error, never a failure of the driver
+        message = f"{type(error).__name__}: {error}".splitlines()[0]
+        _answer(connection, key, RunRecord(road=road, seed=seed, outcome=Outcome.SIM_ERROR, message=message))
+
+
+def _answer(connection: Connection, key: int, run: RunRecord) -> None:
+    connection.send_bytes(key.to_bytes(KEY_BYTES, "little") + encode_run(run))
+
+
+def main() -> None:
+    """Serve the connection and the memory whose descriptors are the first two arguments; the third is the driver."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which stops its workers
+    connection, memory, driver = sys.argv[1:]
+    serve(Connection(int(connection)), PhaseMemory(int(memory)), driver)
+
+
+if __name__ == "__main__":
+    main()

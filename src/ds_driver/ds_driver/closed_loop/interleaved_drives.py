@@ -1,0 +1,132 @@
+"""Drives several roads at once on one thread: each step asks the network once, with one image of every drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from ds_driver.closed_loop.simulation import AUTOPILOT, Driver, make_driver
+from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.pilot import DriverError, Frame
+from ds_driver.networks.preprocessing import Crop
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator
+
+
+class Phase(IntEnum):
+    """What a process of drives is doing; the values cross a process boundary."""
+
+    IDLE = 0
+    LOADING = 1
+    SIMULATING = 2
+    DRIVING = 3
+
+
+NotePhase = Callable[[Phase, int], None]
+"""Called with what begins, and with the key of the drive that it is for; -1 for all drives."""
+ALL_DRIVES = -1
+
+
+class InterleavedDrives:
+    """Advances its drives in step, and removes each when it ends.
+
+    A run depends on road, seed and commands alone, and a network that takes batches answers an image with the same
+    bits in any batch (`NetworkDriver.largest_batch`), so records do not depend on which drives are interleaved.
+
+    Args:
+        driver: `autopilot`, or any name accepted by `NetworkDriver`.
+        note: called when the phase changes, for a supervisor that notices a hang.
+
+    Attributes:
+        largest_batch: number of drives that the driver answers at once.
+
+    Raises:
+        ValueError: the driver cannot be loaded.
+    """
+
+    def __init__(self, driver: str, note: NotePhase = lambda _phase, _key: None) -> None:
+        self._note = note
+        self._network = None if driver == AUTOPILOT else NetworkDriver(driver)
+        self.largest_batch = 1 if self._network is None else self._network.largest_batch
+        self._idle: dict[str, list[Simulator]] = {}
+        self._active: dict[int, _Drive] = {}
+
+    def __len__(self) -> int:
+        return len(self._active)
+
+    def begin(self, key: int, simulator: str, road: Road, seed: int) -> None:
+        """Begin a drive; `step` yields its record when it has ended, also where the simulator cannot load the road.
+
+        Args:
+            key: identifies the drive.
+            simulator: name known to `ds_sim.registry`.
+            road: road to drive.
+            seed: seed of the run.
+        """
+        self._note(Phase.LOADING, key)
+        idle = self._idle.get(simulator)
+        made = idle.pop() if idle else make_simulator(simulator)
+        crop = Crop(made.spec.crop_top, made.spec.crop_bottom)
+        if isinstance(made, DrawsRows) and (self._network is None or self._network.sees_crop_only):
+            rows = (0, 0) if self._network is None else (crop.top, made.spec.camera.height_px - crop.bottom)
+            made.draw_rows(*rows)
+        session = Session(made)
+        autopilot = make_driver(AUTOPILOT, made.spec) if self._network is None else None
+        self._active[key] = _Drive(simulator, session, crop, autopilot, session.start(road, seed))
+
+    def step(self) -> list[tuple[int, RunRecord]]:
+        """Advance every drive by one frame.
+
+        Returns:
+            Keys and records of the drives that have ended.
+        """
+        waiting = {key: drive for key, drive in self._active.items() if drive.session.driving}
+        if waiting:
+            self._note(Phase.DRIVING, ALL_DRIVES)
+        commands = self._commands(list(waiting.values()))
+        for (key, drive), command in zip(waiting.items(), commands, strict=True):
+            if isinstance(command, DriverError):
+                # As in the ROS graph, a driver without an answer counts as silent.
+                drive.session.end(Outcome.DRIVER_SILENT, str(command))
+                continue
+            self._note(Phase.SIMULATING, key)
+            drive.seen = drive.session.advance(command)
+        ended = [(key, drive) for key, drive in self._active.items() if not drive.session.driving]
+        return [(key, self._record_of(key, drive)) for key, drive in ended]
+
+    def _commands(self, drives: list[_Drive]) -> list[Command | DriverError]:
+        answers: list[Command | DriverError] = []
+        if self._network is None:
+            for drive in drives:
+                assert drive.autopilot is not None and drive.seen is not None
+                answers.append(drive.autopilot(drive.seen))
+            return answers
+        for first in range(0, len(drives), self.largest_batch):
+            frames = [drive.frame() for drive in drives[first : first + self.largest_batch]]
+            answers += self._network.commands(frames)
+        return answers
+
+    def _record_of(self, key: int, drive: _Drive) -> RunRecord:
+        del self._active[key]
+        self._idle.setdefault(drive.simulator, []).append(drive.session.simulator)
+        assert drive.session.run is not None
+        return drive.session.run
+
+
+@dataclass
+class _Drive:
+    """One drive in progress."""
+
+    simulator: str
+    session: Session
+    crop: Crop
+    autopilot: Driver | None
+    seen: Observation | None
+
+    def frame(self) -> Frame:
+        assert self.seen is not None
+        seen = self.seen
+        return Frame(image=seen.image, speed=seen.vehicle.speed, crop=self.crop, step=seen.step)

@@ -1,0 +1,263 @@
+"""Supervises one process that drives roads: hands out drives, notices its death or a hang, and starts it again."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from concurrent.futures import Future
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from ds_driver.child_process import ChildProcesses, last_line_of, python_environment
+from ds_driver.closed_loop.drive_worker import KEY_BYTES, request_of
+from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, Phase
+from ds_driver.closed_loop.phase_memory import PhaseMemory
+from ds_road import Road
+from ds_sim.run_codec import RunCodecError, decode_run
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
+
+START_TIME = 90.0
+"""Limit for loading the driver, s; as for the start of a ROS graph."""
+LOAD_TIME = 90.0
+"""Limit for making a simulator and loading a road, s; chosen: importing a simulator on a busy machine takes 10 s."""
+FRAME_TIME = 30.0
+"""Limit for one frame of a simulator, s; chosen: a thousand times the slowest one that is shipped."""
+DEATHS = 3
+"""Deaths of the process that one drive survives; chosen: further ones are taken to be the drive's own fault."""
+STARTS = 3
+"""Consecutive starts that may fail; chosen: one may be chance."""
+_POLL = 0.2
+"""Seconds between two looks at a process that is silent."""
+
+
+class WorkerError(RuntimeError):
+    """A worker process that cannot be started."""
+
+
+class _Lost(Exception):
+    """The process ended while it drove; the argument says how."""
+
+
+class WorkerProcess:
+    """Drives in a process of its own; may be used from several threads, each of which waits for its drive.
+
+    Args:
+        driver: as in `ds_driver.closed_loop.simulation.Drive`.
+        command_timeout: wall-clock time for one answer of the driver, s.
+        log: file for what the process prints.
+    """
+
+    def __init__(self, driver: str, *, command_timeout: float, log: Path) -> None:
+        self._driver = driver
+        self._limits = {
+            Phase.LOADING: LOAD_TIME,
+            Phase.SIMULATING: FRAME_TIME,
+            Phase.DRIVING: command_timeout,
+        }
+        self._log = log
+        self._lock = threading.Lock()
+        self._children = ChildProcesses()
+        self._process: _Process | None = None
+        self._stopped = False
+        self._next = 0
+
+    def start(self) -> int:
+        """Start the process unless it runs.
+
+        Returns:
+            Number of drives that it answers at once.
+
+        Raises:
+            WorkerError: it does not start, or cannot load the driver.
+        """
+        with self._lock:
+            return self._running().largest_batch
+
+    def drive(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        """Drive a road; errors, `stop` and a process that dies are outcomes too.
+
+        Raises:
+            WorkerError: the process cannot be started.
+        """
+        deaths = 0
+        while True:
+            with self._lock:
+                if self._stopped:
+                    return _error(road, seed, Outcome.CANCELLED, "stopped")
+                process = self._running()
+                self._next += 1
+                answer = process.request(self._next, simulator, road, seed)
+            try:
+                return answer.result()
+            except _Lost as lost:
+                deaths += 1
+                if self._stopped:
+                    return _error(road, seed, Outcome.CANCELLED, "stopped")
+                if deaths >= DEATHS:
+                    return _error(road, seed, Outcome.SIM_ERROR, f"its process ended {deaths} times: {lost}")
+
+    def stop(self) -> None:
+        """End every drive now, as CANCELLED."""
+        self._stopped = True
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+
+    def close(self) -> None:
+        """End the process."""
+        self.stop()
+        with self._lock:
+            if self._process is not None:
+                self._process.join()
+            self._children.close()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id; None before the first start."""
+        return None if self._process is None else self._process.pid
+
+    def _running(self) -> _Process:
+        """The process, started if it does not run; the lock is held."""
+        failed = ""
+        for _ in range(STARTS):
+            if self._process is not None and self._process.alive:
+                return self._process
+            try:
+                self._process = _Process(self._children, self._driver, self._limits, self._log)
+            except _Lost as lost:
+                failed = str(lost)
+        raise WorkerError(f"a worker process did not start {STARTS} times in a row: {failed}")
+
+
+class _Process:
+    """One start of the process, and the drives that it has."""
+
+    def __init__(self, children: ChildProcesses, driver: str, limits: dict[Phase, float], log: Path) -> None:
+        self._log, self._limits = log, limits
+        self._connection, theirs = Pipe()
+        self._memory = PhaseMemory()
+        descriptors = (theirs.fileno(), self._memory.descriptor)
+        self._child = children.start(
+            [sys.executable, "-m", "ds_driver.closed_loop.drive_worker", *map(str, descriptors), driver],
+            environment=python_environment(),
+            log=log,
+            pass_fds=descriptors,
+        )
+        theirs.close()
+        self.largest_batch = self._greeting()
+        self._lock = threading.Lock()
+        self._drives: dict[int, tuple[Road, int, Future[RunRecord]]] = {}
+        self._ended = ""
+        self._reader = threading.Thread(target=self._read, name="drives", daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    @property
+    def alive(self) -> bool:
+        return not self._ended and self._child.poll() is None
+
+    def request(self, key: int, simulator: str, road: Road, seed: int) -> Future[RunRecord]:
+        """Send a drive; its future holds the record, or `_Lost` if the process ends."""
+        answer: Future[RunRecord] = Future()
+        with self._lock:
+            if self._ended:
+                answer.set_exception(_Lost(self._ended))
+                return answer
+            self._drives[key] = (road, seed, answer)
+        try:
+            self._connection.send_bytes(request_of(key, simulator, road, seed))
+        except OSError:
+            pass  # it has ended, which the reader sees too
+        return answer
+
+    def kill(self) -> None:
+        self._child.kill()
+
+    def join(self) -> None:
+        self._child.wait()
+        self._reader.join()
+
+    def _greeting(self) -> int:
+        deadline = time.monotonic() + START_TIME
+        while not self._connection.poll(_POLL):
+            if self._child.poll() is not None and not self._connection.poll():
+                raise self._lost()
+            if time.monotonic() > deadline:
+                self._child.kill()
+                raise WorkerError(f"a worker process did not load its driver within {START_TIME:.0f} s")
+        try:
+            greeting = json.loads(self._connection.recv_bytes())
+        except (EOFError, OSError):
+            raise self._lost() from None
+        if "error" in greeting:
+            raise WorkerError(str(greeting["error"]))
+        return int(greeting["largest_batch"])
+
+    def _lost(self) -> _Lost:
+        self._child.wait()
+        status = self._child.returncode
+        if status < 0:
+            return _Lost(f"killed by signal {-status}")
+        return _Lost(f"exit status {status}, {last_line_of(self._log)}")
+
+    def _read(self) -> None:
+        """Hand out answers until the process ends; end it when a phase takes too long."""
+        known, since = -1, time.monotonic()
+        while True:
+            try:
+                if self._connection.poll(_POLL):
+                    self._receive(self._connection.recv_bytes())
+                    continue
+            except (EOFError, OSError, RunCodecError):
+                self._child.kill()
+                break
+            if self._child.poll() is not None:
+                break
+            changes, key, phase = self._memory.read()
+            now = time.monotonic()
+            if changes != known:
+                known, since = changes, now
+            elif now - since > self._limits.get(phase, now):
+                self._blame(phase, key)
+                self._child.kill()
+                break
+        lost = self._lost()
+        with self._lock:
+            self._ended = str(lost)
+            drives, self._drives = self._drives, {}
+        for _, _, answer in drives.values():
+            answer.set_exception(lost)
+        self._connection.close()
+        self._memory.close()
+
+    def _receive(self, message: bytes) -> None:
+        key = int.from_bytes(message[:KEY_BYTES], "little")
+        road, seed, answer = self._take(key)
+        answer.set_result(decode_run(message[KEY_BYTES:], road, seed))
+
+    def _take(self, key: int) -> tuple[Road, int, Future[RunRecord]]:
+        with self._lock:
+            return self._drives.pop(key)
+
+    def _blame(self, phase: Phase, key: int) -> None:
+        """End the drives at whose frame the process hangs as errors; the others are driven again."""
+        limit = self._limits[phase]
+        if phase is Phase.DRIVING:
+            outcome, message = Outcome.DRIVER_SILENT, f"no command within {limit:g} s"
+        else:
+            what = "load the road" if phase is Phase.LOADING else "advance by one frame"
+            outcome, message = Outcome.SIM_ERROR, f"the simulator took more than {limit:g} s to {what}"
+        for guilty in list(self._drives) if key == ALL_DRIVES else [key]:
+            road, seed, answer = self._take(guilty)
+            answer.set_result(_error(road, seed, outcome, message))
+
+
+def _error(road: Road, seed: int, outcome: Outcome, message: str) -> RunRecord:
+    return RunRecord(road=road, seed=seed, outcome=outcome, message=message)

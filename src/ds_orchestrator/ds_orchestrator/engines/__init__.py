@@ -1,0 +1,1 @@
+"""Engines that drive a campaign's roads without ROS: on this machine, or on a Dask cluster."""

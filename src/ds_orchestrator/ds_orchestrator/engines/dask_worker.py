@@ -1,0 +1,114 @@
+"""What runs on a Dask worker: prepares itself for a campaign, and drives in child processes, without ROS."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from ds_driver.closed_loop.worker_process import WorkerProcess
+from ds_orchestrator.engines.fingerprint import fingerprint
+from ds_orchestrator.engines.parcel import Parcel
+from ds_road.files import road_from_json
+from ds_sim.run_codec import encode_run
+
+_lock = threading.Lock()
+_parcels: dict[str, tuple[Parcel, Path]] = {}
+_idle: list[tuple[str, WorkerProcess]] = []
+
+
+def describe(sha256: str, backend: str) -> dict[str, Any]:
+    """Describe this worker: its fingerprint, and whether it has a parcel."""
+    return {"fingerprint": fingerprint(backend), "has_parcel": sha256 in _parcels}
+
+
+def prepare(parcel: Parcel, command_timeout: float) -> dict[str, Any]:
+    """Unpack a parcel, and start one process with its driver.
+
+    Returns:
+        `largest_batch`, the number of drives that one process takes at a time, or `error`, one line.
+    """
+    from distributed import get_worker
+
+    sha256 = parcel.sha256
+    folder = Path(get_worker().local_directory) / "digital_siblings" / sha256[:16]
+    try:
+        parcel.unpack(folder)
+        _check(parcel, folder)
+        _parcels[sha256] = parcel, folder
+        process = _taken(sha256, command_timeout)
+        batch = process.start()
+    except (ValueError, OSError, RuntimeError) as error:
+        _parcels.pop(sha256, None)
+        return {"error": " ".join(str(error).split())}
+    _give_back(sha256, command_timeout, process)
+    return {"largest_batch": batch}
+
+
+def drive(sha256: str, command_timeout: float, drives: list[dict[str, Any]]) -> list[bytes] | None:
+    """Drive a batch of roads in one process.
+
+    Args:
+        sha256: digest of the parcel.
+        command_timeout: wall-clock time for one answer of the driver, s.
+        drives: simulator (its name where the campaign runs), road (as JSON value) and seed of each.
+
+    Returns:
+        The runs, encoded by `ds_sim.run_codec`, in order; None if this worker does not have the parcel.
+    """
+    if sha256 not in _parcels:
+        return None
+    parcel, folder = _parcels[sha256]
+    process = _taken(sha256, command_timeout)
+
+    def run(one: dict[str, Any]) -> bytes:
+        name = parcel.name_there(one["simulator"], folder)
+        return encode_run(process.drive(name, road_from_json(one["road"]), one["seed"]))
+
+    try:
+        with ThreadPoolExecutor(len(drives)) as pool:
+            return list(pool.map(run, drives))
+    finally:
+        _give_back(sha256, command_timeout, process)
+
+
+def _check(parcel: Parcel, folder: Path) -> None:
+    """Check that the driver here is the driver there, and that every simulator can be made.
+
+    Raises:
+        ValueError: it is not, or one cannot.
+    """
+    from ds_driver.networks.network_driver import driver_sha256
+    from ds_sim.registry import make_simulator
+
+    driver = parcel.name_there(parcel.driver, folder)
+    if parcel.driver_sha256 and driver_sha256(driver) != parcel.driver_sha256:
+        raise ValueError(f"driver {parcel.driver} has other content there")
+    for simulator in parcel.simulators:
+        make_simulator(parcel.name_there(simulator, folder)).close()
+
+
+def _taken(sha256: str, command_timeout: float) -> WorkerProcess:
+    """Take an idle process with this parcel's driver, or make one; idle ones of other campaigns end."""
+    key = _key(sha256, command_timeout)
+    parcel, folder = _parcels[sha256]
+    with _lock:
+        others = [pair for pair in _idle if pair[0] != key]
+        own = [pair for pair in _idle if pair[0] == key]
+        _idle[:] = own[1:]
+    for _, process in others:
+        process.close()
+    if own:
+        return own[0][1]
+    log = folder / "worker.log"
+    return WorkerProcess(parcel.name_there(parcel.driver, folder), command_timeout=command_timeout, log=log)
+
+
+def _give_back(sha256: str, command_timeout: float, process: WorkerProcess) -> None:
+    with _lock:
+        _idle.append((_key(sha256, command_timeout), process))
+
+
+def _key(sha256: str, command_timeout: float) -> str:
+    return f"{sha256} {command_timeout}"

@@ -1,0 +1,80 @@
+"""Compares what the bits of a result depend on, between this machine and one that is to drive for it."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+from ds_sim.software_versions import versions
+
+CODE = ("ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_twin_donkey")
+"""Packages whose code takes part in a drive."""
+LIBRARIES = ("numpy", "opencv-python-headless", "pybullet", "pymunk", "shapely")
+"""Libraries that take part in every drive."""
+BACKENDS = {"onnxruntime": "onnx", "openvino": "openvino", "torch": "torch"}
+"""Library -> the back end that computes with it."""
+_FEATURES = ("sse4", "avx", "fma", "f16c", "amx", "asimd", "sve", "bf16")
+"""Beginnings of the processor features by which libraries choose their kernels, and so their roundings."""
+
+
+def fingerprint(backend: str) -> dict[str, str]:
+    """What two machines must have in common to compute the same bits: name -> value.
+
+    Args:
+        backend: `onnx`, `openvino`, `openvino-bf16`, `torch`, or "" for a driver without a network.
+    """
+    known = versions()
+    libraries = [*LIBRARIES, *(name for name, of in BACKENDS.items() if backend.startswith(of))]
+    return {
+        "code of Digital Siblings": _code_sha256()[:12],
+        "python": ".".join(known["python"].split(".")[:2]),
+        **{name: known[name] for name in libraries},
+        "machine": known["machine"],
+        "processor features": _processor_features(),
+    }
+
+
+def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
+    """Describe in one line what differs; "" if nothing does."""
+    found = []
+    for name in here:
+        mine, other = here[name], there.get(name, "unknown")
+        if mine == other:
+            continue
+        if " " in mine:  # sets of words: name only what one side lacks
+            ours, theirs = set(mine.split()), set(other.split())
+            missing = [f"without {' '.join(sorted(ours - theirs))}"] if ours - theirs else []
+            extra = [f"with {' '.join(sorted(theirs - ours))}"] if theirs - ours else []
+            found.append(f"{name} {' and '.join(missing + extra)}")
+        else:
+            found.append(f"{name} {other} there, {mine} here")
+    return "; ".join(found)
+
+
+def _code_sha256() -> str:
+    digest = hashlib.sha256()
+    for package in CODE:
+        spec = find_spec(package)
+        if spec is None or spec.origin is None:
+            digest.update(f"{package} is missing".encode())
+            continue
+        folder = Path(spec.origin).parent
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(f"{package}/{path.relative_to(folder)}\n".encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _processor_features(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
+    try:
+        lines = cpuinfo.read_text("utf-8", "replace").splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name.strip() in ("flags", "Features"):
+            return " ".join(sorted(flag for flag in value.split() if flag.startswith(_FEATURES)))
+    return platform.processor() or "unknown"

@@ -1,0 +1,83 @@
+"""Engine `local`: worker processes on this machine, each with several simulators and one network."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from ds_driver.closed_loop.worker_process import WorkerProcess
+from ds_orchestrator.engines.slots import Slots
+from ds_road import Road
+from ds_sim.session import RunRecord
+
+DRIVES_PER_WORKER = 4
+"""Drives of one process at a time; chosen by measurement (docs/speed.md): more gain little, and wait for each other."""
+
+
+class LocalExecutor:
+    """Gives each drive to the process that drives least; satisfies `ds_orchestrator.campaign.runner.Executor`.
+
+    Args:
+        workers: started processes.
+        drives_each: drives of one process at a time.
+    """
+
+    def __init__(self, workers: list[WorkerProcess], drives_each: int) -> None:
+        self._slots = Slots(dict.fromkeys(workers, drives_each))
+        self._workers = workers
+        self.capacity: int | None = len(workers) * drives_each
+
+    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        """Drive a road as soon as a process has room.
+
+        Raises:
+            ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
+        """
+        with self._slots.taken() as worker:
+            return worker.drive(simulator, road, seed)
+
+    def stop(self) -> None:
+        """End every drive now, as CANCELLED."""
+        for worker in self._workers:
+            worker.stop()
+
+
+@contextmanager
+def running_local(driver: str, *, workers: int, command_timeout: float, logs: Path) -> Iterator[LocalExecutor]:
+    """Start the processes, yield an executor, and end them.
+
+    Args:
+        driver: as in `ds_driver.closed_loop.simulation.Drive`.
+        workers: number of processes.
+        command_timeout: wall-clock time for one answer of the driver, s.
+        logs: folder for one log per process, created if missing.
+
+    Raises:
+        ds_driver.closed_loop.worker_process.WorkerError: a process does not start, or cannot load the driver.
+    """
+    logs.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        pool = []
+        for number in range(1, workers + 1):
+            log = logs / f"worker_{number}.log"
+            pool.append(WorkerProcess(driver, command_timeout=command_timeout, log=log))
+            stack.callback(pool[-1].close)
+        batches: list[int] = []
+        failures: list[Exception] = []
+
+        def start(worker: WorkerProcess) -> None:
+            try:
+                batches.append(worker.start())
+            except Exception as error:
+                failures.append(error)
+
+        starters = [threading.Thread(target=start, args=(worker,), daemon=True) for worker in pool]
+        for starter in starters:
+            starter.start()
+        for starter in starters:
+            starter.join()
+        if failures:
+            raise failures[0]
+        yield LocalExecutor(pool, min(DRIVES_PER_WORKER, *batches))

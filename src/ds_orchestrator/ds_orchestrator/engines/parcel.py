@@ -1,0 +1,116 @@
+"""Packs what a worker elsewhere needs to load a driver and simulators: their files, or digests of what it must have."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ds_driver.closed_loop.simulation import AUTOPILOT
+
+
+class ParcelError(ValueError):
+    """A driver or a simulator that cannot be sent to another machine."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parcel:
+    """Files of one campaign, for workers without its folders.
+
+    Attributes:
+        driver: the driver's name where the campaign runs.
+        driver_sha256: digest of its files; "" for the autopilot.
+        backend: back end that runs its network; "" for the autopilot.
+        simulators: names of the simulators where the campaign runs.
+        files: path relative to the worker's folder -> content.
+        renamed: name here -> name there, in which `{folder}` stands for the worker's folder.
+    """
+
+    driver: str
+    driver_sha256: str
+    backend: str
+    simulators: tuple[str, ...]
+    files: dict[str, bytes] = field(default_factory=dict)
+    renamed: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the files and names."""
+        digest = hashlib.sha256(repr((self.driver, self.driver_sha256, self.simulators, self.renamed)).encode())
+        for name, content in sorted(self.files.items()):
+            digest.update(f"{name}\n{len(content)}\n".encode() + content)
+        return digest.hexdigest()
+
+    def unpack(self, folder: Path) -> None:
+        """Write the files into a folder."""
+        for name, content in self.files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+
+    def name_there(self, name: str, folder: Path) -> str:
+        """Translate a driver's or simulator's name to its name on a worker."""
+        return self.renamed.get(name, name).replace("{folder}", str(folder))
+
+
+def parcel_of(driver: str, simulators: Sequence[str]) -> Parcel:
+    """Pack a driver and simulators.
+
+    Raises:
+        ParcelError: a description refers to a file outside of its folder.
+        ValueError: the driver cannot be used.
+        OSError: a file cannot be read.
+    """
+    files: dict[str, bytes] = {}
+    renamed: dict[str, str] = {}
+    for number, simulator in enumerate(simulators):
+        base, at, file = simulator.partition("@")
+        if at:
+            place = f"simulators/{number}/{Path(file).name}"
+            files[place] = Path(file).read_bytes()
+            renamed[simulator] = f"{base}@{{folder}}/{place}"
+    sha256 = backend = ""
+    if driver != AUTOPILOT:
+        from ds_driver.networks.network_driver import driver_sha256
+
+        sha256 = driver_sha256(driver)
+        backend = _pack_driver(driver, files, renamed)
+    return Parcel(
+        driver=driver,
+        driver_sha256=sha256,
+        backend=backend,
+        simulators=tuple(simulators),
+        files=files,
+        renamed=renamed,
+    )
+
+
+def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) -> str:
+    """Add a driver's files; return its back end."""
+    from ds_driver.networks.backends import split_backend
+    from ds_driver.networks.described_network import file_of, read_description
+    from ds_driver.networks.network_driver import BUILT_IN_BACKEND, DESCRIPTIONS
+
+    name, backend, device = split_backend(driver)
+    path = Path(name)
+    suffix = path.suffix.lower()
+    ending = driver[len(name) :]
+    if suffix in DESCRIPTIONS:
+        network = file_of(path, read_description(path))
+        try:
+            inside = network.resolve().relative_to(path.resolve().parent)
+        except ValueError:
+            raise ParcelError(
+                f"{path.name} names the network {network}, outside of its folder: put both into one folder, so that "
+                "they can be sent to other machines"
+            ) from None
+        files |= {f"driver/{path.name}": path.read_bytes(), f"driver/{inside}": network.read_bytes()}
+    elif suffix == ".safetensors":
+        files[f"driver/{path.name}"] = path.read_bytes()
+    else:  # shipped, or a class: the worker has it, and its digest is compared
+        return "" if ":" in name else BUILT_IN_BACKEND if backend == "auto" else backend
+    renamed[driver] = f"{{folder}}/driver/{path.name}{ending}"
+    if backend == "auto":
+        return BUILT_IN_BACKEND if suffix == ".safetensors" else "torch onnx openvino"
+    return backend

@@ -1,0 +1,71 @@
+"""Starts the engine that a campaign's configuration names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
+from ds_orchestrator.campaign.runner import Executor
+from ds_orchestrator.engines.cluster import ClusterOptions
+
+
+def check_engine(config: CampaignConfig, cluster: ClusterOptions, *, attach: bool) -> None:
+    """Check that the engine can do what is asked of it, before anything starts.
+
+    Raises:
+        ConfigError: an option does not go with the engine.
+        ds_orchestrator.engines.cluster.ClusterError: the cluster's options do not go together.
+    """
+    if attach and config.engine != "graph":
+        raise ConfigError(f"engine: {config.engine} starts no nodes: leave out --attach, or set it to graph")
+    if attach and config.workers > 1:
+        raise ConfigError(f"workers: {config.workers} cannot be used with --attach: set it to 1, or leave out --attach")
+    if config.engine != "dask" and cluster != ClusterOptions():
+        raise ConfigError(f"engine: {config.engine} uses no cluster: set it to dask (--engine dask)")
+    if config.engine == "dask":
+        cluster.check()
+
+
+def running_engine(
+    config: CampaignConfig,
+    namespaces: dict[str, str],
+    *,
+    logs: Path,
+    attach: bool,
+    cluster: ClusterOptions,
+    say: Callable[[str], None],
+) -> AbstractContextManager[Executor]:
+    """Context manager that starts the engine, yields its executor, and stops it.
+
+    Args:
+        config: configuration of the campaign.
+        namespaces: simulator name -> ROS namespace.
+        logs: folder for the logs of the engine's processes.
+        attach: use running nodes.
+        cluster: cluster of the engine `dask`.
+        say: called with one line about workers that come and go.
+    """
+    driver, timeout = config.driver, config.command_timeout
+    if config.engine == "local":
+        from ds_orchestrator.engines.local import running_local
+
+        return running_local(driver, workers=config.workers, command_timeout=timeout, logs=logs)
+    if config.engine == "dask":
+        from ds_orchestrator.engines.dask_engine import running_dask
+
+        return running_dask(
+            driver,
+            config.simulators,
+            workers=config.workers,
+            command_timeout=timeout,
+            folder=logs / "dask",
+            options=cluster,
+            say=say,
+        )
+    from ds_orchestrator.graph.session import running_graph, running_workers
+
+    if config.workers > 1:
+        return running_workers(config.workers, namespaces, driver, command_timeout=timeout, logs=logs)
+    return running_graph(namespaces, driver, command_timeout=timeout, logs=logs, attach=attach)
