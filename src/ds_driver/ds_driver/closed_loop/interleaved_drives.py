@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 from ds_driver.closed_loop.simulation import AUTOPILOT, Driver, make_driver
-from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator
+
+if TYPE_CHECKING:
+    from ds_driver.networks.network_driver import NetworkDriver
 
 
 class Phase(IntEnum):
@@ -49,7 +52,7 @@ class InterleavedDrives:
 
     def __init__(self, driver: str, note: NotePhase = lambda _phase, _key: None) -> None:
         self._note = note
-        self._network = None if driver == AUTOPILOT else NetworkDriver(driver)
+        self._network = None if driver == AUTOPILOT else _network(driver)
         self.largest_batch = 1 if self._network is None else self._network.largest_batch
         self._idle: dict[str, list[Simulator]] = {}
         self._active: dict[int, _Drive] = {}
@@ -106,7 +109,7 @@ class InterleavedDrives:
             return answers
         for first in range(0, len(drives), self.largest_batch):
             frames = [drive.frame() for drive in drives[first : first + self.largest_batch]]
-            answers += self._network.commands(frames)
+            answers += _answers(self._network, frames)
         return answers
 
     def _record_of(self, key: int, drive: _Drive) -> RunRecord:
@@ -114,6 +117,21 @@ class InterleavedDrives:
         self._idle.setdefault(drive.simulator, []).append(drive.session.simulator)
         assert drive.session.run is not None
         return drive.session.run
+
+
+def _network(driver: str) -> NetworkDriver:
+    """Load a network; the autopilot needs none of its libraries."""
+    from ds_driver.networks.network_driver import NetworkDriver
+
+    return NetworkDriver(driver)
+
+
+def _answers(network: NetworkDriver, frames: Sequence[Frame]) -> list[Command | DriverError]:
+    """Answer frames together; if one has an image that no network takes, each by itself."""
+    try:
+        return network.commands(frames)
+    except ImageError as error:
+        return [DriverError(str(error))] if len(frames) == 1 else [_answers(network, [f])[0] for f in frames]
 
 
 @dataclass

@@ -143,7 +143,7 @@ def own_cluster(workers: int, options: ClusterOptions, folder: Path) -> Iterator
             processes=True,
             host=options.listen,
             protocol="tls://" if options.encrypted else "tcp://",
-            security=options.security() or False,
+            security=options.security(),
             dashboard_address=None,
             worker_dashboard_address=None,
             local_directory=str(folder),

@@ -43,7 +43,8 @@ class Parcel:
         return digest.hexdigest()
 
     def unpack(self, folder: Path) -> None:
-        """Write the files into a folder."""
+        """Write the files into a folder, created if missing."""
+        folder.mkdir(parents=True, exist_ok=True)
         for name, content in self.files.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,107 @@
+"""Simulators of a few milliseconds, so that tests exercise the engine; some misbehave."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ds_driver.networks.pilot import Frame
+from ds_road import Road
+from ds_sim.registry import spec_of
+from ds_sim.simulator import FRAME_TIME, HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
+
+FRAMES = 8
+
+
+class QuickSimulator:
+    """Moves along the lane by 1 m a frame, off its centre by what seed and commands make of it."""
+
+    def __init__(self) -> None:
+        self.spec = dataclasses.replace(spec_of("donkey"), name="quick")
+
+    def load(self, road: Road, *, seed: int) -> Observation:
+        self._road, self._rng, self._step, self._lateral = road, np.random.default_rng(seed), 0, 0.0
+        return self._observe()
+
+    def step(self, command: Command) -> Observation:
+        self._step += 1
+        self._lateral += float(self._rng.normal(0.0, 0.5)) + 0.1 * command.steering
+        return self._observe()
+
+    def close(self) -> None: ...
+
+    def _observe(self) -> Observation:
+        x, y = self._road.right_lane_centre[self._step].tolist()
+        distance = HALF_LANE - abs(self._lateral)
+        outcome = Outcome.RUNNING
+        if distance < 0:
+            outcome = Outcome.OUT_OF_BOUNDS
+        elif self._step == FRAMES:
+            outcome = Outcome.COMPLETED
+        return Observation(
+            image=np.zeros((160, 320, 3), np.uint8),
+            step=self._step,
+            time=self._step * FRAME_TIME,
+            vehicle=VehicleState(x=x, y=y, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
+            lane=LaneState(
+                lateral_position=self._lateral,
+                lateral_distance=distance,
+                preview_lateral_position=self._lateral,
+                arc_length=float(self._step),
+            ),
+            outcome=outcome,
+        )
+
+
+class OtherQuickSimulator(QuickSimulator):
+    """The same under another name, for campaigns of several simulators."""
+
+
+class SlowSimulator(QuickSimulator):
+    """Takes 50 ms for each frame, so that a test can interfere while it drives."""
+
+    def step(self, command: Command) -> Observation:
+        time.sleep(0.05)
+        return super().step(command)
+
+
+class HangingSimulator(QuickSimulator):
+    """Hangs in its third frame."""
+
+    def step(self, command: Command) -> Observation:
+        if self._step == 2:
+            time.sleep(3600)
+        return super().step(command)
+
+
+class CrashingSimulator(QuickSimulator):
+    """Takes its whole process down in its third frame, the first time only if DS_TEST_ONCE names a file."""
+
+    def step(self, command: Command) -> Observation:
+        once = os.environ.get("DS_TEST_ONCE")
+        if self._step == 2 and (once is None or not Path(once).exists()):
+            if once is not None:
+                Path(once).touch()
+            os.kill(os.getpid(), signal.SIGSEGV)
+        return super().step(command)
+
+
+class RaisingSimulator(QuickSimulator):
+    """Cannot be made."""
+
+    def __init__(self) -> None:
+        raise RuntimeError("no licence\nfor this simulator")
+
+
+class HangingDriver:
+    """Hangs at the third frame of a run."""
+
+    def drive(self, frame: Frame) -> float:
+        if frame.step == 2:
+            time.sleep(3600)
+        return 0.0

@@ -1,0 +1,126 @@
+"""Worker processes drive as this process does, whatever dies or hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ds_driver.closed_loop import worker_process
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
+from ds_road import Road, generate
+from ds_sim.registry import make_simulator
+from ds_sim.run_codec import encode_run
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
+
+QUICK = "tests.engines.quick_simulator"
+ROAD = generate(np.random.default_rng(3), max_angle=150)
+SHORT = [Road(ROAD.control_points[:5]), Road(ROAD.control_points[3:8])]
+
+
+class Processes:
+    """Makes worker processes, and closes them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.made: list[WorkerProcess] = []
+
+    def __call__(self, driver: str = "autopilot", timeout: float = 20.0) -> WorkerProcess:
+        log = self._folder / f"worker_{len(self.made)}.log"
+        self.made.append(WorkerProcess(driver, command_timeout=timeout, log=log))
+        return self.made[-1]
+
+
+@pytest.fixture
+def worker(tmp_path: Path) -> Iterator[Processes]:
+    processes = Processes(tmp_path)
+    yield processes
+    for one in processes.made:
+        one.close()
+
+
+def drive_all(process: WorkerProcess, drives: list[tuple[str, Road, int]]) -> list[RunRecord]:
+    with ThreadPoolExecutor(len(drives)) as pool:
+        return list(pool.map(lambda one: process.drive(*one), drives))
+
+
+@pytest.mark.parametrize("driver", ["autopilot", "dave2_short", "dave2_short@openvino"])
+def test_interleaved_drives_are_the_same_bytes_as_single_ones(worker: Processes, driver: str) -> None:
+    drives = [(name, road, 5) for road in SHORT for name in ("bullet", "softbody", "donkey")]
+    runs = drive_all(worker(driver), drives)
+    for (name, road, seed), run in zip(drives, runs, strict=True):
+        simulator = make_simulator(name)
+        alone = drive_road(simulator, make_driver(driver, simulator.spec), road, seed)
+        simulator.close()
+        assert run.outcome.is_verdict and run.steps > 20
+        assert encode_run(run) == encode_run(alone), f"{driver} on {name}"
+
+
+def test_a_killed_process_loses_nothing(worker: Processes) -> None:
+    process = worker()
+    drives = [(f"{QUICK}:SlowSimulator", ROAD, seed) for seed in range(6)]
+    undisturbed = [encode_run(run) for run in drive_all(process, drives)]
+    with ThreadPoolExecutor(len(drives)) as pool:
+        futures = [pool.submit(process.drive, *one) for one in drives]
+        for pause in (0.1, 0.3):
+            time.sleep(pause)
+            pid = process.pid
+            assert pid is not None
+            os.kill(pid, signal.SIGKILL)
+            while process.pid == pid:
+                time.sleep(0.02)
+            process.start()
+        assert [encode_run(future.result()) for future in futures] == undisturbed
+
+
+def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(worker: Processes) -> None:
+    process = worker()
+    crash = process.drive(f"{QUICK}:CrashingSimulator", ROAD, 1)
+    assert crash.outcome is Outcome.SIM_ERROR and "signal 11" in crash.message and "\n" not in crash.message
+    assert process.drive(f"{QUICK}:QuickSimulator", ROAD, 1).outcome.is_verdict
+
+
+def test_a_simulator_that_cannot_be_made_is_an_error_of_one_line(worker: Processes) -> None:
+    run = worker().drive(f"{QUICK}:RaisingSimulator", ROAD, 1)
+    assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "RuntimeError: no licence")
+
+
+def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
+    worker: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_process, "FRAME_TIME", 2.0)
+    slow = [(f"{QUICK}:SlowSimulator", ROAD, seed) for seed in range(3)]
+    runs = drive_all(worker(), [(f"{QUICK}:HangingSimulator", ROAD, 1), *slow])
+    assert runs[0].outcome is Outcome.SIM_ERROR and "more than 2 s" in runs[0].message
+    assert all(run.outcome.is_verdict for run in runs[1:])
+
+
+def test_a_driver_that_hangs_is_silent(worker: Processes) -> None:
+    run = worker(f"{QUICK}:HangingDriver", timeout=2.0).drive(f"{QUICK}:QuickSimulator", ROAD, 1)
+    assert (run.outcome, run.message) == (Outcome.DRIVER_SILENT, "no command within 2 s")
+
+
+def test_a_driver_that_cannot_be_loaded_is_named_in_one_line(worker: Processes) -> None:
+    with pytest.raises(WorkerError, match="unknown driver 'nonsense'"):
+        worker("nonsense").start()
+
+
+def test_stop_ends_every_drive_at_once(worker: Processes) -> None:
+    process = worker()
+    process.start()
+    found: list[RunRecord] = []
+    thread = threading.Thread(target=lambda: found.append(process.drive(f"{QUICK}:HangingSimulator", ROAD, 1)))
+    thread.start()
+    time.sleep(0.5)
+    process.stop()
+    thread.join(5.0)
+    assert not thread.is_alive() and found[0].outcome is Outcome.CANCELLED
