@@ -31,6 +31,8 @@ class Phase(IntEnum):
 NotePhase = Callable[[Phase, int], None]
 """Called with what begins, and with the key of the drive that it is for; -1 for all drives."""
 ALL_DRIVES = -1
+UNSEEN = (0, 1)
+"""Rows drawn for the autopilot, which sees no image: as few as possible."""
 
 
 class InterleavedDrives:
@@ -74,8 +76,8 @@ class InterleavedDrives:
         made = idle.pop() if idle else make_simulator(simulator)
         crop = Crop(made.spec.crop_top, made.spec.crop_bottom)
         if isinstance(made, DrawsRows) and (self._network is None or self._network.sees_crop_only):
-            rows = (0, 0) if self._network is None else (crop.top, made.spec.camera.height_px - crop.bottom)
-            made.draw_rows(*rows)
+            seen = (crop.top, made.spec.camera.height_px - crop.bottom)
+            made.draw_rows(*(UNSEEN if self._network is None else seen))
         session = Session(made)
         autopilot = make_driver(AUTOPILOT, made.spec) if self._network is None else None
         self._active[key] = _Drive(simulator, session, crop, autopilot, session.start(road, seed))

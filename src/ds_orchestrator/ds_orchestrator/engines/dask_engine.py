@@ -151,6 +151,12 @@ class DaskExecutor:
                 self._changed.notify_all()
         return job.answer.result()
 
+    @property
+    def workers(self) -> list[str]:
+        """Addresses of the workers that drive."""
+        with self._changed:
+            return list(self._workers)
+
     def wait_for_worker(self, limit: float = FIRST_WORKER_TIME) -> None:
         """Wait until a worker is ready.
 
@@ -336,11 +342,13 @@ class DaskExecutor:
         """Check that a worker computes the same bits, give it the parcel, and let it drive."""
         try:
             found = self._on(address, dask_worker.describe, self._sha256, self._parcel.backend)
-            different = differences(self._here, found["fingerprint"])
-            if different:
-                self._refuse(address, f"worker {address} is refused: {different}")
+            problem = found.get("error") or differences(self._here, found["fingerprint"])
+            if problem:
+                self._refuse(address, f"worker {address} is refused: {problem}")
                 return
-            ready = self._on(address, dask_worker.prepare, self._parcel, self._timeout)
+            # The files travel once per worker.
+            known = "largest_batch" in found
+            ready = found if known else self._on(address, dask_worker.prepare, self._parcel, self._timeout)
         except Exception as error:
             if self._stopped or address not in self._known:
                 return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,34 @@ from ds_orchestrator.engines.parcel import Parcel
 from ds_road.files import road_from_json
 from ds_sim.run_codec import encode_run
 
+
+@dataclass(frozen=True)
+class _Unpacked:
+    """Parcel on this worker, its folder, and the number of drives that a process with its driver takes at a time."""
+
+    parcel: Parcel
+    folder: Path
+    largest_batch: int = 1
+
+
 _lock = threading.Lock()
-_parcels: dict[str, tuple[Parcel, Path]] = {}
+_parcels: dict[str, _Unpacked] = {}
 _idle: list[tuple[str, WorkerProcess]] = []
 
 
 def describe(sha256: str, backend: str) -> dict[str, Any]:
-    """Describe this worker: its fingerprint, and whether it has a parcel."""
-    return {"fingerprint": fingerprint(backend), "has_parcel": sha256 in _parcels}
+    """Describe this worker.
+
+    Returns:
+        `fingerprint`, and `largest_batch` if it has prepared itself for the parcel; or `error`, one line.
+    """
+    try:
+        found: dict[str, Any] = {"fingerprint": fingerprint(backend)}
+    except Exception as error:  # an exception may not survive the way back
+        return {"error": _one_line(error)}
+    if sha256 in _parcels:
+        found["largest_batch"] = _parcels[sha256].largest_batch
+    return found
 
 
 def prepare(parcel: Parcel, command_timeout: float) -> dict[str, Any]:
@@ -36,12 +57,11 @@ def prepare(parcel: Parcel, command_timeout: float) -> dict[str, Any]:
     try:
         parcel.unpack(folder)
         _check(parcel, folder)
-        _parcels[sha256] = parcel, folder
-        process = _taken(sha256, command_timeout)
+        process = _taken(_Unpacked(parcel, folder), command_timeout)
         batch = process.start()
-    except (ValueError, OSError, RuntimeError) as error:
-        _parcels.pop(sha256, None)
-        return {"error": " ".join(str(error).split())}
+    except Exception as error:
+        return {"error": _one_line(error)}
+    _parcels[sha256] = _Unpacked(parcel, folder, batch)
     _give_back(sha256, command_timeout, process)
     return {"largest_batch": batch}
 
@@ -59,11 +79,11 @@ def drive(sha256: str, command_timeout: float, drives: list[dict[str, Any]]) -> 
     """
     if sha256 not in _parcels:
         return None
-    parcel, folder = _parcels[sha256]
-    process = _taken(sha256, command_timeout)
+    unpacked = _parcels[sha256]
+    process = _taken(unpacked, command_timeout)
 
     def run(one: dict[str, Any]) -> bytes:
-        name = parcel.name_there(one["simulator"], folder)
+        name = unpacked.parcel.name_there(one["simulator"], unpacked.folder)
         return encode_run(process.drive(name, road_from_json(one["road"]), one["seed"]))
 
     try:
@@ -89,10 +109,10 @@ def _check(parcel: Parcel, folder: Path) -> None:
         make_simulator(parcel.name_there(simulator, folder)).close()
 
 
-def _taken(sha256: str, command_timeout: float) -> WorkerProcess:
+def _taken(unpacked: _Unpacked, command_timeout: float) -> WorkerProcess:
     """Take an idle process with this parcel's driver, or make one; idle ones of other campaigns end."""
-    key = _key(sha256, command_timeout)
-    parcel, folder = _parcels[sha256]
+    parcel, folder = unpacked.parcel, unpacked.folder
+    key = _key(parcel.sha256, command_timeout)
     with _lock:
         others = [pair for pair in _idle if pair[0] != key]
         own = [pair for pair in _idle if pair[0] == key]
@@ -112,3 +132,7 @@ def _give_back(sha256: str, command_timeout: float, process: WorkerProcess) -> N
 
 def _key(sha256: str, command_timeout: float) -> str:
     return f"{sha256} {command_timeout}"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,107 @@
+"""Speed of a campaign with each engine, from its first drive to its last.
+
+`python benchmarks/campaign.py [--drives 200] [--case ENGINE:DRIVER ...] [--workers 2]` drives the same small campaign
+once per case, each in a process of its own, and prints frames per second of processor time (of all processes together)
+and of wall-clock time, and the share of the cores that was idle. Every case must give the same trajectories for the
+same back end, or the benchmark fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import closing
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+CASES = (
+    "graph:dave2_short@onnx",
+    "local:dave2_short@onnx",
+    "local:dave2_short@openvino",
+    "local:dave2_short@openvino-bf16",
+    "dask:dave2_short@openvino-bf16",
+)
+
+
+def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> None:
+    """Drive one campaign and print its measures as JSON; runs in a process of its own."""
+    from ds_orchestrator.campaign.config import parse_config
+    from ds_orchestrator.campaign.runner import Campaign
+    from ds_orchestrator.engines.cluster import ClusterOptions
+    from ds_orchestrator.engines.start import running_engine
+    from ds_orchestrator.graph.process_specs import namespaces_of
+    from ds_orchestrator.run import SilentListener
+    from ds_orchestrator.store.store import Store
+
+    tests = max(2, round(drives / 12))  # two runs on each of two siblings, each test on three simulators
+    raw = {
+        "driver": driver,
+        "engine": engine,
+        "workers": workers if engine != "graph" else 1,
+        "search": {"population": tests // 2, "iterations": tests - tests // 2, "runs": 2},
+    }
+    config = parse_config(raw, "benchmark")
+    (folder / "bags").mkdir()
+    spaces = namespaces_of(config.siblings, config.twin)
+    with closing(Store(folder / "campaign.sqlite", config=config.identity())) as store:
+        started = time.perf_counter()
+        cluster = ClusterOptions()
+        with running_engine(config, spaces, logs=folder / "logs", attach=False, cluster=cluster, say=print) as executor:
+            ready = time.perf_counter()
+            Campaign(config, folder, store, executor, SilentListener(), spaces).run()
+            ended = time.perf_counter()
+        executions = store.executions()
+    usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    measures = {
+        "drives": len(executions),
+        "frames": sum(e.steps for e in executions),
+        "start": ready - started,
+        "wall": ended - ready,
+        "processor": sum(u.ru_utime + u.ru_stime for u in usage),
+        "digest": sorted((e.test_id, e.simulator, e.trajectory_sha256) for e in executions),
+    }
+    print("MEASURES" + json.dumps(measures))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--drives", type=int, default=200)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--case", action="append", help="ENGINE:DRIVER; repeatable")
+    parser.add_argument("--inside", nargs=2, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.inside:
+        with tempfile.TemporaryDirectory() as folder:
+            drive(*arguments.inside, arguments.drives, arguments.workers, Path(folder))
+        return
+    cores = len(os.sched_getaffinity(0))
+    table = Table("engine", "driver", "drives", "frames", "frames / CPU s", "frames / s", "CPU s / drive", "idle", "start s")
+    seen: dict[str, object] = {}
+    for case in arguments.case or CASES:
+        engine, _, driver = case.partition(":")
+        command = [sys.executable, __file__, "--inside", engine, driver]
+        command += ["--drives", str(arguments.drives), "--workers", str(arguments.workers)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        found = json.loads(next(x for x in done.stdout.splitlines() if x.startswith("MEASURES"))[8:])
+        if seen.setdefault(driver, found["digest"]) != found["digest"]:
+            sys.exit(f"error: {case} gives other trajectories than another engine with the same driver")
+        idle = 1.0 - found["processor"] / (cores * (found["wall"] + found["start"]))
+        table.add_row(
+            engine, driver, str(found["drives"]), str(found["frames"]),
+            f"{found['frames'] / found['processor']:.0f}", f"{found['frames'] / found['wall']:.0f}",
+            f"{found['processor'] / found['drives']:.2f}", f"{max(idle, 0.0):.0%}", f"{found['start']:.1f}",
+        )  # fmt: skip
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    main()

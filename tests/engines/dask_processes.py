@@ -1,0 +1,76 @@
+"""Starts schedulers and workers of Dask as users do, in processes of their own."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from ds_driver.child_process import python_environment
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+class DaskProcesses:
+    """Scheduler and workers on loopback."""
+
+    def __init__(self, folder: Path, tls: Sequence[str] = ()) -> None:
+        self._folder, self._tls = folder, list(tls)
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self.port = free_port()
+        self.address = f"{'tls' if tls else 'tcp'}://127.0.0.1:{self.port}"
+        self.start_scheduler()
+
+    def start_scheduler(self) -> None:
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
+
+    def worker(self, *arguments: str, threads: int = 1) -> subprocess.Popen[bytes]:
+        """Start a worker, without a nanny, so that killing it ends it."""
+        name = f"worker_{len(self._processes)}"
+        return self._start(
+            "worker", self.address, "--host", "127.0.0.1", "--nthreads", str(threads), "--no-nanny", "--no-dashboard",
+            "--local-directory", str(self._folder / name), *arguments,
+        )  # fmt: skip
+
+    def _start(self, kind: str, *arguments: str) -> subprocess.Popen[bytes]:
+        log = self._folder / f"{kind}_{len(self._processes)}.log"
+        with log.open("wb") as file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", kind, *arguments, *self._tls],
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env=python_environment(),
+            )
+        self._processes.append(process)
+        return process
+
+    def logs(self) -> str:
+        return "\n".join(path.read_text(errors="replace") for path in sorted(self._folder.glob("*.log")))
+
+    def close(self) -> None:
+        for process in reversed(self._processes):
+            process.send_signal(signal.SIGCONT)
+            process.kill()
+            process.wait()
+
+
+def drive_workers() -> set[int]:
+    """Process ids of the processes that drive."""
+    found = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
+    return {int(m[1]) for m in re.finditer(r"^ *(\d+) .*ds_driver\.closed_loop\.drive_worker", found, re.MULTILINE)}
+
+
+def wait_until(done: object, limit: float = 60.0) -> None:
+    deadline = time.monotonic() + limit
+    while not done():  # type: ignore[operator]
+        assert time.monotonic() < deadline, "not in time"
+        time.sleep(0.05)

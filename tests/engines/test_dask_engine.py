@@ -1,0 +1,236 @@
+"""The engine `dask`, with real schedulers and workers: same bytes whoever dies, joins late, or computes otherwise."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.engines.dask_processes import DaskProcesses, drive_workers, wait_until
+
+from ds_driver.closed_loop.worker_process import WorkerProcess
+from ds_orchestrator.engines import dask_engine
+from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions
+from ds_orchestrator.engines.dask_engine import DaskExecutor, running_dask
+from ds_road import generate
+from ds_sim.run_codec import encode_run
+from ds_sim.session import RunRecord
+
+pytest.importorskip("distributed")
+QUICK, SLOW = (f"tests.engines.quick_simulator:{name}" for name in ("QuickSimulator", "SlowSimulator"))
+ROADS = [generate(np.random.default_rng(seed), max_angle=150) for seed in range(3)]
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[DaskProcesses]:
+    processes = DaskProcesses(tmp_path)
+    yield processes
+    processes.close()
+
+
+class Lines(list[str]):
+    """Lines that the engine says."""
+
+    def __contains__(self, part: object) -> bool:
+        return any(str(part) in line for line in self)
+
+
+def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str = SLOW):  # type: ignore[no-untyped-def]
+    return running_dask(
+        "autopilot",
+        [simulator],
+        workers=1,
+        command_timeout=20.0,
+        folder=folder,
+        options=ClusterOptions(scheduler=cluster.address),
+        say=lines.append,
+    )
+
+
+def expected(folder: Path, simulator: str, count: int) -> list[bytes]:
+    """The runs of one worker process of this machine."""
+    process = WorkerProcess("autopilot", command_timeout=20.0, log=folder / "here.log")
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            runs = pool.map(lambda seed: process.drive(simulator, ROADS[seed % 3], seed), range(count))
+            return [encode_run(run) for run in runs]
+    finally:
+        process.close()
+
+
+class Drives:
+    """Drives in the background, at most 16 at a time."""
+
+    def __init__(self, executor: DaskExecutor, simulator: str, count: int) -> None:
+        self._pool = ThreadPoolExecutor(16)
+        self._futures: list[Future[RunRecord]] = [
+            self._pool.submit(executor.execute, simulator, ROADS[seed % 3], seed) for seed in range(count)
+        ]
+
+    @property
+    def done(self) -> int:
+        return sum(future.done() for future in self._futures)
+
+    def encoded(self) -> list[bytes]:
+        runs = [future.result() for future in self._futures]
+        self._pool.shutdown()
+        assert not [run.message for run in runs if run.outcome.is_error]
+        return [encode_run(run) for run in runs]
+
+
+def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, tmp_path: Path) -> None:
+    reference = expected(tmp_path, SLOW, 48)
+    other = tmp_path / "other_version.py"
+    other.write_text(
+        "from ds_orchestrator.engines import fingerprint\n"
+        "from ds_sim.software_versions import versions\n"
+        "fingerprint.versions = lambda: versions() | {'numpy': '1.0.0'}\n"
+    )
+    lines = Lines()
+    first = cluster.worker()
+    with running(cluster, tmp_path, lines) as executor:
+        drives = Drives(executor, SLOW, 48)
+        wait_until(lambda: drives.done > 0)
+        late = cluster.worker()
+        cluster.worker("--preload", str(other))
+        wait_until(lambda: "numpy 1.0.0 there" in lines)
+        wait_until(lambda: len(executor.workers) == 2)
+        first.kill()
+        wait_until(lambda: "is gone: others take over" in lines)
+        assert drives.encoded() == reference
+        assert executor.workers == [w for w in executor.workers if w] and late.poll() is None
+    assert len([line for line in lines if "refused" in line]) == 1
+    wait_until(lambda: not drive_workers_of(cluster), 20.0)
+
+
+def drive_workers_of(cluster: DaskProcesses) -> set[int]:
+    """Processes that drive for this cluster; none may outlive its worker."""
+    cluster.close()
+    return drive_workers()
+
+
+def test_a_scheduler_that_is_restarted_loses_nothing(cluster: DaskProcesses, tmp_path: Path) -> None:
+    lines = Lines()
+    cluster.worker()
+    with running(cluster, tmp_path, lines) as executor:
+        drives = Drives(executor, SLOW, 24)
+        wait_until(lambda: drives.done > 2)
+        cluster.scheduler.kill()
+        wait_until(lambda: "does not answer: waiting" in lines)
+        cluster.start_scheduler()
+        cluster.worker()
+        assert drives.encoded() == expected(tmp_path, SLOW, 24)
+    assert "is back" in lines
+
+
+@pytest.mark.long
+def test_ten_kills_at_seeded_moments_change_no_byte(cluster: DaskProcesses, tmp_path: Path) -> None:
+    lines, rng = Lines(), np.random.default_rng(13)
+    workers = [cluster.worker(), cluster.worker()]
+    with running(cluster, tmp_path, lines) as executor:
+        drives = Drives(executor, SLOW, 400)
+        for _ in range(10):
+            time.sleep(float(rng.uniform(0.5, 4.0)))
+            workers.pop(int(rng.integers(len(workers)))).kill()
+            workers.append(cluster.worker())
+        assert drives.encoded() == expected(tmp_path, SLOW, 400)
+
+
+@pytest.mark.long
+def test_a_worker_that_hangs_is_given_up(
+    cluster: DaskProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dask_engine, "SILENCE", 5.0)
+    lines = Lines()
+    first = cluster.worker()
+    with running(cluster, tmp_path, lines) as executor:
+        drives = Drives(executor, SLOW, 24)
+        wait_until(lambda: drives.done > 0)
+        first.send_signal(signal.SIGSTOP)
+        cluster.worker()
+        assert drives.encoded() == expected(tmp_path, SLOW, 24)
+    assert "has been silent for 5 s" in lines
+
+
+def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses, tmp_path: Path) -> None:
+    hidden = tmp_path / "hide.py"
+    hidden.write_text("import sys\nsys.modules['ds_driver.closed_loop.worker_process'] = None\n")
+    lines = Lines()
+    cluster.worker("--preload", str(hidden))
+    with pytest.raises(ClusterError, match="cannot prepare itself.*is Digital Siblings installed"):
+        with running(cluster, tmp_path, lines):
+            pass
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_an_own_cluster_of_any_size_gives_the_same_bytes(tmp_path: Path, count: int) -> None:
+    with running_dask(
+        "autopilot", [QUICK], workers=count, command_timeout=20.0, folder=tmp_path / "own", options=ClusterOptions(),
+        say=print,
+    ) as executor:  # fmt: skip
+        assert Drives(executor, QUICK, 60).encoded() == expected(tmp_path, QUICK, 60)
+
+
+def certificate(folder: Path, name: str) -> tuple[Path, Path]:
+    cert, key = folder / f"{name}.pem", folder / f"{name}.key"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", f"/CN={name}",
+         "-keyout", str(key), "-out", str(cert)],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    return cert, key
+
+
+@pytest.mark.long
+def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None:
+    cert, key = certificate(tmp_path, "ours")
+    wrong, wrong_key = certificate(tmp_path, "theirs")
+    files = ["--tls-ca-file", str(cert), "--tls-cert", str(cert), "--tls-key", str(key)]
+    cluster = DaskProcesses(tmp_path, files)
+    try:
+        cluster.worker()
+        right = ClusterOptions(scheduler=cluster.address, tls_ca=cert, tls_cert=cert, tls_key=key)
+        arguments = {"workers": 1, "command_timeout": 20.0, "folder": tmp_path, "say": print}
+        with running_dask("autopilot", [QUICK], options=right, **arguments) as executor:  # type: ignore[arg-type]
+            assert len(Drives(executor, QUICK, 5).encoded()) == 5
+        other = ClusterOptions(scheduler=cluster.address, tls_ca=wrong, tls_cert=wrong, tls_key=wrong_key)
+        with pytest.raises(ClusterError, match="refuses this TLS connection"):
+            with running_dask("autopilot", [QUICK], options=other, **arguments):  # type: ignore[arg-type]
+                pass
+    finally:
+        cluster.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (ClusterOptions(scheduler="localhost:8786"), "expected tls://HOST:PORT or tcp://HOST:PORT"),
+        (ClusterOptions(scheduler="tcp://10.0.0.5:8786"), "neither encrypted nor on this machine"),
+        (ClusterOptions(scheduler="tls://10.0.0.5:8786"), "needs --tls-ca, --tls-cert and --tls-key"),
+        (ClusterOptions(listen="0.0.0.0"), "lets anybody on that network run code"),
+        (ClusterOptions(tls_ca=Path("ca.pem")), "--tls-cert, --tls-key missing"),
+        (
+            ClusterOptions(tls_ca=Path("ca.pem"), tls_cert=Path("a.pem"), tls_key=Path("a.key")),
+            "--tls-ca ca.pem: no such file",
+        ),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_in_one_line(options: ClusterOptions, problem: str) -> None:
+    with pytest.raises(ClusterError) as error:
+        options.check()
+    assert problem in str(error.value) and "\n" not in str(error.value)
+
+
+def test_no_scheduler_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127.0.0.1:9 within"):
+        with running_dask(
+            "autopilot", [QUICK], workers=1, command_timeout=20.0, folder=tmp_path,
+            options=ClusterOptions(scheduler="tcp://127.0.0.1:9"), say=print,
+        ):  # fmt: skip
+            pass
