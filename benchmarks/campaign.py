@@ -80,11 +80,23 @@ def main() -> None:
     parser.add_argument("--inside", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.inside:
+        engine, driver = arguments.inside
         with tempfile.TemporaryDirectory() as folder:
-            drive(*arguments.inside, arguments.drives, arguments.workers, Path(folder))
+            drive(engine, driver, arguments.drives, arguments.workers, Path(folder))
         return
     cores = len(os.sched_getaffinity(0))
-    table = Table("engine", "driver", "drives", "frames", "frames / CPU s", "frames / s", "CPU s / drive", "idle", "start s")
+    columns = (
+        "engine",
+        "driver",
+        "drives",
+        "frames",
+        "frames / CPU s",
+        "frames / s",
+        "CPU s / drive",
+        "idle",
+        "start s",
+    )
+    table = Table(*columns)
     seen: dict[str, object] = {}
     for case in arguments.case or CASES:
         engine, _, driver = case.partition(":")

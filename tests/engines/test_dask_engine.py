@@ -162,9 +162,9 @@ def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses,
     hidden.write_text("import sys\nsys.modules['ds_driver.closed_loop.worker_process'] = None\n")
     lines = Lines()
     cluster.worker("--preload", str(hidden))
-    with pytest.raises(ClusterError, match="cannot prepare itself.*is Digital Siblings installed"):
-        with running(cluster, tmp_path, lines):
-            pass
+    problem = "cannot prepare itself.*is Digital Siblings installed"
+    with pytest.raises(ClusterError, match=problem), running(cluster, tmp_path, lines):
+        pass
 
 
 @pytest.mark.long
@@ -200,9 +200,9 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
         with running_dask("autopilot", [QUICK], options=right, **arguments) as executor:  # type: ignore[arg-type]
             assert len(Drives(executor, QUICK, 5).encoded()) == 5
         other = ClusterOptions(scheduler=cluster.address, tls_ca=wrong, tls_cert=wrong, tls_key=wrong_key)
-        with pytest.raises(ClusterError, match="refuses this TLS connection"):
-            with running_dask("autopilot", [QUICK], options=other, **arguments):  # type: ignore[arg-type]
-                pass
+        refused = pytest.raises(ClusterError, match="refuses this TLS connection")
+        with refused, running_dask("autopilot", [QUICK], options=other, **arguments):  # type: ignore[arg-type]
+            pass
     finally:
         cluster.close()
 
@@ -228,9 +228,8 @@ def test_options_that_make_no_sense_are_refused_in_one_line(options: ClusterOpti
 
 
 def test_no_scheduler_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127.0.0.1:9 within"):
-        with running_dask(
-            "autopilot", [QUICK], workers=1, command_timeout=20.0, folder=tmp_path,
-            options=ClusterOptions(scheduler="tcp://127.0.0.1:9"), say=print,
-        ):  # fmt: skip
-            pass
+    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127.0.0.1:9 within"), running_dask(
+        "autopilot", [QUICK], workers=1, command_timeout=20.0, folder=tmp_path,
+        options=ClusterOptions(scheduler="tcp://127.0.0.1:9"), say=print,
+    ):  # fmt: skip
+        pass

@@ -27,6 +27,11 @@ SMALLEST_WEIGHTS = 2**20
 _SET_UP = "make setup"
 _INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
 """Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
+EXTRAS = {
+    "openvino": ("openvino", "--backend openvino and openvino-bf16, and for .tflite files"),
+    "distributed": ("dask", "--engine dask"),
+}
+"""Optional library -> its file in requirements/, and what it is for."""
 _MODULES = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "scikit-learn": "sklearn"}
 """Distributions whose module has another name; a test compares them with the installed metadata."""
 IMPORT_TIME = 120.0
@@ -83,7 +88,7 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
     if uses_sourced_ros(root):
         del pins["numpy"]  # that ROS brings the NumPy that its modules were built for
     modules = {name: module_of(name) for name in pins}
-    extras = read_pins(root / "requirements/openvino.txt")
+    extras = {name: read_pins(root / f"requirements/{file}.txt")[name] for name, (file, _) in EXTRAS.items()}
     wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg", **{name: name for name in extras}}
     found = look_up(python, wanted, imports=imports)
     return [
@@ -194,13 +199,10 @@ def check_extras(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) 
     checks = []
     for name, pinned in pins.items():
         version, problem = found[name]
-        detail = (
-            f"not installed; optional, for --backend {name} and {name}-bf16, and for .tflite files"
-            if problem
-            else version
-        )
+        file, purpose = EXTRAS[name]
+        detail = f"not installed; optional, for {purpose}" if problem else version
         wrong = f"{version} is installed, {pinned} is pinned"
-        fix = f".venv/bin/python -m pip install --no-deps -r requirements/{name}.txt"
+        fix = f".venv/bin/python -m pip install --no-deps -r requirements/{file}.txt"
         checks.append(
             _check(f"{name} (optional)", bool(problem) or version.split("-")[0] == pinned, detail, wrong, fix)
         )

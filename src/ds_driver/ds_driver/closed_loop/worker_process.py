@@ -7,8 +7,8 @@ import sys
 import threading
 import time
 from concurrent.futures import Future
+from contextlib import suppress
 from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from ds_driver.child_process import ChildProcesses, last_line_of, python_environment
@@ -171,10 +171,8 @@ class _Process:
                 answer.set_exception(_Lost(self._ended))
                 return answer
             self._drives[key] = (road, seed, answer)
-        try:
+        with suppress(OSError):  # it has ended, which the reader sees too
             self._connection.send_bytes(request_of(key, simulator, road, seed))
-        except OSError:
-            pass  # it has ended, which the reader sees too
         return answer
 
     def kill(self) -> None:

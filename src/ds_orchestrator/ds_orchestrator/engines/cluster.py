@@ -6,13 +6,14 @@ import ipaddress
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 CONNECT_TIME = 10.0
 """Limit for reaching a scheduler, s; chosen: a loaded one answers in a second."""
-INSTALL = ".venv/bin/python -m pip install -r requirements/dask.txt"
+INSTALL = ".venv/bin/python -m pip install --no-deps -r requirements/dask.txt"
 
 
 class ClusterError(ValueError):
@@ -60,7 +61,7 @@ class ClusterOptions:
                 "--tls-ca, --tls-cert and --tls-key, or say --unencrypted"
             )
         try:
-            import distributed  # noqa: F401
+            import_module("distributed")
         except ImportError:
             raise ClusterError(f"Dask is not installed: type {INSTALL}") from None
 
@@ -91,12 +92,11 @@ class ClusterOptions:
         """`distributed.Security` of these options, or None."""
         if not self.encrypted:
             return None
-        from distributed.security import Security
-
+        distributed: Any = import_module("distributed")
         ca, cert, key = str(self.tls_ca), str(self.tls_cert), str(self.tls_key)
         roles = {f"tls_{role}_{part}": f for role in ("client", "scheduler", "worker")
                  for part, f in (("cert", cert), ("key", key))}  # fmt: skip
-        return Security(tls_ca_file=ca, require_encryption=True, **roles)
+        return distributed.Security(tls_ca_file=ca, require_encryption=True, **roles)
 
 
 def connect(address: str, options: ClusterOptions, *, limit: float = CONNECT_TIME) -> Any:
@@ -105,12 +105,11 @@ def connect(address: str, options: ClusterOptions, *, limit: float = CONNECT_TIM
     Raises:
         ClusterError: there is no scheduler, or it does not accept the certificate.
     """
-    import distributed
-
+    distributed: Any = import_module("distributed")
     try:
         return distributed.Client(address, timeout=limit, security=options.security(), set_as_default=False)
     except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-        causes = []
+        causes: list[BaseException] = []
         cause: BaseException | None = error
         while cause is not None and len(causes) < 10:
             causes.append(cause)
@@ -131,9 +130,8 @@ def own_cluster(workers: int, options: ClusterOptions, folder: Path) -> Iterator
         options: where the scheduler listens, and TLS.
         folder: folder for the workers' files.
     """
-    import dask
-    import distributed
-
+    dask: Any = import_module("dask")
+    distributed: Any = import_module("distributed")
     # The dashboard has no authentication.
     with (
         dask.config.set({"distributed.worker.memory.terminate": False, "distributed.worker.memory.pause": False}),
