@@ -43,6 +43,7 @@ ROS_KEYS = {
 }  # fmt: skip
 NO_KEY = {
     "backports": "backports.zstd",
+    "distributed": "distributed",
     "lazy_loader": "lazy_loader",
     "lz4": "lz4",
     "markupsafe": "markupsafe",
