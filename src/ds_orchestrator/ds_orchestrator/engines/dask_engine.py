@@ -31,8 +31,8 @@ from ds_sim.simulator import Outcome
 
 MOST_THREADS = 256
 """Drives that a campaign has ready at a time, each with a waiting thread; chosen: 64 cores with a batch of four."""
-FIRST_WORKER_TIME = 120.0
-"""Limit for the first worker to appear and prepare itself, s; as long as setting up a batch job's environment takes."""
+FIRST_WORKER_TIME = 180.0
+"""Limit for the first worker to appear and prepare itself, s; more than `PREPARE_TIME`, so that its reason is known."""
 NO_WORKER_TIME = 600.0
 """Limit for a worker to come back after the last one was lost, s; chosen: a cluster's queue may have to start one."""
 SCHEDULER_TIME = 300.0
@@ -341,6 +341,8 @@ class DaskExecutor:
     def _prepare(self, address: str, about: dict[str, Any]) -> None:
         """Check that a worker computes the same bits, give it the parcel, and let it drive."""
         try:
+            # First by itself: Dask loses the error of a function whose module cannot be imported.
+            self._on(address, exec, f"import {dask_worker.__name__}", {})
             found = self._on(address, dask_worker.describe, self._sha256, self._parcel.backend)
             problem = found.get("error") or differences(self._here, found["fingerprint"])
             if problem:
