@@ -68,4 +68,4 @@ def running_engine(
 
     if config.workers > 1:
         return running_workers(config.workers, namespaces, driver, command_timeout=timeout, logs=logs)
-    return running_graph(namespaces, driver, command_timeout=timeout, logs=logs, attach=attach)
+    return running_graph(namespaces, driver, command_timeout=timeout, logs=logs, attach=attach, draw="seen")
