@@ -164,7 +164,7 @@ def main() -> None:
                 f"{name}, {title}": stack.enter_context(
                     running_graph(
                         {name: "/ds1"}, arguments.driver, command_timeout=10.0,
-                        logs=Path(stack.enter_context(tempfile.TemporaryDirectory())), composed=composed,
+                        logs=Path(stack.enter_context(tempfile.TemporaryDirectory())), composed=composed, draw="seen",
                     )
                 )
                 for title, composed in (("a process each", False), ("one process", True))
