@@ -38,12 +38,12 @@ def poses(seed: int) -> list[VehicleState]:
 
 
 def median_ms(call: Callable[[VehicleState], object], states: list[VehicleState]) -> float:
-    """Median time of a call over some poses, ms."""
+    """Median processor time of a call over some poses, ms."""
     times = []
     for state in states:
-        started = time.perf_counter()
+        started = time.process_time()
         call(state)
-        times.append(1e3 * (time.perf_counter() - started))
+        times.append(1e3 * (time.process_time() - started))
     return float(np.median(times))
 
 
