@@ -298,6 +298,8 @@ def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> 
 
 def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
     class Counting:
+        capacity: int | None = None
+
         def __init__(self) -> None:
             self.busy = threading.Lock()
             self.stopped = False

@@ -53,6 +53,8 @@ def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch:
 class ShortDrives:
     """Drives twenty steps with the autopilot in this process."""
 
+    capacity: int | None = None
+
     def stop(self) -> None: ...
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:

@@ -70,6 +70,14 @@ class SlowSimulator(QuickSimulator):
         return super().step(command)
 
 
+class DivergingSimulator(QuickSimulator):
+    """Reports a yaw rate that is not a number."""
+
+    def step(self, command: Command) -> Observation:
+        seen = super().step(command)
+        return dataclasses.replace(seen, vehicle=dataclasses.replace(seen.vehicle, yaw_rate=float("nan")))
+
+
 class HangingSimulator(QuickSimulator):
     """Hangs in its third frame."""
 

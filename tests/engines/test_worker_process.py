@@ -103,6 +103,11 @@ def test_a_simulator_that_cannot_be_made_is_an_error_of_one_line(worker: Process
     assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "RuntimeError: no licence")
 
 
+def test_numbers_that_are_not_finite_are_an_error_of_one_line(worker: Processes) -> None:
+    run = worker().drive(f"{QUICK}:DivergingSimulator", ROAD, 1)
+    assert run.outcome is Outcome.SIM_ERROR and "finite" in run.message and "\n" not in run.message
+
+
 def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
     worker: Processes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, InterleavedDrives, Phase
 from ds_driver.closed_loop.phase_memory import PhaseMemory
 from ds_road.files import road_from_json, road_to_json
-from ds_sim.run_codec import encode_run
+from ds_sim.run_codec import RunCodecError, encode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -59,7 +59,11 @@ def _begin(connection: Connection, drives: InterleavedDrives, request: dict[str,
 
 
 def _answer(connection: Connection, key: int, run: RunRecord) -> None:
-    connection.send_bytes(key.to_bytes(KEY_BYTES, "little") + encode_run(run))
+    try:
+        encoded = encode_run(run)
+    except RunCodecError as error:  # a simulator whose numbers are not finite
+        encoded = encode_run(RunRecord(road=run.road, seed=run.seed, outcome=Outcome.SIM_ERROR, message=str(error)))
+    connection.send_bytes(key.to_bytes(KEY_BYTES, "little") + encoded)
 
 
 def main() -> None:
