@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -19,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from ds_orchestrator.engines import dask_worker
-from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect, own_cluster
-from ds_orchestrator.engines.fingerprint import differences, fingerprint
+from ds_orchestrator.engines.cluster import ClusterOptions, connect, own_cluster
 from ds_orchestrator.engines.local import DRIVES_PER_WORKER
+from ds_orchestrator.engines.membership import Membership, RemoteWorker
 from ds_orchestrator.engines.parcel import Parcel, parcel_of
 from ds_road import Road
 from ds_road.files import road_to_json
@@ -31,24 +30,10 @@ from ds_sim.simulator import Outcome
 
 MOST_THREADS = 256
 """Drives that a campaign has ready at a time, each with a waiting thread; chosen: 64 cores with a batch of four."""
-FIRST_WORKER_TIME = 180.0
-"""Limit for the first worker to appear and prepare itself, s; more than `PREPARE_TIME`, so that its reason is known."""
-NO_WORKER_TIME = 600.0
-"""Limit for a worker to come back after the last one was lost, s; chosen: a cluster's queue may have to start one."""
-SCHEDULER_TIME = 300.0
-"""Limit for a lost scheduler to come back, s; chosen: the restart of a machine."""
-PREPARE_TIME = 120.0
-"""Limit for a worker to prepare itself, s: imports, files and driver, on a busy machine."""
-SILENCE = 30.0
-"""Time without a heartbeat after which a worker is given up, s; Dask's workers send one every second."""
-CONTACT_TIME = 5.0
-"""Limit for one answer of the scheduler, s."""
 ANSWER_TIME = 60.0
 """Limit for the transfer of a batch's runs, s."""
 LOSSES = 5
 """Workers that one drive may lose; chosen: further ones are taken to be the drive's own fault."""
-_LOOK = 0.5
-"""Seconds between two looks at the scheduler."""
 
 
 class EngineError(RuntimeError):
@@ -69,19 +54,8 @@ class _Job:
         return {"simulator": self.simulator, "road": road_to_json(self.road), "seed": self.seed}
 
     def end(self, outcome: Outcome, message: str) -> None:
-        record = RunRecord(road=self.road, seed=self.seed, outcome=outcome, message=message)
         if not self.answer.done():
-            self.answer.set_result(record)
-
-
-@dataclass(eq=False)
-class _Worker:
-    """One worker that has the parcel."""
-
-    address: str
-    threads: int
-    largest_batch: int
-    batches: list[_Batch] = field(default_factory=list)
+            self.answer.set_result(RunRecord(road=self.road, seed=self.seed, outcome=outcome, message=message))
 
 
 @dataclass(eq=False)
@@ -92,8 +66,20 @@ class _Batch:
     task: Any = None
 
 
+@dataclass(eq=False)
+class _Seat:
+    """A worker and its batches."""
+
+    worker: RemoteWorker
+    batches: list[_Batch] = field(default_factory=list)
+
+    @property
+    def free(self) -> int:
+        return self.worker.threads - len(self.batches)
+
+
 class DaskExecutor:
-    """Drives on a cluster; satisfies `ds_orchestrator.campaign.runner.Executor`.
+    """Drives on a cluster; satisfies `ds_orchestrator.campaign.runner.Executor` and `membership.Members`.
 
     Args:
         address: address of the scheduler.
@@ -103,8 +89,6 @@ class DaskExecutor:
         command_timeout: wall-clock time for one answer of the driver, s.
         say: called with one line when a worker is refused or lost, or the scheduler is.
     """
-
-    capacity: int | None = MOST_THREADS
 
     def __init__(
         self,
@@ -116,23 +100,31 @@ class DaskExecutor:
         command_timeout: float,
         say: Callable[[str], None],
     ) -> None:
-        self._address, self._options, self._client = address, options, client
-        self._parcel, self._sha256, self._timeout, self._say = parcel, parcel.sha256, command_timeout, say
-        self._here = fingerprint(parcel.backend)
+        self._sha256, self._timeout = parcel.sha256, command_timeout
         self._changed = threading.Condition()
         self._pending: deque[_Job] = deque()
-        self._workers: dict[str, _Worker] = {}
-        self._known: set[str] = set()
-        self._heard: dict[str, tuple[float, float]] = {}
-        self._refusals: dict[str, str] = {}
-        self._stopped, self._failure = False, ""
-        self._tasks = 0
-        self._threads = [
-            threading.Thread(target=work, name=work.__name__.strip("_"), daemon=True)
-            for work in (self._watch, self._hand_out)
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._seats: dict[str, _Seat] = {}
+        self._stopped, self._failure, self._tasks = False, "", 0
+        self._membership = Membership(
+            address, options, client, parcel, command_timeout=command_timeout, members=self, say=say
+        )
+        self._thread = threading.Thread(target=self._hand_out, name="batches", daemon=True)
+        self._thread.start()
+
+    @property
+    def capacity(self) -> int | None:
+        """Drives at a time; more than most clusters take, as workers may join."""
+        return MOST_THREADS
+
+    @property
+    def workers(self) -> list[str]:
+        """Addresses of the workers that drive."""
+        with self._changed:
+            return list(self._seats)
+
+    def wait_for_worker(self) -> None:
+        """Wait until a worker is ready; see `Membership.wait_for_worker`."""
+        self._membership.wait_for_worker()
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         """Drive a road on some worker; waits for one that is free.
@@ -142,133 +134,134 @@ class DaskExecutor:
         """
         job = _Job(simulator, road, seed)
         with self._changed:
+            if self._failure:
+                raise EngineError(self._failure)
             if self._stopped:
                 job.end(Outcome.CANCELLED, "stopped")
-            elif self._failure:
-                raise EngineError(self._failure)
             else:
                 self._pending.append(job)
                 self._changed.notify_all()
         return job.answer.result()
 
-    @property
-    def workers(self) -> list[str]:
-        """Addresses of the workers that drive."""
-        with self._changed:
-            return list(self._workers)
-
-    def wait_for_worker(self, limit: float = FIRST_WORKER_TIME) -> None:
-        """Wait until a worker is ready.
-
-        Raises:
-            ClusterError: none is ready within `limit` seconds; names the first worker that was refused.
-        """
-        deadline = time.monotonic() + limit
-        told = False
-        with self._changed:
-            while not self._workers:
-                if self._failure:
-                    raise EngineError(self._failure)
-                if time.monotonic() > deadline or (self._refusals and self._known <= self._refusals.keys()):
-                    why = next(iter(self._refusals.values()), "there is none: start one with `dask worker ADDRESS`")
-                    raise ClusterError(f"no usable worker at {self._address}: {why}")
-                if not told and not self._known and time.monotonic() > deadline - limit + 3.0:
-                    told = True
-                    self._say(f"waiting for a worker at {self._address}, {limit:.0f} s at most")
-                self._changed.wait(_LOOK)
-
     def stop(self) -> None:
         """End every drive now, as CANCELLED."""
-        with self._changed:
-            self._stopped = True
-            jobs = [*self._pending, *(j for w in self._workers.values() for b in w.batches for j in b.jobs)]
-            tasks = [b.task for w in self._workers.values() for b in w.batches if b.task is not None]
-            self._pending.clear()
-            self._workers.clear()
-            self._changed.notify_all()
+        jobs, tasks = self._drop_everything()
         for job in jobs:
             job.end(Outcome.CANCELLED, "stopped")
-        with suppress(Exception):
-            self._client.cancel(tasks, force=True)
+        self._cancel(tasks)
 
     def close(self) -> None:
         """Stop, and leave the cluster."""
         self.stop()
-        for thread in self._threads:
-            thread.join(2 * _LOOK + 5.0)
+        self._thread.join(ANSWER_TIME)
+        self._membership.close()
         with suppress(Exception):
-            self._client.close(timeout=2.0)
+            self._membership.client.close(timeout=2.0)
 
-    # Handing out
+    def worker_ready(self, worker: RemoteWorker) -> None:
+        """See `Members.worker_ready`."""
+        with self._changed:
+            if not self._stopped:
+                self._seats[worker.address] = _Seat(worker)
+                self._changed.notify_all()
+
+    def worker_lost(self, address: str) -> None:
+        """See `Members.worker_lost`."""
+        with self._changed:
+            seat = self._seats.pop(address, None)
+            batches = [] if seat is None else list(seat.batches)
+        for batch in reversed(batches):
+            assert seat is not None
+            self._queue_again(seat, batch)
+        self._cancel([batch.task for batch in batches if batch.task is not None])
+
+    def cluster_lost(self, reason: str) -> None:
+        """See `Members.cluster_lost`."""
+        self._failure = reason
+        for job in self._drop_everything()[0]:
+            if not job.answer.done():
+                job.answer.set_exception(EngineError(reason))
+
+    def _drop_everything(self) -> tuple[list[_Job], list[Any]]:
+        """Hand out nothing any more; return the open drives and tasks."""
+        with self._changed:
+            self._stopped = True
+            batches = [batch for seat in self._seats.values() for batch in seat.batches]
+            jobs = [*self._pending, *(job for batch in batches for job in batch.jobs)]
+            self._pending.clear()
+            self._seats.clear()
+            self._changed.notify_all()
+        return jobs, [batch.task for batch in batches if batch.task is not None]
+
+    def _cancel(self, tasks: list[Any]) -> None:
+        if tasks:
+            with suppress(Exception):  # the scheduler may be gone
+                self._membership.client.cancel(tasks, force=True)
 
     def _hand_out(self) -> None:
         while True:
             with self._changed:
-                while not self._stopped and not (self._pending and self._free()):
+                while not self._stopped and not (self._pending and any(s.free > 0 for s in self._seats.values())):
                     self._changed.wait()
                 if self._stopped:
                     return
-                worker = min(self._free(), key=lambda w: len(w.batches) / w.threads)
-                free = sum(w.threads - len(w.batches) for w in self._workers.values())
+                seat = max(self._seats.values(), key=lambda s: s.free / s.worker.threads)
                 # While there are few drives, every free thread gets some, instead of one thread all.
-                size = min(worker.largest_batch, math.ceil(len(self._pending) / free))
+                share = math.ceil(len(self._pending) / sum(s.free for s in self._seats.values()))
+                size = min(share, seat.worker.largest_batch, DRIVES_PER_WORKER)
                 batch = _Batch([self._pending.popleft() for _ in range(size)])
-                worker.batches.append(batch)
+                seat.batches.append(batch)
                 self._tasks += 1
                 name = f"digital-siblings-{self._sha256[:8]}-{id(self):x}-{self._tasks}"
-                client = self._client
             try:
-                task = client.submit(
+                batch.task = self._membership.client.submit(
                     dask_worker.drive,
                     self._sha256,
                     self._timeout,
                     [job.request() for job in batch.jobs],
                     key=name,
-                    workers=[worker.address],
+                    workers=[seat.worker.address],
                     allow_other_workers=False,
                     pure=False,
                     retries=0,
                 )
-                batch.task = task
-                task.add_done_callback(lambda task, batch=batch, worker=worker: self._receive(worker, batch, task))
-            except Exception:  # the client is closing: `_watch` finds out why
-                self._lose(worker, batch)
+                batch.task.add_done_callback(lambda task, batch=batch, seat=seat: self._receive(seat, batch, task))
+            except Exception:  # the client is closing, and the membership finds out why
+                self._membership.forget(seat.worker.address)
 
-    def _free(self) -> list[_Worker]:
-        return [worker for worker in self._workers.values() if len(worker.batches) < worker.threads]
-
-    def _receive(self, worker: _Worker, batch: _Batch, task: Any) -> None:
+    def _receive(self, seat: _Seat, batch: _Batch, task: Any) -> None:
         """Hand over the runs of a finished task; of a batch that was handed out again, the later answer is dropped."""
         try:
             answers = task.result(timeout=ANSWER_TIME)
-            if answers is None:
-                raise LookupError
-            runs = [decode_run(a, job.road, job.seed) for a, job in zip(answers, batch.jobs, strict=True)]
-        except (LookupError, RunCodecError, ValueError) as error:
-            # Restarted under the same address: it prepares itself again.
-            self._forget(worker.address, str(error))
-            return
-        except BaseException as error:
-            self._lose(worker, batch, " ".join(f"{type(error).__name__}: {error}".split())[:200])
+        except BaseException as error:  # cancelled or lost too
+            self._queue_again(seat, batch, " ".join(f"{type(error).__name__}: {error}".split())[:200])
             return
         finally:
             with suppress(Exception):
                 task.release()
+        try:
+            if answers is None:
+                raise RunCodecError("the worker was restarted under its address")
+            runs = [decode_run(answer, job.road, job.seed) for answer, job in zip(answers, batch.jobs, strict=True)]
+        except ValueError as error:
+            self._queue_again(seat, batch, str(error))
+            self._membership.forget(seat.worker.address)  # it prepares itself again
+            return
         with self._changed:
-            if batch not in worker.batches:
+            if batch not in seat.batches:
                 return
-            worker.batches.remove(batch)
+            seat.batches.remove(batch)
             self._changed.notify_all()
         for job, run in zip(batch.jobs, runs, strict=True):
             if not job.answer.done():
                 job.answer.set_result(run)
 
-    def _lose(self, worker: _Worker, batch: _Batch, why: str = "") -> None:
-        """Queue the drives of a batch again, before all others."""
+    def _queue_again(self, seat: _Seat, batch: _Batch, why: str = "") -> None:
+        """Queue the drives of a batch before all others, unless that has been done."""
         with self._changed:
-            if batch not in worker.batches or self._stopped:
+            if batch not in seat.batches or self._stopped:
                 return
-            worker.batches.remove(batch)
+            seat.batches.remove(batch)
             for job in reversed(batch.jobs):
                 job.losses += 1
                 if job.losses < LOSSES:
@@ -276,154 +269,6 @@ class DaskExecutor:
                 else:
                     job.end(Outcome.SIM_ERROR, f"{LOSSES} workers were lost while they drove it {why}".rstrip())
             self._changed.notify_all()
-
-    def _forget(self, address: str, why: str = "") -> None:
-        """Take no account of a worker any more, and queue what it drove."""
-        with self._changed:
-            worker = self._workers.pop(address, None)
-            self._known.discard(address)
-            self._heard.pop(address, None)
-        if worker is not None:
-            for batch in reversed(list(worker.batches)):
-                task = batch.task
-                self._lose(worker, batch, why)
-                if task is not None:
-                    with suppress(Exception):
-                        self._client.cancel([task], force=True)
-
-    # Watching
-
-    def _watch(self) -> None:
-        without_since: float | None = time.monotonic()
-        while not self._stopped and not self._failure:
-            try:
-                identity = self._client.sync(
-                    self._client.scheduler.identity, n_workers=-1, callback_timeout=2 * CONTACT_TIME
-                )
-                present = identity["workers"]
-            except Exception:
-                self._reconnect()
-                without_since = time.monotonic()
-                continue
-            self._compare(present)
-            now = time.monotonic()
-            with self._changed:
-                lacking = not self._workers
-            without_since = (without_since or now) if lacking else None
-            if without_since is not None and now - without_since > NO_WORKER_TIME:
-                self._fail(f"no worker at {self._address} for {NO_WORKER_TIME:.0f} s: start one, and resume")
-            with self._changed:
-                self._changed.wait_for(lambda: self._stopped, _LOOK)
-
-    def _compare(self, present: dict[str, Any]) -> None:
-        """Prepare new workers, and give up lost or silent ones."""
-        now = time.monotonic()
-        for address in self._known - present.keys():
-            if address in self._workers:
-                self._say(f"worker {address} is gone: others take over its drives")
-            self._refusals.pop(address, None)
-            self._forget(address)
-        for address, about in present.items():
-            seen = float(about.get("last_seen", 0.0))
-            if self._heard.get(address, (None, 0.0))[0] != seen:
-                self._heard[address] = (seen, now)
-            elif now - self._heard[address][1] > SILENCE and address in self._workers:
-                self._say(f"worker {address} has been silent for {SILENCE:.0f} s: others take over its drives")
-                heard = self._heard[address]
-                self._forget(address)
-                self._heard[address] = heard
-                continue
-            silent = now - self._heard[address][1] > SILENCE
-            if address not in self._known and not silent:
-                self._known.add(address)
-                threading.Thread(target=self._prepare, args=(address, about), daemon=True).start()
-
-    def _prepare(self, address: str, about: dict[str, Any]) -> None:
-        """Check that a worker computes the same bits, give it the parcel, and let it drive."""
-        try:
-            # First by itself: Dask loses the error of a function whose module cannot be imported.
-            self._on(address, exec, f"import {dask_worker.__name__}", {})
-            found = self._on(address, dask_worker.describe, self._sha256, self._parcel.backend)
-            problem = found.get("error") or differences(self._here, found["fingerprint"])
-            if problem:
-                self._refuse(address, f"worker {address} is refused: {problem}")
-                return
-            # The files travel once per worker.
-            known = "largest_batch" in found
-            ready = found if known else self._on(address, dask_worker.prepare, self._parcel, self._timeout)
-        except Exception as error:
-            if self._stopped or address not in self._known:
-                return
-            what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            self._refuse(address, f"worker {address} cannot prepare itself ({what}): is Digital Siblings installed?")
-            return
-        if "error" in ready:
-            self._refuse(address, f"worker {address} is refused: {ready['error']}")
-            return
-        batch = min(int(ready["largest_batch"]), DRIVES_PER_WORKER)
-        with self._changed:
-            if address in self._known and not self._stopped:
-                self._workers[address] = _Worker(address, int(about["nthreads"]), batch)
-                self._changed.notify_all()
-
-    def _refuse(self, address: str, line: str) -> None:
-        with self._changed:
-            self._refusals[address] = line
-            self._changed.notify_all()
-        self._say(line)
-
-    def _on(self, address: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        task = self._client.submit(
-            function, *arguments, workers=[address], allow_other_workers=False, pure=False, retries=0
-        )
-        try:
-            return task.result(timeout=PREPARE_TIME)
-        finally:
-            with suppress(Exception):
-                task.release()
-
-    def _reconnect(self) -> None:
-        """Queue all drives, and wait for the scheduler to come back."""
-        with self._changed:
-            if self._stopped:
-                return
-            addresses = list(self._workers)
-        for address in addresses:
-            self._forget(address)
-        with self._changed:
-            self._known.clear()
-            self._heard.clear()
-            self._refusals.clear()
-        self._say(f"the scheduler at {self._address} does not answer: waiting {SCHEDULER_TIME:.0f} s at most")
-        with suppress(Exception):
-            self._client.close(timeout=1.0)
-        deadline = time.monotonic() + SCHEDULER_TIME
-        while not self._stopped:
-            try:
-                client = connect(self._address, self._options, limit=CONTACT_TIME)
-            except ClusterError:
-                if time.monotonic() > deadline:
-                    self._fail(f"the scheduler at {self._address} did not come back: start it, and resume")
-                    return
-                with self._changed:
-                    self._changed.wait_for(lambda: self._stopped, 1.0)
-                continue
-            with self._changed:
-                self._client = client
-                self._changed.notify_all()
-            self._say(f"the scheduler at {self._address} is back")
-            return
-
-    def _fail(self, reason: str) -> None:
-        with self._changed:
-            self._failure = reason
-            jobs, self._pending = list(self._pending), deque()
-            jobs += [j for w in self._workers.values() for b in w.batches for j in b.jobs]
-            self._workers.clear()
-            self._changed.notify_all()
-        for job in jobs:
-            if not job.answer.done():
-                job.answer.set_exception(EngineError(reason))
 
 
 @contextmanager
@@ -449,7 +294,7 @@ def running_dask(
         say: called with one line when a worker is refused or lost, or the scheduler is.
 
     Raises:
-        ClusterError: there is no scheduler, or no usable worker.
+        ds_orchestrator.engines.cluster.ClusterError: there is no scheduler, or no usable worker.
         ValueError: the driver cannot be sent.
     """
     options.check()

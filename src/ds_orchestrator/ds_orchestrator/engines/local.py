@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ds_driver.closed_loop.worker_process import WorkerProcess
-from ds_orchestrator.engines.slots import Slots
 from ds_road import Road
 from ds_sim.session import RunRecord
 
@@ -25,9 +24,14 @@ class LocalExecutor:
     """
 
     def __init__(self, workers: list[WorkerProcess], drives_each: int) -> None:
-        self._slots = Slots(dict.fromkeys(workers, drives_each))
-        self._workers = workers
-        self.capacity: int | None = len(workers) * drives_each
+        self._busy = dict.fromkeys(workers, 0)
+        self._drives_each = drives_each
+        self._changed = threading.Condition()
+
+    @property
+    def capacity(self) -> int | None:
+        """Drives at a time."""
+        return len(self._busy) * self._drives_each
 
     def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
         """Drive a road as soon as a process has room.
@@ -35,12 +39,20 @@ class LocalExecutor:
         Raises:
             ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
         """
-        with self._slots.taken() as worker:
+        with self._changed:
+            self._changed.wait_for(lambda: min(self._busy.values()) < self._drives_each)
+            worker = min(self._busy, key=lambda one: self._busy[one])
+            self._busy[worker] += 1
+        try:
             return worker.drive(simulator, road, seed)
+        finally:
+            with self._changed:
+                self._busy[worker] -= 1
+                self._changed.notify()
 
     def stop(self) -> None:
         """End every drive now, as CANCELLED."""
-        for worker in self._workers:
+        for worker in self._busy:
             worker.stop()
 
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)
+from ds_driver.child_process import ChildProcesses, last_line_of
+
 STOP_TIME = 3.0
 """Limit for a process to obey SIGINT, then SIGTERM, before it is killed, s."""
 
@@ -75,8 +72,7 @@ class Supervisor:
             "RCUTILS_COLORIZED_OUTPUT": "0",
         }
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        # Children die with the thread that created them (see _die_with_parent), so one lasting thread creates all.
-        self._spawner = ThreadPoolExecutor(1, thread_name_prefix="spawner")
+        self._children = ChildProcesses()
         for name in self._specs:
             self._start(name)
 
@@ -117,8 +113,7 @@ class Supervisor:
 
     def last_line(self, name: str) -> str:
         """Read the last line that a process wrote."""
-        lines = self._log(name).read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "(it wrote nothing)"
+        return last_line_of(self._log(name))
 
     def close(self) -> None:
         """Stop every process: SIGINT, then SIGTERM, then SIGKILL."""
@@ -132,32 +127,14 @@ class Supervisor:
                     process.wait(max(0.0, deadline - time.monotonic()))
                 except subprocess.TimeoutExpired:
                     continue
-        self._spawner.shutdown()
+        self._children.close()
 
     def _log(self, name: str) -> Path:
         return self._logs / f"{name}.log"
 
     def _start(self, name: str) -> None:
-        def spawn() -> subprocess.Popen[bytes]:
-            with self._log(name).open("ab") as log:
-                return subprocess.Popen(
-                    self._specs[name].command(),
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    env=self._environment,
-                    start_new_session=True,  # Ctrl-C in the terminal reaches this process alone, which stops the others
-                    preexec_fn=partial(_die_with_parent, os.getpid()),
-                )
-
-        self._processes[name] = self._spawner.submit(spawn).result()
-
-
-def _die_with_parent(parent: int) -> None:
-    """Let the kernel end this process when its parent ends, even by SIGKILL."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # the parent ended before prctl took effect
-        os._exit(128 + signal.SIGTERM)
+        command, log = self._specs[name].command(), self._log(name)
+        self._processes[name] = self._children.start(command, environment=self._environment, log=log)
 
 
 def _yaml(value: object) -> str:
