@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+import psutil
 from rich.console import Console
 from rich.table import Table
 
@@ -29,6 +29,15 @@ CASES = (
     "local:dave2_short@openvino-bf16",
     "dask:dave2_short@openvino-bf16",
 )
+
+
+def processor_time() -> float:
+    """Processor time of this process and of every process below it, s."""
+    total = 0.0
+    for process in (own := psutil.Process(), *own.children(recursive=True)):
+        times = process.cpu_times()
+        total += times.user + times.system
+    return float(total)
 
 
 def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> None:
@@ -57,15 +66,14 @@ def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> 
         with running_engine(config, spaces, logs=folder / "logs", attach=False, cluster=cluster, say=print) as executor:
             ready = time.perf_counter()
             Campaign(config, folder, store, executor, SilentListener(), spaces).run()
-            ended = time.perf_counter()
+            ended, processor = time.perf_counter(), processor_time()
         executions = store.executions()
-    usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     measures = {
         "drives": len(executions),
         "frames": sum(e.steps for e in executions),
         "start": ready - started,
         "wall": ended - ready,
-        "processor": sum(u.ru_utime + u.ru_stime for u in usage),
+        "processor": processor,
         "digest": sorted((e.test_id, e.simulator, e.trajectory_sha256) for e in executions),
     }
     print("MEASURES" + json.dumps(measures))
