@@ -21,7 +21,6 @@ from ds_road import generate
 from ds_sim.run_codec import encode_run
 from ds_sim.session import RunRecord
 
-pytest.importorskip("distributed")
 QUICK, SLOW = (f"tests.engines.quick_simulator:{name}" for name in ("QuickSimulator", "SlowSimulator"))
 ROADS = [generate(np.random.default_rng(seed), max_angle=150) for seed in range(3)]
 
