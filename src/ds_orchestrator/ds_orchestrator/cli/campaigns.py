@@ -55,6 +55,9 @@ Unencrypted = Annotated[
     ),
 ]
 
+DEMO_WORKERS = 2
+"""Graphs of the demo; chosen: with one, the twin drives alone at the end, on one core of two."""
+
 app = typer.Typer()
 campaign_app = typer.Typer(help="Run, resume and inspect campaigns.", no_args_is_help=True)
 app.add_typer(campaign_app, name="campaign")
@@ -231,6 +234,7 @@ def demo_command(
 
     The last line is the path of the HTML report.
     """
+    workers = workers or (1 if attach else DEMO_WORKERS)
     end(campaign(_with(shipped_config("demo"), workers, engine), out, attach=attach), as_json)
 
 
