@@ -113,6 +113,7 @@ def drive_workers_of(cluster: DaskProcesses) -> set[int]:
     return drive_workers()
 
 
+@pytest.mark.long
 def test_a_scheduler_that_is_restarted_loses_nothing(cluster: DaskProcesses, tmp_path: Path) -> None:
     lines = Lines()
     cluster.worker()
