@@ -157,6 +157,7 @@ def test_a_worker_that_hangs_is_given_up(
     assert "has been silent for 5 s" in lines
 
 
+@pytest.mark.long
 def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses, tmp_path: Path) -> None:
     hidden = tmp_path / "hide.py"
     hidden.write_text("import sys\nsys.modules['ds_driver.closed_loop.worker_process'] = None\n")

@@ -76,6 +76,7 @@ def test_a_path_is_a_smooth_function_of_the_delay() -> None:
     assert steps.std() < 0.2 * abs(steps.mean())
 
 
+@pytest.mark.long
 def test_true_parameters_are_recovered_from_a_start_30_percent_off() -> None:
     """Ten parameters at once within 5 %; `benchmarks/twin_fit.py` fits all, with tracker noise and several seeds."""
     names = (
