@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
@@ -34,7 +35,7 @@ class Parcel:
     files: dict[str, bytes] = field(default_factory=dict)
     renamed: dict[str, str] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def sha256(self) -> str:
         """Digest of the files and names."""
         digest = hashlib.sha256(repr((self.driver, self.driver_sha256, self.simulators, self.renamed)).encode())
