@@ -8,6 +8,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from ds_driver.closed_loop.simulation import AUTOPILOT, Driver, make_driver
+from ds_driver.control.autopilot import ROWS_SEEN
 from ds_driver.networks.pilot import DriverError, Frame
 from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_road import Road
@@ -31,8 +32,6 @@ class Phase(IntEnum):
 NotePhase = Callable[[Phase, int], None]
 """Called with what begins, and with the key of the drive that it is for; -1 for all drives."""
 ALL_DRIVES = -1
-UNSEEN = (0, 1)
-"""Rows drawn for the autopilot, which sees no image: as few as possible."""
 
 
 class InterleavedDrives:
@@ -75,9 +74,9 @@ class InterleavedDrives:
         idle = self._idle.get(simulator)
         made = idle.pop() if idle else make_simulator(simulator)
         crop = Crop(made.spec.crop_top, made.spec.crop_bottom)
-        if isinstance(made, DrawsRows) and (self._network is None or self._network.sees_crop_only):
-            seen = (crop.top, made.spec.camera.height_px - crop.bottom)
-            made.draw_rows(*(UNSEEN if self._network is None else seen))
+        rows = ROWS_SEEN if self._network is None else self._network.rows_seen(crop, made.spec.camera.height_px)
+        if rows is not None and isinstance(made, DrawsRows):
+            made.draw_rows(*rows)
         session = Session(made)
         autopilot = make_driver(AUTOPILOT, made.spec) if self._network is None else None
         self._active[key] = _Drive(simulator, session, crop, autopilot, session.start(road, seed))

@@ -30,6 +30,10 @@ def throttle(steering: float, speed: float, *, max_speed: float = 30.0, min_spee
     return min(max(value, 0.0), 1.0)
 
 
+ROWS_SEEN = (0, 1)
+"""First row and end of the image rows that it looks at: none, so as few as a simulator can draw."""
+
+
 class Autopilot:
     """Autopilot by the paper's equation 1: a PID controller on the lateral position, for one run.
 

@@ -136,6 +136,15 @@ class NetworkDriver:
         """Return whether the driver never looks at rows outside the crop of a frame."""
         return self._pilot.sees_crop_only
 
+    def rows_seen(self, crop: Crop, height: int) -> tuple[int, int] | None:
+        """Return first row and end of the rows that the driver looks at; None if it may look at all.
+
+        Args:
+            crop: crop of the simulator's images.
+            height: rows of its images.
+        """
+        return (crop.top, height - crop.bottom) if self.sees_crop_only else None
+
     @property
     def stateless(self) -> bool:
         """Return whether a command depends on its frame alone, so that one driver can serve several runs at once."""

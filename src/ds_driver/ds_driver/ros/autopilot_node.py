@@ -10,7 +10,7 @@ from ds_interfaces.msg import VehicleState
 from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
 
-from ds_driver.control.autopilot import Autopilot
+from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.ros.simulator_client import Answer, SimulatorClient
 from ds_driver.ros.simulator_info import SimulatorInfo
 from ds_sim.ros.conversions import gains_of
@@ -62,8 +62,8 @@ class AutopilotNode(Node):
         self.get_logger().info(f"the autopilot drives {names}")
 
     def rows_seen(self, _spec: SimulatorSpec) -> tuple[int, int]:
-        """Return first row and end of the rows that it looks at: as few as a simulator can draw."""
-        return 0, 1
+        """Return first row and end of the rows that it looks at."""
+        return ROWS_SEEN
 
     def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
         given = {name: value for name, value in self._given[index].items() if value != ASK}

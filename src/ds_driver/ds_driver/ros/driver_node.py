@@ -80,7 +80,7 @@ class DriverNode(Node):
             spec: description of the simulator in this node's own namespace.
         """
         crop = self._crop_of(0, spec.crop_top, spec.crop_bottom)
-        return (crop.top, spec.camera.height_px - crop.bottom) if self._driver.sees_crop_only else None
+        return self._driver.rows_seen(crop, spec.camera.height_px)
 
     def destroy_node(self) -> None:
         """Print the latency of the answers."""
