@@ -1,4 +1,5 @@
 from .camera.look import Look
+from .camera.painted_scene import PaintedScene
 from .camera.spec import CameraSpec
 from .lane_tracker import LaneTracker
 from .oracle import Oracle, OracleLimits
@@ -13,6 +14,7 @@ from .registry import (
 from .resimulation import ResimulationError, resimulate
 from .road_simulator import RoadSimulator
 from .run_codec import RunCodecError, decode_run, encode_run
+from .scene import Scene
 from .session import RunRecord, Session
 from .simulator import (
     AutopilotGains,
@@ -43,11 +45,13 @@ __all__ = [
     "Oracle",
     "OracleLimits",
     "Outcome",
+    "PaintedScene",
     "ResimulationError",
     "RoadSimulator",
     "RunCodecError",
     "RunRecord",
     "SIMULATORS",
+    "Scene",
     "Session",
     "Simulator",
     "SimulatorError",

@@ -1,4 +1,4 @@
-"""Base class of simulators: combines a vehicle model, a camera and a look, which is all a new simulator provides."""
+"""Base class of simulators: combines a vehicle model and a scene, which is all a new simulator provides."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ds_road import Road, RoadError
-from ds_sim.camera.atlas import AtlasMemory
-from ds_sim.camera.ground import Ground, paint_ground
-from ds_sim.camera.renderer import Camera
-from ds_sim.camera.sensor import Sensor, scene_rows
+from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.oracle import Oracle, OracleLimits
+from ds_sim.scene import Scene
 from ds_sim.simulator import (
     FRAME_TIME,
     Command,
@@ -32,6 +30,7 @@ class RoadSimulator:
     Args:
         spec: description of the simulator.
         vehicle: physics model.
+        scene: what the camera sees; a `PaintedScene` of the spec's camera and look if omitted.
         limits: thresholds that end a run; the defaults of `OracleLimits` if omitted.
     """
 
@@ -40,13 +39,12 @@ class RoadSimulator:
         spec: SimulatorSpec,
         vehicle: Vehicle,
         *,
+        scene: Scene | None = None,
         limits: OracleLimits | None = None,
     ) -> None:
         self._spec = spec
         self.vehicle = vehicle
-        self._rows = (0, spec.camera.height_px)
-        self._camera = Camera(spec.camera, spec.look)
-        self._memory = AtlasMemory()
+        self.scene = scene or PaintedScene(spec.camera, spec.look)
         self._limits = limits or OracleLimits()
         self._run: _Run | None = None
 
@@ -57,12 +55,7 @@ class RoadSimulator:
 
     def draw_rows(self, top: int, bottom: int) -> None:
         """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
-        height = self._spec.camera.height_px
-        if not 0 <= top < bottom <= height:
-            raise ValueError(f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {height}")
-        if (top, bottom) != self._rows:
-            self._rows = (top, bottom)
-            self._camera = Camera(self._spec.camera, self._spec.look, scene_rows(self._spec.camera, self._rows))
+        self.scene.draw_rows(top, bottom)
 
     def load(self, road: Road, *, seed: int) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""
@@ -76,14 +69,8 @@ class RoadSimulator:
             float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(vehicle_seed)
         )
         tracker = LaneTracker(lane)
-        run = _Run(
-            camera=self._camera,
-            ground=paint_ground(road, self._spec.look, self._memory),
-            tracker=tracker,
-            oracle=Oracle(tracker.length, self._limits),
-            sensor=Sensor(self._spec.camera, np.random.default_rng(sensor_seed), self._rows),
-            half_lane=road.lane_width / 2,
-        )
+        self.scene.load(road, np.random.default_rng(sensor_seed))
+        run = _Run(tracker=tracker, oracle=Oracle(tracker.length, self._limits), half_lane=road.lane_width / 2)
         self._run = run
         return self._observe(run)
 
@@ -103,7 +90,7 @@ class RoadSimulator:
     def close(self) -> None:
         """Release the simulator's resources."""
         self._run = None
-        self._memory = AtlasMemory()
+        self.scene.close()
         self.vehicle.close()
 
     def _observe(self, run: _Run) -> Observation:
@@ -125,7 +112,7 @@ class RoadSimulator:
         )
         run.outcome = run.oracle.judge(step=run.step, lateral_distance=lane.lateral_distance, arc_length=arc)
         return Observation(
-            image=run.sensor.deliver(run.camera.render(run.ground, state)),
+            image=self.scene.image(state),
             step=run.step,
             time=run.step * FRAME_TIME,
             vehicle=state,
@@ -138,11 +125,8 @@ class RoadSimulator:
 class _Run:
     """State of one run on one road."""
 
-    camera: Camera
-    ground: Ground
     tracker: LaneTracker
     oracle: Oracle
-    sensor: Sensor
     half_lane: float
     step: int = 0
     outcome: Outcome = Outcome.RUNNING

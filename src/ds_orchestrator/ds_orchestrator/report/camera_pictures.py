@@ -10,7 +10,7 @@ import base64
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,11 +20,11 @@ from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.report.page_data import in_words
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.store import Execution, Test
-from ds_sim.camera.ground import Ground, paint_ground
 from ds_sim.camera.png import png
-from ds_sim.camera.renderer import Camera, Sensor
-from ds_sim.registry import make_simulator, received_simulator, spec_of
-from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, SimulatorSpec, VehicleState
+from ds_sim.registry import make_simulator, received_simulator
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.scene import Scene
+from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, VehicleState
 
 CAMERA_PLACE = 45.0
 """Arc length of the place that every camera shows, m; chosen: a third of a usual road."""
@@ -146,23 +146,43 @@ def drive_pictures(
 ) -> dict[str, list[Drive | None]]:
     """Render drives: test -> drive on every simulator, or None if it was not driven there."""
     done = {(e.test_id, e.simulator): e for e in executions}
-    wanted = [(test, name, done.get((test.test_id, name))) for test in tests for name in names]
     cv2.setNumThreads(1)
     with ThreadPoolExecutor(_THREADS) as pool:
-        drives = list(pool.map(lambda one: None if one[2] is None else _drive(one[1], one[0], one[2], trusted), wanted))
-    rows = [drives[k : k + len(names)] for k in range(0, len(drives), len(names))]
-    return {test.test_id: row for test, row in zip(tests, rows, strict=True)}
+        # A thread for each simulator: some renderers belong to one thread at a time.
+        columns = list(pool.map(lambda name: _drives_on(name, tests, done, trusted), names))
+    return {test.test_id: [column[k] for column in columns] for k, test in enumerate(tests)}
 
 
-def _drive(name: str, test: Test, execution: Execution, trusted: Collection[str]) -> Drive:
+def _drives_on(
+    name: str, tests: Sequence[Test], done: Mapping[tuple[str, str], Execution], trusted: Collection[str]
+) -> list[Drive | None]:
+    """Render the drives on one simulator, in the order of the tests."""
+    wanted = [(test, done.get((test.test_id, name))) for test in tests]
+    if not any(execution for _, execution in wanted):
+        return [None] * len(tests)
     try:
-        spec = spec_of(received_simulator(name, confirmed=trusted, option="--trust"))
-        ground = paint_ground(test.road, spec.look)
-        camera = Camera(spec.camera, spec.look)
-        frames = [_frame(spec, camera, ground, test.seed, execution, k) for k in moments(execution)]
+        simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
     except Exception as error:  # a missing or broken simulator must not prevent the report
-        return Drive(note=f"no pictures: {' '.join(str(error).split())}")
+        return [execution and _no_pictures(error) for _, execution in wanted]
+    try:
+        return [execution and _drive(simulator, test, execution) for test, execution in wanted]
+    finally:
+        simulator.close()
+
+
+def _drive(simulator: Simulator, test: Test, execution: Execution) -> Drive:
+    if not isinstance(simulator, RoadSimulator):
+        return Drive(note="no pictures: this simulator renders images only while it drives")
+    try:
+        simulator.scene.load(test.road, np.random.default_rng(test.seed))
+        frames = [_frame(simulator.scene, test.seed, execution, k) for k in moments(execution)]
+    except Exception as error:  # as above
+        return _no_pictures(error)
     return Drive(frames=tuple(frames))
+
+
+def _no_pictures(error: Exception) -> Drive:
+    return Drive(note=f"no pictures: {' '.join(str(error).split())}")
 
 
 def moments(execution: Execution) -> list[int]:
@@ -174,17 +194,13 @@ def moments(execution: Execution) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(first, last, MOMENTS).round().astype(int))]
 
 
-def _frame(
-    spec: SimulatorSpec, camera: Camera, ground: Ground, seed: int, execution: Execution, step: int
-) -> tuple[str, str]:
+def _frame(scene: Scene, seed: int, execution: Execution, step: int) -> tuple[str, str]:
     """Render one frame, and write its caption."""
     x, y, yaw, speed, lateral = (float(v) for v in execution.trajectory[step])
     before = float(execution.trajectory[max(step - 1, 0), 2])
     turned = float(np.angle(np.exp(1j * (yaw - before))))
     state = VehicleState(x=x, y=y, yaw=yaw, speed=speed, yaw_rate=turned * FRAME_RATE, steering_angle=0.0)
-    # A new sensor for every picture: frames far apart share no sensor state.
-    sensor = Sensor(replace(spec.camera, latency=0), np.random.default_rng([seed, step]))
-    image = sensor.deliver(camera.render(ground, state))
+    image = scene.still(state, np.random.default_rng([seed, step]))
     side = "right" if lateral >= 0 else "left"
     return _jpeg(image), f"{step / FRAME_RATE:.1f} s, {abs(lateral):.2f} m {side}, {3.6 * speed:.0f} km/h"
 

@@ -1,0 +1,47 @@
+"""Interface of scenes: what the camera of a simulator sees, independent of physics and outcomes."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.simulator import VehicleState
+
+
+class Scene(Protocol):
+    """World of one road, as the camera of one vehicle sees it; images are (rows, columns, 3) uint8 RGB."""
+
+    def load(self, road: Road, rng: np.random.Generator) -> None:
+        """Build the world of a road from scratch.
+
+        The images that follow depend on these arguments and on the states alone, bit for bit, in any process.
+
+        Args:
+            road: a valid road.
+            rng: source of all random numbers of the run, such as sensor noise.
+        """
+        ...
+
+    def image(self, state: VehicleState) -> NDArray[np.uint8]:
+        """Deliver the next camera image, read-only; called once a frame, as a sensor may have noise and latency."""
+        ...
+
+    def still(self, state: VehicleState, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Take one image from any pose in the loaded world, without latency; a run in progress is not affected.
+
+        Args:
+            state: pose and motion of the vehicle.
+            rng: source of sensor noise.
+        """
+        ...
+
+    def draw_rows(self, top: int, bottom: int) -> None:
+        """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
+        ...
+
+    def close(self) -> None:
+        """Release the scene's resources; `load` may follow."""
+        ...
