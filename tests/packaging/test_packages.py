@@ -48,18 +48,21 @@ NO_KEY = {
     "lz4": "lz4",
     "markupsafe": "markupsafe",
     "mcap": "mcap",
+    "numba": "numba",
     "onnx": "onnx",
     "openvino": "openvino",
+    "panda3d": "panda3d",
     "plotly": "plotly",
     "pyarrow": "pyarrow",
     "pymunk": "pymunk",
     "safetensors": "safetensors",
     "statsmodels": "statsmodels",
+    "vehiclemodels": "commonroad-vehicle-models",
     "zstandard": "zstandard",
 }
 """Imported module -> name on PyPI, if rosdep has no key."""
 WITHOUT_IMPORT = {
-    "ds_orchestrator": ("ds_sim_bullet", "ds_sim_softbody"),  # made by the names in ds_sim/registry.py
+    "ds_orchestrator": ("ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody"),  # made by the names in ds_sim/registry.py
     "ds_sim_bullet": ("python3-pybullet-pip",),  # imported when the first vehicle is made
     "ds_driver": ("geometry_msgs",),  # imported by the name of the message that a user chooses
 }

@@ -1,0 +1,1 @@
+"""Third digital sibling: a multi-body car in a world rendered by Panda3D."""

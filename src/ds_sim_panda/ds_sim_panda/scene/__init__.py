@@ -1,0 +1,1 @@
+"""World of a road in Panda3D, and the camera that sees it."""

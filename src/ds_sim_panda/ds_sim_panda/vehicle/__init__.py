@@ -1,0 +1,1 @@
+"""Full-size car: the multi-body model of CommonRoad."""
