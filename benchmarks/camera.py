@@ -28,7 +28,7 @@ from ds_sim.simulator import VehicleState
 
 def poses(seed: int) -> list[VehicleState]:
     """Poses along the lane of a random road at 6 m/s, slightly rolled and pitched."""
-    lane = generate(np.random.default_rng(seed), max_angle=60).right_lane_centre
+    lane = generate(np.random.default_rng(seed), max_angle=60).lane_centre
     headings = np.unwrap(np.arctan2(*np.diff(lane, axis=0).T[::-1]))
     rates = np.gradient(headings) / np.hypot(*np.diff(lane, axis=0).T) * 6.0
     return [

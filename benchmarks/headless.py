@@ -87,7 +87,7 @@ def cars() -> dict[str, Car]:
 
 def drive(car: Car, vehicle: Vehicle, road: Road) -> Drive:
     """Let the autopilot drive a road until the run ends, as `ds_sim.road_simulator` would."""
-    lane = road.right_lane_centre
+    lane = road.lane_centre
     ahead = lane[1] - lane[0]
     vehicle.reset(float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(0))
     tracker, pilot = LaneTracker(lane), Autopilot(car.gains)

@@ -72,7 +72,7 @@ def same_commands(road: Road) -> Chart:
     recorder = Recorder(car.make(1))
     paths = {"bullet": drive_road(car, recorder, road).path}
     recorder.close()
-    lane = road.right_lane_centre
+    lane = road.lane_centre
     ahead = lane[1] - lane[0]
     for name in ("softbody", "donkey"):
         vehicle = cars()[name].make(1)

@@ -18,11 +18,11 @@ FRAMES = 40
 ROAD = Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)])
 
 
-def drive(frames: int = FRAMES, *, seed: int = 3) -> RunRecord:
+def drive(frames: int = FRAMES, *, seed: int = 3, road: Road = ROAD) -> RunRecord:
     """Drive the twin with the autopilot, for a number of frames."""
     simulator = make_simulator("donkey")
     driver, session = make_driver("autopilot", simulator.spec), Session(simulator)
-    observation = session.start(ROAD, seed)
+    observation = session.start(road, seed)
     while observation is not None and session.driving and observation.step < frames:
         observation = session.advance(driver(observation))
     session.end(Outcome.CANCELLED, "that is enough")
@@ -34,6 +34,12 @@ def drive(frames: int = FRAMES, *, seed: int = 3) -> RunRecord:
 @pytest.fixture(scope="session")
 def run() -> RunRecord:
     return drive()
+
+
+@pytest.fixture(scope="session")
+def left_run() -> RunRecord:
+    """A few frames in the left lane."""
+    return drive(5, road=ROAD.in_lane("left"))
 
 
 @pytest.fixture(scope="session")

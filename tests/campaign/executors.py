@@ -64,7 +64,7 @@ class MadeUpExecutor(LocalExecutor):
         rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
         lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
         failed = bool(np.abs(lateral).max() > HALF_LANE)
-        x, y = road.right_lane_centre[0].tolist()
+        x, y = road.lane_centre[0].tolist()
         run = RunRecord(road=road, seed=seed, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED)
         run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
         run.observations = [

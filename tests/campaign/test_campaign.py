@@ -129,7 +129,7 @@ def test_a_search_that_continued_without_an_outcome_does_so_again(tmp_path: Path
     # Each outcome belongs to the road in the store.
     driven = {e.test_id: e.trajectory for e in store.executions()}
     for test in store.tests():
-        start = test.road.right_lane_centre[0]
+        start = test.road.lane_centre[0]
         assert driven[test.test_id][0, :2] == pytest.approx(start, abs=0.05)
 
 
@@ -219,6 +219,7 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
         ({"seeds": [1, 2]}, "seeds: there is no such key"),
         ({"record": "everything"}, "record: everything, expected one of none, telemetry, compressed, raw"),
         ({"maxitwo_compatible": "yes"}, "maxitwo_compatible: 'yes', expected true or false"),
+        ({"lane": "middle"}, "lane: middle, expected one of right, left"),
         ([1, 2], "c.yaml: [1, 2], expected keys with values"),
         ({"seed": -1, "workers": 65}, "seed: -1, expected at least 0; workers: 65, expected at most 64"),
         ({"search": {"method": "hyperion"}}, "search.method: unknown search 'hyperion': expected one of deephyperion"),
@@ -275,6 +276,24 @@ def test_the_shipped_configurations_are_what_they_say() -> None:
     drives = [config.executions_at_most for config in (demo, first_run, paper)]
     assert drives == [2 * 1 * 20 * 3, 2 * 2 * 170 * 3, 2 * 5 * 170 * 3]
     assert parse_config({"twin": "none"}, "c.yaml").twin is None
+
+
+def test_a_campaign_in_the_left_lane_drives_the_same_roads_there_and_resumes(tmp_path: Path) -> None:
+    left = CONFIG.model_copy(update={"lane": "left"})
+    assert '"lane"' not in CONFIG.identity() and '"lane":"left"' in left.identity()
+    _, right_store = run(tmp_path / "right", MadeUpExecutor(), CONFIG)
+    run(tmp_path / "left", MadeUpExecutor(runs=3), left)[1].close()
+    _, store = run(tmp_path / "left", MadeUpExecutor(), left)
+    tests = store.tests()
+    assert {test.road.lane for test in tests} == {"left"} and len(tests) == len(right_store.tests())
+    # The first roads depend on no outcome.
+    assert tests[0].road == right_store.tests()[0].road.in_lane("left") != right_store.tests()[0].road
+    driven = {e.test_id: e.trajectory for e in store.executions()}
+    for test in tests:
+        assert driven[test.test_id][0, :2] == pytest.approx(test.road.left_lane_centre[0], abs=1e-9)
+    store.close()
+    with pytest.raises(StoreError, match="lane: left there, the default now"):
+        Store(tmp_path / "left" / "campaign.sqlite", config=CONFIG.identity())
 
 
 def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
@@ -351,7 +370,7 @@ def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_a
     driven = {e.test_id: e.trajectory for e in store.executions()}
     for test in mutants:
         # The driven road starts where the mutant starts, although a simulator receives only control points.
-        assert driven[test.test_id][0, :2] == pytest.approx(test.road.right_lane_centre[0], abs=1e-9)
+        assert driven[test.test_id][0, :2] == pytest.approx(test.road.lane_centre[0], abs=1e-9)
     plan = config.map_plan()
     cells = cells_of(tests, store.executions(), features=plan.features, maxitwo_compatible=True)
     elites = elites_of(tests, store.executions(), cells)

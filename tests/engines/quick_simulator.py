@@ -36,7 +36,7 @@ class QuickSimulator:
     def close(self) -> None: ...
 
     def _observe(self) -> Observation:
-        x, y = self._road.right_lane_centre[self._step].tolist()
+        x, y = self._road.lane_centre[self._step].tolist()
         distance = HALF_LANE - abs(self._lateral)
         outcome = Outcome.RUNNING
         if distance < 0:

@@ -16,6 +16,7 @@ ROADS = {
     "narrow": Road(POINTS, lane_width=3.5),
     "maxitwo": Road(POINTS, maxitwo_compatible=True),
     "sampled": Road.from_road_points(Road(POINTS).points, lane_width=3.0),
+    "left": Road(POINTS, lane="left"),
 }
 
 

@@ -83,6 +83,7 @@ class MessageFactory:
             lane_width=road.lane_width,
             sampled=road.sampled,
             maxitwo_compatible=road.maxitwo_compatible,
+            left_lane=road.lane == "left",
         )
 
     def outcome(self, value: int) -> Any:

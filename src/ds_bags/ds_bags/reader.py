@@ -310,12 +310,13 @@ def _road(bag: BagReader, facts: dict[str, str]) -> Road:
             raise RoadError("its road is nested too deeply") from None
     for connection, _, raw in bag.messages(bag.of_type(ROAD)):
         message = bag.message(connection, raw)
-        # Road messages of version 0.1 have control points only.
+        # Road messages of version 0.1 have control points only, those of 0.2 no lane.
         return road_from_fields(
             [(point.x, point.y) for point in message.control_points],
             lane_width=float(getattr(message, "lane_width", 0.0)),
             sampled=bool(getattr(message, "sampled", False)),
             maxitwo_compatible=bool(getattr(message, "maxitwo_compatible", False)),
+            left_lane=bool(getattr(message, "left_lane", False)),
         )
     raise RoadError("no road")
 

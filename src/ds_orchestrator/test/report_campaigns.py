@@ -35,7 +35,7 @@ def make_execution(test: Test, simulator: str, offset: float) -> Execution:
 
     Steering is as noisy as a network's, drawn from the names of test and simulator.
     """
-    centre, across = test.road.right_lane_centre, (test.road.right_edge - test.road.left_edge) / (2 * 4.0)
+    centre, across = test.road.lane_centre, (test.road.right_edge - test.road.left_edge) / (2 * 4.0)
     lateral = np.linspace(0.0, offset, len(centre))
     steps = int(np.argmax(lateral > 2.0)) + 1 if offset > 2.0 else len(centre)
     path = centre + lateral[:, None] * across

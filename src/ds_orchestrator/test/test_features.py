@@ -40,6 +40,15 @@ def test_features_of_half_a_circle() -> None:
     assert cell_of(road, features=["direction_coverage", "turns_count"]) == (50, 1)
 
 
+def test_lanes_of_half_a_circle_have_their_own_curvature() -> None:
+    """To the left by 20 m: the right lane has 22 m, the left one 18 m, whichever is driven."""
+    driven = [f"{lane}lane_curvature_max_{side}" for lane in ("", "other_") for side in ("right", "left")]
+    assert cell_of(circle(20.0), features=driven) == (0, int(100 / 22), 0, int(100 / 18))
+    assert cell_of(circle(20.0).in_lane("left"), features=driven) == (0, int(100 / 18), 0, int(100 / 22))
+    assert cell_of(circle(20.0).mirrored(), features=driven) == (int(100 / 22), 0, int(100 / 18), 0)
+    assert feature_of("lane_curvature_max_right").label(17) == "0.17"
+
+
 def test_direction_coverage_counts_bins_of_the_angle_to_north() -> None:
     """By hand: steps to the north, to the east, and at 100 degrees: bins 1, 7 (86.4 to 100.8 degrees) and 7 again."""
     far = [(0.0, 0.0), (0.0, 10.0), (10.0, 10.0), (10.0 + np.sin(np.radians(100)), 10.0 + np.cos(np.radians(100)))]

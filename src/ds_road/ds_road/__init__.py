@@ -12,7 +12,7 @@ from ds_road.files import (
 )
 from ds_road.generation import MutationError, generate, mutate
 from ds_road.picture import draw
-from ds_road.road import LANE_WIDTH, Road, RoadError
+from ds_road.road import LANE_WIDTH, Road, RoadError, Side
 from ds_road.validity import Validity
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "MutationError",
     "Road",
     "RoadError",
+    "Side",
     "Validity",
     "check",
     "draw",

@@ -1,7 +1,8 @@
 """Exports roads: ASAM OpenDRIVE for simulators and scenario editors, and the JSON of the SBFT tool competition.
 
-OpenDRIVE 1.7 (ASAM, 2021): one road with its centre line as the reference line, a left and a right lane, right-hand
-traffic; vehicles drive in the right lane, id -1. The reference line passes through every sample of `Road.points`:
+OpenDRIVE 1.7 (ASAM, 2021): one road with its centre line as the reference line, a left and a right lane. Vehicles drive
+in the right lane, id -1, of right-hand traffic, or in the left lane, id 1, of left-hand traffic. The reference line
+passes through every sample of `Road.points`:
 
 * A road of control points is written as what it is: each segment of its Catmull-Rom spline is a cubic polynomial, which
   a `paramPoly3` represents exactly. It stays within 1 um of the spline.
@@ -74,6 +75,7 @@ def sbft(road: Road, name: str) -> str:
         "road_id": road.road_id,
         "road_points": road.points.tolist(),
         **({"lane_width": road.lane_width} if road.lane_width != 4.0 else {}),
+        **({"lane": road.lane} if road.lane != "right" else {}),
     }
     return json.dumps(document, allow_nan=False) + "\n"
 
@@ -88,7 +90,8 @@ def opendrive(road: Road, name: str) -> str:
         root, "header", revMajor="1", revMinor="7", name=_printable(name), version="1.0",
         north=north, south=south, east=east, west=west,
     )  # fmt: skip
-    body = _add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule="RHT")
+    rule = "RHT" if road.lane == "right" else "LHT"
+    body = _add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule=rule)
     _add(body, "type", s="0", type="rural")
     body.append(geometry)
     lanes = _add(body, "lanes")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import groupby
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ SHORT_STRAIGHT, SHORT_RUN = 10, 15
 """Minimum number of samples of a straight, and of any run; shorter ones are merged into the run before (maxitwo)."""
 WINDOW = 5
 """Samples per curvature window; the circle goes through the first, middle and last one (maxitwo)."""
+LANE_WINDOW = 4.0
+"""Length of lane over which its curvature is averaged, m; chosen: a car's length, which one cannot steer within."""
 DIRECTION_BINS = 25
 """Number of equal bins into which directions are sorted over a full circle (DeepHyperion)."""
 LARGEST_RADIUS = 90.0
@@ -39,6 +42,37 @@ def curvature(points: NDArray[np.float64]) -> float:
     bent = double_area >= 1e-6
     sides = np.hypot(*a.T) * np.hypot(*b.T) * np.hypot(*c.T)
     return float(np.max(2.0 * double_area[bent] / sides[bent], initial=0.0))
+
+
+def lane_curvature(lane_centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signed curvature of a lane, averaged over windows of `LANE_WINDOW` along it, 1/m, right positive.
+
+    The average over a window is the change of heading between its ends over its length. Headings are those of the steps
+    between samples, at the middles of the steps, and linear between them. The average is then piecewise linear in the
+    place of the window, and the windows that begin or end at the middle of a step hold its extremes.
+
+    Args:
+        lane_centre: (n, 2) samples of the centre line of the lane, m, in driving order.
+
+    Returns:
+        (windows,) averages, in order. A lane shorter than the window counts as if it went on straight.
+    """
+    steps = np.diff(lane_centre, axis=0)
+    lengths = np.hypot(*steps.T)
+    middles = np.cumsum(lengths) - lengths / 2
+    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    if middles[-1] - middles[0] <= LANE_WINDOW:
+        return np.array([(headings[0] - headings[-1]) / LANE_WINDOW])
+    begins = np.unique(np.concatenate((middles, middles - LANE_WINDOW)))
+    begins = begins[(begins >= middles[0]) & (begins + LANE_WINDOW <= middles[-1])]
+    turned = np.interp(begins + LANE_WINDOW, middles, headings) - np.interp(begins, middles, headings)
+    return np.asarray(-turned / LANE_WINDOW, np.float64)
+
+
+def largest_lane_curvature(lane_centre: NDArray[np.float64], side: Literal["right", "left"]) -> float:
+    """Largest curvature of a lane to one side, 1/m; 0 if it never bends to that side. See `lane_curvature`."""
+    sign = 1.0 if side == "right" else -1.0
+    return float(np.max(sign * lane_curvature(lane_centre), initial=0.0))
 
 
 def turns_count(points: NDArray[np.float64], *, maxitwo_compatible: bool = False) -> int:

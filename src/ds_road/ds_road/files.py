@@ -2,7 +2,8 @@
 
 A file holds one road or a list of roads. A road is a list of [x, y] control points in metres, in driving order, or an
 object with either `control_points` or `road_points` (the centre line itself, as other tools exchange it) and, where
-they differ from the defaults, `lane_width` and `maxitwo_compatible`. Other keys of the object are ignored.
+they differ from the defaults, `lane_width`, `maxitwo_compatible` and `lane` (`right` or `left`). Other keys of the
+object are ignored.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ds_road.road import LANE_WIDTH, Road, RoadError, abbreviated
+from ds_road.road import LANE_WIDTH, Road, RoadError, Side, abbreviated
 
 LARGEST_FILE = 16 * 2**20
 """Bytes of a road file; chosen: 40,000 roads of the usual nine points, parsed within a second."""
@@ -35,13 +36,14 @@ def road_from_json(raw: Any) -> Road:
         raw.get("lane_width", LANE_WIDTH),
         raw.get("maxitwo_compatible", raw.get("published", False)),
     )
+    lane = raw.get("lane", "right")
     if not isinstance(maxitwo_compatible, bool):
         raise RoadError(f"maxitwo_compatible is {abbreviated(maxitwo_compatible)}, expected true or false")
     if given == ["control_points"]:
-        return Road(raw["control_points"], lane_width=lane_width, maxitwo_compatible=maxitwo_compatible)
+        return Road(raw["control_points"], lane_width=lane_width, maxitwo_compatible=maxitwo_compatible, lane=lane)
     if maxitwo_compatible:
         raise RoadError("maxitwo_compatible is true for a road given by road_points, expected control_points")
-    return Road.from_road_points(raw["road_points"], lane_width=lane_width)
+    return Road.from_road_points(raw["road_points"], lane_width=lane_width, lane=lane)
 
 
 def road_from_fields(
@@ -50,6 +52,7 @@ def road_from_fields(
     lane_width: float = 0.0,
     sampled: bool = False,
     maxitwo_compatible: bool = False,
+    left_lane: bool = False,
 ) -> Road:
     """Road from the fields of a `ds_interfaces/msg/Road`.
 
@@ -58,28 +61,32 @@ def road_from_fields(
         lane_width: m; 0 stands for the usual width.
         sampled: no spline is laid through the points.
         maxitwo_compatible: the spline ignores the first point.
+        left_lane: driven in the left lane.
 
     Raises:
         RoadError: the fields make no road.
     """
     width = lane_width or LANE_WIDTH
+    lane: Side = "left" if left_lane else "right"
     if not sampled:
-        return Road(points, lane_width=width, maxitwo_compatible=maxitwo_compatible)
+        return Road(points, lane_width=width, maxitwo_compatible=maxitwo_compatible, lane=lane)
     if maxitwo_compatible:
         raise RoadError("the road is both sampled and maxitwo_compatible: expected at most one of them")
-    return Road.from_road_points(points, lane_width=width)
+    return Road.from_road_points(points, lane_width=width, lane=lane)
 
 
 def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
     """Convert a road to JSON for `road_from_json`: a plain list of control points where that suffices."""
     points = [list(point) for point in road.control_points]
-    if not road.sampled and not road.maxitwo_compatible and road.lane_width == LANE_WIDTH:
+    if not road.sampled and not road.maxitwo_compatible and road.lane_width == LANE_WIDTH and road.lane == "right":
         return points
     raw: dict[str, Any] = {"road_points" if road.sampled else "control_points": points}
     if road.maxitwo_compatible:
         raw["maxitwo_compatible"] = True
     if road.lane_width != LANE_WIDTH:
         raw["lane_width"] = road.lane_width
+    if road.lane != "right":
+        raw["lane"] = road.lane
     return raw
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ds_road.road import LANE_WIDTH, Road, RoadError
+from ds_road.road import LANE_WIDTH, Road, RoadError, Side
 from ds_road.validity import BOX, check_surface, fits
 
 SEGMENT_LENGTH = 25.0
@@ -30,13 +30,14 @@ class MutationError(RoadError):
     """No valid mutant of a road was found."""
 
 
-def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX) -> Road:
+def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX, lane: Side = "right") -> Road:
     """Generate a random valid road of nine control points, 25 m apart, that starts at (box / 2, 25) and heads north.
 
     Args:
         rng: source of all random numbers.
         max_angle: largest heading change from one segment to the next, degrees, 1 to 360.
         box: side of the square with one corner at the origin that contains the road, m, 100 to 250.
+        lane: lane that is driven; it does not affect the control points.
 
     Raises:
         RoadError: angle or box is out of range, or no valid road was found.
@@ -48,7 +49,7 @@ def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX
     for _ in range(MAX_RESTARTS):
         nodes = _random_nodes(rng, max_angle, box)
         if nodes is not None:
-            road = Road(nodes[1:])
+            road = Road(nodes[1:], lane=lane)
             if fits(road.left_edge, road.right_edge, box) and road.validity.valid:
                 return road
     raise RoadError(f"no valid road found in {MAX_RESTARTS} attempts: choose another maximum angle or a larger box")
@@ -80,7 +81,7 @@ def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, maxitwo_com
             points = [list(point) for point in road.control_points]
             points[gene][axis] += delta
             try:
-                mutant = Road(points, lane_width=road.lane_width, maxitwo_compatible=maxitwo_compatible)
+                mutant = Road(points, lane_width=road.lane_width, maxitwo_compatible=maxitwo_compatible, lane=road.lane)
             except RoadError:
                 continue
             if mutant.validity.valid:

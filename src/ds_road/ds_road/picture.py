@@ -122,7 +122,7 @@ def _star(view: _View, centre: NDArray[np.float64]) -> None:
 
 def _ends(view: _View, road: Road) -> None:
     """Mark the start with a black triangle that points ahead, and the end with a black square."""
-    lane, half = road.right_lane_centre, 0.4 * road.lane_width
+    lane, half = road.lane_centre, 0.4 * road.lane_width
     triangle = np.array(((2.4, 0.0), (0.0, 1.0), (0.0, -1.0)))
     square = np.array(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)))
     for shape, at, step in ((triangle, lane[0], lane[1] - lane[0]), (square, lane[-1], lane[-1] - lane[-2])):
@@ -155,7 +155,7 @@ def _scale_bar(image: NDArray[np.uint8], scale: float) -> None:
 def _caption(road: Road, width: int) -> NDArray[np.uint8]:
     """White footer with id, features and validity."""
     text = [
-        f"{road.road_id}   {road.length:.0f} m",
+        f"{road.road_id}   {road.length:.0f} m{'   left lane' if road.lane == 'left' else ''}",
         f"turns {road.turns_count}   curvature {road.curvature:.3f} /m",
         "valid" if road.validity.valid else f"not valid: {road.validity.reason}",
     ]

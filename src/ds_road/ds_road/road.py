@@ -8,15 +8,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road.features import curvature, turns_count
+from ds_road.features import curvature, largest_lane_curvature, turns_count
 from ds_road.spline import catmull_rom
-from ds_road.validity import Validity, check_surface
+from ds_road.validity import BOX, Validity, check_surface
 
+Side = Literal["right", "left"]
+"""Side of the centre line, as seen in driving order."""
 LANE_WIDTH = 4.0
 """Default width of a lane, m (maxitwo: a two-lane road of 8 m)."""
 MAX_POINTS = 1000
@@ -32,7 +34,7 @@ class RoadError(ValueError):
 
 @dataclass(frozen=True, init=False, repr=False)
 class Road:
-    """Two-lane road through control points (paper 3.1.1), driven in the right lane.
+    """Two-lane road through control points (paper 3.1.1), driven in its right lane, or in its left one.
 
     The first and the last control point only set the direction of the spline: the road starts at the second one and
     ends at the last but one. Roads with equal content compare equal and have the same `road_id`.
@@ -43,6 +45,7 @@ class Road:
         maxitwo_compatible: build the centre line as maxitwo does for mutants: the spline ignores the first control
             point, so that the road starts at the third (n >= 5). This does not affect how turns are counted:
             `turns_count_maxitwo` exists for every road.
+        lane: lane that is driven, `right` or `left`, from the first to the last control point in either.
 
     Raises:
         RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
@@ -53,6 +56,7 @@ class Road:
     maxitwo_compatible: bool
     sampled: bool
     """True if the control points are the centre line itself; see `from_road_points`."""
+    lane: Side
 
     def __init__(
         self,
@@ -60,17 +64,23 @@ class Road:
         *,
         lane_width: float = LANE_WIDTH,
         maxitwo_compatible: bool = False,
+        lane: Side = "right",
     ) -> None:
         self._set(
             _parse_points(control_points, "control point", minimum=5 if maxitwo_compatible else 4),
             lane_width,
             maxitwo_compatible,
             False,
+            lane,
         )
 
     @classmethod
     def from_road_points(
-        cls, points: Iterable[Sequence[float]] | NDArray[np.float64], *, lane_width: float = LANE_WIDTH
+        cls,
+        points: Iterable[Sequence[float]] | NDArray[np.float64],
+        *,
+        lane_width: float = LANE_WIDTH,
+        lane: Side = "right",
     ) -> Road:
         """Road whose centre line is given point by point, the way other tools in this field exchange roads.
 
@@ -79,12 +89,13 @@ class Road:
         Args:
             points: (n, 2) coordinates, m, in driving order, 2 <= n <= 1000.
             lane_width: width of each of the two lanes, m, 1 to 20.
+            lane: lane that is driven, `right` or `left`.
 
         Raises:
             RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
         """
         road = cls.__new__(cls)
-        road._set(_parse_points(points, "road point", minimum=2), lane_width, False, True)
+        road._set(_parse_points(points, "road point", minimum=2), lane_width, False, True, lane)
         return road
 
     def _set(
@@ -93,11 +104,14 @@ class Road:
         lane_width: float,
         maxitwo_compatible: bool,
         sampled: bool,
+        lane: Side,
     ) -> None:
         """Set the fields of the frozen dataclass."""
         if isinstance(lane_width, str | bool) or not isinstance(lane_width, int | float) or not 1 <= lane_width <= 20:
             raise RoadError(f"lane width is {abbreviated(lane_width)}, expected 1 to 20 metres")
-        values = (control_points, float(lane_width), bool(maxitwo_compatible), sampled)
+        if not isinstance(lane, str) or lane not in get_args(Side):
+            raise RoadError(f"lane is {abbreviated(lane)}, expected right or left")
+        values = (control_points, float(lane_width), bool(maxitwo_compatible), sampled, lane)
         for field, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, field.name, value)
 
@@ -108,14 +122,17 @@ class Road:
     def __repr__(self) -> str:
         kind = "road points" if self.sampled else "control points"
         quirk = ", maxitwo-compatible" if self.maxitwo_compatible else ""
-        return f"Road({self.road_id}, {len(self.control_points)} {kind}{quirk})"
+        lane = ", left lane" if self.lane == "left" else ""
+        return f"Road({self.road_id}, {len(self.control_points)} {kind}{quirk}{lane})"
 
     @cached_property
     def road_id(self) -> str:
-        """Twelve hexadecimal digits of a hash over the control points and how the road is built from them."""
+        """Twelve hexadecimal digits of a hash over the control points, how they make the road, and its lane."""
         content = hashlib.sha256(np.asarray(self.control_points, dtype="<f8").tobytes())
         if self.sampled or self.maxitwo_compatible or self.lane_width != LANE_WIDTH:
             content.update(f"{self.lane_width} {self.maxitwo_compatible} {self.sampled}".encode())
+        if self.lane != "right":
+            content.update(self.lane.encode())
         return content.hexdigest()[:12]
 
     @cached_property
@@ -153,6 +170,21 @@ class Road:
         return _read_only(self.points + self.lane_width / 2 * self._right_normals)
 
     @cached_property
+    def left_lane_centre(self) -> NDArray[np.float64]:
+        """Centre line of the left lane at every sample, (n, 2), m."""
+        return _read_only(self.points - self.lane_width / 2 * self._right_normals)
+
+    @property
+    def lane_centre(self) -> NDArray[np.float64]:
+        """Centre line of the driven lane at every sample, (n, 2), m."""
+        return self.right_lane_centre if self.lane == "right" else self.left_lane_centre
+
+    @property
+    def other_lane_centre(self) -> NDArray[np.float64]:
+        """Centre line of the lane beside the driven one at every sample, (n, 2), m."""
+        return self.left_lane_centre if self.lane == "right" else self.right_lane_centre
+
+    @cached_property
     def length(self) -> float:
         """Length of the centre line, m."""
         return float(np.hypot(*np.diff(self.points, axis=0).T).sum())
@@ -161,6 +193,16 @@ class Road:
     def curvature(self) -> float:
         """Largest curvature of the centre line, 1/m; see `ds_road.features.curvature`."""
         return curvature(self.points)
+
+    @cached_property
+    def lane_curvature_max_right(self) -> float:
+        """Largest curvature of the driven lane to the right, 1/m; see `ds_road.features.largest_lane_curvature`."""
+        return largest_lane_curvature(self.lane_centre, "right")
+
+    @cached_property
+    def lane_curvature_max_left(self) -> float:
+        """Largest curvature of the driven lane to the left, 1/m; see `ds_road.features.largest_lane_curvature`."""
+        return largest_lane_curvature(self.lane_centre, "left")
 
     @property
     def curvature_bin(self) -> int:
@@ -183,14 +225,37 @@ class Road:
         return check_surface(self.left_edge, self.right_edge)
 
     def reversed(self) -> Road:
-        """Road with the same centre line, driven in the opposite direction.
+        """Road with the same centre line, driven in the opposite direction, in the lane of the same name.
 
         On a maxitwo-compatible road the first control point, which its spline ignores, is dropped.
         """
         if self.sampled:
-            return Road.from_road_points(self.control_points[::-1], lane_width=self.lane_width)
+            return Road.from_road_points(self.control_points[::-1], lane_width=self.lane_width, lane=self.lane)
         used = self.control_points[1:] if self.maxitwo_compatible else self.control_points
-        return Road(used[::-1], lane_width=self.lane_width)
+        return Road(used[::-1], lane_width=self.lane_width, lane=self.lane)
+
+    def in_lane(self, lane: Side) -> Road:
+        """Return the same road, driven in one of its lanes.
+
+        Raises:
+            RoadError: the lane is neither `right` nor `left`.
+        """
+        return self._with_points(self.control_points, lane)
+
+    def mirrored(self) -> Road:
+        """Return the mirror image about the middle of the box, x = 125 m, driven in the other lane.
+
+        A run on it is the mirror image of a run on this road: left and right change places, the start does not move
+        on roads of `generate`.
+        """
+        lane: Side = "left" if self.lane == "right" else "right"
+        return self._with_points(tuple((BOX - x, y) for x, y in self.control_points), lane)
+
+    def _with_points(self, points: tuple[tuple[float, float], ...], lane: Side) -> Road:
+        """Return a road of other points and lane, with everything else as it is."""
+        if self.sampled:
+            return Road.from_road_points(points, lane_width=self.lane_width, lane=lane)
+        return Road(points, lane_width=self.lane_width, maxitwo_compatible=self.maxitwo_compatible, lane=lane)
 
 
 def abbreviated(value: Any) -> str:

@@ -23,6 +23,7 @@ ROADS = {
     "straight": Road([(125.0, 25.0 * i) for i in range(9)]),
     "maxitwo": Road(generate(np.random.default_rng(5)).control_points, maxitwo_compatible=True),
     "sampled": Road.from_road_points(generate(np.random.default_rng(7)).points, lane_width=3.0),
+    "left": generate(np.random.default_rng(9), lane="left"),
 }
 
 
@@ -98,6 +99,7 @@ def test_sbft_is_read_back_as_the_same_centre_line(name: str, tmp_path: Path) ->
     (tmp_path / "road.json").write_text(sbft(ROADS[name], name))
     (back,) = read_roads(tmp_path / "road.json")
     assert (back.points == ROADS[name].points).all() and back.lane_width == ROADS[name].lane_width
+    assert back.lane == ROADS[name].lane
     document = json.loads((tmp_path / "road.json").read_text())
     assert document["name"] == name and all(len(point) == 2 for point in document["road_points"])
 

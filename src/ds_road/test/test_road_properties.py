@@ -160,15 +160,18 @@ def test_road_points_are_the_centre_line_itself() -> None:
         mutate(same, np.random.default_rng(0))
 
 
-kinds = st.sampled_from(["plain", "maxitwo_compatible", "wide", "sampled"])
+kinds = st.sampled_from(["plain", "maxitwo_compatible", "wide", "sampled", "left"])
 
 
 def variant_of(seed: int, kind: str) -> Road:
     road = random_road(seed)
     if kind == "sampled":
-        return Road.from_road_points(road.points, lane_width=3.5)
+        return Road.from_road_points(road.points, lane_width=3.5, lane="left")
     return Road(
-        road.control_points, maxitwo_compatible=kind == "maxitwo_compatible", lane_width=5.0 if kind == "wide" else 4.0
+        road.control_points,
+        maxitwo_compatible=kind == "maxitwo_compatible",
+        lane_width=5.0 if kind == "wide" else 4.0,
+        lane="left" if kind == "left" else "right",
     )
 
 
@@ -184,7 +187,9 @@ def test_json_round_trip_is_exact(seed: int, kind: str) -> None:
 
 
 def test_files_hold_several_roads_or_one(tmp_path: Path) -> None:
-    roads = [variant_of(seed, kind) for seed, kind in enumerate(("plain", "maxitwo_compatible", "wide", "sampled"))]
+    roads = [
+        variant_of(seed, kind) for seed, kind in enumerate(("plain", "maxitwo_compatible", "wide", "sampled", "left"))
+    ]
     write_roads(roads, tmp_path / "roads.json")
     assert read_roads(tmp_path / "roads.json") == read_roads(str(tmp_path / "roads.json")) == roads
     (tmp_path / "one.json").write_text(json.dumps(roads[0].control_points))
@@ -216,6 +221,7 @@ BAD: dict[str, Any] = {
         "maxitwo_compatible": True,
     },
     "maxitwo_compatible as text": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "maxitwo_compatible": "no"},
+    "another lane": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane": "middle"},
     "no lane width": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": None},
     "lane width nan": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": math.nan},
     "neighbours too near": [[0, 0], [10, 10], [10, 10 + 1e-14], [40, 40]],
@@ -273,7 +279,9 @@ values = st.recursive(
     lambda inner: (
         st.lists(inner, max_size=8)
         | st.dictionaries(
-            st.sampled_from(["control_points", "road_points", "lane_width", "maxitwo_compatible"]), inner, max_size=3
+            st.sampled_from(["control_points", "road_points", "lane_width", "maxitwo_compatible", "lane"]),
+            inner,
+            max_size=3,
         )
     ),
     max_leaves=30,

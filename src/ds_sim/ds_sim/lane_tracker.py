@@ -1,4 +1,4 @@
-"""Locates a vehicle in the right lane: signed lateral position and arc length along the lane's centre line."""
+"""Locates a vehicle in the driven lane: signed lateral position and arc length along the lane's centre line."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class RoadSimulator:
         if not road.validity.valid:
             raise RoadError(f"road {road.road_id} is not valid: {road.validity.reason}")
         vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
-        lane = road.right_lane_centre
+        lane = road.lane_centre
         ahead = lane[1] - lane[0]
         self.vehicle.reset(
             float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(vehicle_seed)

@@ -134,7 +134,7 @@ class LaneState:
     """Position of the vehicle relative to its lane (paper 3.3, 4.2.4).
 
     Attributes:
-        lateral_position: signed distance of the vehicle's centre from the right lane's centre line, m, right positive.
+        lateral_position: signed distance of the vehicle's centre from the driven lane's centre line, m, right positive.
         lateral_distance: half a lane minus |lateral_position|, m; negative out of bounds.
         preview_lateral_position: lateral position of the autopilot's preview point ahead of the vehicle, m.
         arc_length: distance driven along the lane's centre line, m.
@@ -232,7 +232,7 @@ class Simulator(Protocol):
         ...
 
     def load(self, road: Road, *, seed: int) -> Observation:
-        """Build the world from scratch, with the vehicle at rest at the start of the right lane.
+        """Build the world from scratch, with the vehicle at rest at the start of the driven lane.
 
         Returns:
             First observation, at step 0.

@@ -278,6 +278,26 @@ def _run_begins_at_rest(simulator: Simulator) -> None:
         _expect(_near(value, expected, tolerance), f"the run begins with {name} {value:.4f}, expected {expected:.4f}")
 
 
+def _the_left_lane_is_driven(simulator: Simulator) -> None:
+    """Of a road that says so: the run begins in the middle of it, and right of it is positive."""
+    first = simulator.load(STRAIGHT.in_lane("left"), seed=1)
+    _expect(
+        _near(first.vehicle.x, 123.0, 0.02) and _near(first.lane.lateral_distance, 2.0, 0.02),
+        f"in the left lane the run begins at x {first.vehicle.x:.2f} with lateral_distance "
+        f"{first.lane.lateral_distance:.2f}, expected 123 and 2: drive along road.lane_centre",
+    )
+    last = first
+    for _ in range(60):
+        last = simulator.step(Command(0.2, 0.6))
+        if last.outcome is not Outcome.RUNNING:
+            break
+    _expect(
+        _near(last.lane.lateral_position, last.vehicle.x - 123.0, 0.02) and last.vehicle.x > 123.2,
+        f"in the left lane lateral_position is {last.lane.lateral_position:.2f} at x {last.vehicle.x:.2f}, "
+        f"expected {last.vehicle.x - 123.0:.2f}, right positive",
+    )
+
+
 def _standing_still_is_stuck(simulator: Simulator) -> None:
     last = drive(simulator, STRAIGHT, _constant(0.0, 0.0))[-1]
     _expect(last.outcome is Outcome.STUCK, f"without throttle the run ended {last.outcome.name}, expected STUCK")
@@ -407,6 +427,7 @@ CHECKS: Mapping[str, Callable[[Factory], None]] = {
     "straight_stays_straight": _on_one(_straight_stays_straight),
     "units_agree": _on_one(_units_agree),
     "run_begins_at_rest": _on_one(_run_begins_at_rest),
+    "the_left_lane_is_driven": _on_one(_the_left_lane_is_driven),
     "standing_still_is_stuck": _on_one(_standing_still_is_stuck),
     "leaving_the_lane_ends_the_run": _on_one(_leaving_the_lane_ends_the_run),
     "image_has_the_right_type": _on_one(_image_has_the_right_type),

@@ -14,6 +14,7 @@ from ds_orchestrator.maps.merge_operators import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.base import SearchSettings
 from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, feature_of
+from ds_road import Side
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.registry import SIMULATORS
 
@@ -75,9 +76,10 @@ class SearchConfig(_Strict):
             raise ValueError(f"min_angle {self.min_angle} is above max_angle {self.max_angle}")
         return self
 
-    def settings(self, *, maxitwo_compatible: bool = False) -> SearchSettings:
+    def settings(self, *, maxitwo_compatible: bool = False, lane: Side = "right") -> SearchSettings:
         """Hyper-parameters of one run."""
-        return SearchSettings(**self.model_dump(exclude={"runs", "method"}), maxitwo_compatible=maxitwo_compatible)
+        own = self.model_dump(exclude={"runs", "method"})
+        return SearchSettings(**own, maxitwo_compatible=maxitwo_compatible, lane=lane)
 
 
 class OperatorsConfig(_Strict):
@@ -119,6 +121,7 @@ class CampaignConfig(_Strict):
         sim2real: translate every image to a pseudo-real one before the network sees it.
         search: search on each sibling.
         maxitwo_compatible: reproduce the five known quirks of the authors' package (docs/method.md).
+        lane: lane in which every road is driven, `right` or `left`.
         features: axes of the feature maps, two or three; `minimum_radius:20` joins twenty bins into one.
         migration: `all` drives every executed test on the other siblings and the twin, `elites` only the elites of
             each search run.
@@ -139,6 +142,7 @@ class CampaignConfig(_Strict):
     sim2real: bool = False
     search: SearchConfig = SearchConfig()
     maxitwo_compatible: bool = False
+    lane: Side = "right"
     features: list[str] = list(DEFAULT_FEATURES)
     migration: Literal["all", "elites"] = "all"
     operators: OperatorsConfig = OperatorsConfig()
@@ -200,7 +204,7 @@ class CampaignConfig(_Strict):
     @property
     def settings(self) -> SearchSettings:
         """Hyper-parameters of one search run."""
-        return self.search.settings(maxitwo_compatible=self.maxitwo_compatible)
+        return self.search.settings(maxitwo_compatible=self.maxitwo_compatible, lane=self.lane)
 
     @property
     def executions_at_most(self) -> int:
@@ -221,8 +225,11 @@ class CampaignConfig(_Strict):
         )
 
     def identity(self) -> str:
-        """JSON text of every key that affects results; a campaign resumes only with an equal one."""
-        return self.model_dump_json(exclude={"engine", "workers"})
+        """JSON text of every key that affects results; a campaign resumes only with an equal one.
+
+        The right lane is left out: campaigns of versions that knew no other have the same text.
+        """
+        return self.model_dump_json(exclude={"engine", "workers"} | ({"lane"} if self.lane == "right" else set()))
 
 
 def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:

@@ -15,6 +15,7 @@ from ds_orchestrator.cli.options import (
     Device,
     DriverName,
     JsonFlag,
+    Lane,
     MaxAngle,
     Simulator,
     Wait,
@@ -51,6 +52,7 @@ def drive_command(
         ),
     ] = None,
     max_angle: MaxAngle = 270,
+    lane: Lane = None,
     bag: Annotated[Path | None, typer.Option(help="Folder of a rosbag2 to write.")] = None,
     level: Annotated[Level, typer.Option(help="What the bag holds.")] = "telemetry",
     video: Annotated[Path | None, typer.Option(help="Video of the drive to write, .mp4.")] = None,
@@ -71,7 +73,7 @@ def drive_command(
 
     chosen = seed if seed is not None else seed_of(road)
     request = DriveRequest(
-        sim=sim, driver=driver_named(driver, backend, device), road=one_road(road, chosen, max_angle), seed=chosen,
-        bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace, fail_on=fail_on,
+        sim=sim, driver=driver_named(driver, backend, device), road=one_road(road, chosen, max_angle, lane),
+        seed=chosen, bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace, fail_on=fail_on,
     )  # fmt: skip
     end(drive(request), as_json)

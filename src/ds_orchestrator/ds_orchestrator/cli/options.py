@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -28,6 +28,10 @@ Wait = Annotated[
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Campaign folder.")]
 Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of the random roads.")]
 MaxAngle = Annotated[int, typer.Option(min=1, max=360, help="Maximum angle of random roads, degrees.")]
+Lane = Annotated[
+    Literal["right", "left"] | None,
+    typer.Option(help="Lane in which to drive; that of the road file if left out, or right."),
+]
 Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas.")]
 Simulator = Annotated[
     str,

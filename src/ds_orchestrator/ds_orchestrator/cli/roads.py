@@ -1,4 +1,4 @@
-"""`ds road`: generate, check, draw and export roads."""
+"""`ds road`: generate, mirror, check, draw and export roads."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_orchestrator.cli.options import JsonFlag, MaxAngle, Seed
+from ds_orchestrator.cli.options import JsonFlag, Lane, MaxAngle, Seed
 from ds_orchestrator.cli.output import Result, answer
 
 if TYPE_CHECKING:
-    from ds_road import Road
+    from ds_road import Road, Side
 
 Format = Literal["opendrive", "sbft"]
 
 app = typer.Typer()
-road_app = typer.Typer(help="Generate, check, draw and export roads.", no_args_is_help=True)
+road_app = typer.Typer(help="Generate, mirror, check, draw and export roads.", no_args_is_help=True)
 app.add_typer(road_app, name="road")
 
 
@@ -31,6 +31,13 @@ def generate_roads(seed: int, count: int, max_angle: int) -> list[Any]:
 
     rng = np.random.default_rng(seed)
     return [ds_road.generate(rng, max_angle=max_angle).control_points for _ in range(count)]
+
+
+def mirror_roads(file: Path) -> list[Any]:
+    """Mirror images of the roads of a file."""
+    import ds_road
+
+    return [ds_road.road_to_json(road.mirrored()) for road in ds_road.read_roads(file)]
 
 
 def check_roads(file: Path) -> Result:
@@ -57,17 +64,23 @@ def check_roads(file: Path) -> Result:
     return Result(document=document, show=show)
 
 
-def show_road(file: Path | None, seed: int, max_angle: int, out: Path) -> Path:
+def show_road(file: Path | None, seed: int, max_angle: int, out: Path, lane: Side | None = None) -> Path:
     """Draw one road as a PNG."""
     import ds_road
     from ds_sim.camera.png import png
 
-    out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle))))
+    out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle, lane))))
     return out
 
 
-def one_road(file: Path | None, seed: int, max_angle: int) -> Road:
+def one_road(file: Path | None, seed: int, max_angle: int, lane: Side | None = None) -> Road:
     """The road of a file that holds one, or a random one.
+
+    Args:
+        file: JSON with one road.
+        seed: of the random road.
+        max_angle: of the random road, degrees.
+        lane: lane to drive; None for the road's own.
 
     Raises:
         ds_road.RoadError: the file holds none, or several.
@@ -77,11 +90,11 @@ def one_road(file: Path | None, seed: int, max_angle: int) -> Road:
     import ds_road
 
     if file is None:
-        return ds_road.generate(np.random.default_rng(seed), max_angle=max_angle)
+        return ds_road.generate(np.random.default_rng(seed), max_angle=max_angle, lane=lane or "right")
     roads = ds_road.read_roads(file)
     if len(roads) != 1:
         raise ds_road.RoadError(f"{file}: {len(roads)} roads, expected one: keep the one to drive")
-    return roads[0]
+    return roads[0] if lane is None else roads[0].in_lane(lane)
 
 
 def export_roads(file: Path, out: Path, form: Format) -> list[Path]:
@@ -112,6 +125,12 @@ def road_generate_command(
     print(json.dumps(generate_roads(seed, count, max_angle)))
 
 
+@road_app.command("mirror")
+def road_mirror_command(file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")]) -> None:
+    """Print the mirror images of roads as a JSON list: left and right change places, the driven lane too."""
+    print(json.dumps(mirror_roads(file)))
+
+
 @road_app.command("check")
 def road_check_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: JsonFlag = False
@@ -127,10 +146,11 @@ def road_show_command(
     ] = None,
     seed: Seed = 0,
     max_angle: MaxAngle = 270,
+    lane: Lane = None,
     out: Annotated[Path, typer.Option(help="Picture to write, PNG.")] = Path("road.png"),
 ) -> None:
     """Draw a road as a PNG."""
-    print(show_road(file, seed, max_angle, out))
+    print(show_road(file, seed, max_angle, out, lane))
 
 
 @road_app.command("export")

@@ -58,7 +58,12 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Roads and recordings",
         (
-            Verb("road", "roads", "Generate, check, draw and export roads.", ("generate", "check", "show", "export")),
+            Verb(
+                "road",
+                "roads",
+                "Generate, mirror, check, draw and export roads.",
+                ("generate", "mirror", "check", "show", "export"),
+            ),
             Verb(
                 "bag",
                 "bags",

@@ -10,7 +10,7 @@ from scipy.special import softmax
 
 from ds_orchestrator.search.archive import Archive
 from ds_orchestrator.search.features import Cell, cell_of
-from ds_road import Road, generate
+from ds_road import Road, Side, generate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +25,7 @@ class SearchSettings:
         extent: largest displacement of a control point, m (maxitwo: 6).
         maxitwo_compatible: behave as maxitwo does: one iteration more than configured, mutants whose spline ignores
             the first control point, and turns counted with its constants.
+        lane: lane in which the roads are driven.
     """
 
     population: int = 20
@@ -33,6 +34,7 @@ class SearchSettings:
     max_angle: int = 300
     extent: int = 6
     maxitwo_compatible: bool = False
+    lane: Side = "right"
 
     @property
     def budget(self) -> int:
@@ -139,4 +141,4 @@ class Search(ABC):
         """Draw a random road; a drawn angle becomes less likely, so that the range is covered (maxitwo)."""
         index = int(self._rng.choice(len(self._angles), p=softmax(self._angle_weights)))
         self._angle_weights[index] = np.clip(self._angle_weights[index] - 0.2, 0.01, 1.0)
-        return generate(self._rng, max_angle=int(self._angles[index]))
+        return generate(self._rng, max_angle=int(self._angles[index]), lane=self._settings.lane)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_road.features import direction_coverage, minimum_radius
+from ds_road.features import direction_coverage, largest_lane_curvature, minimum_radius
 
 Cell = tuple[int, ...]
 """Cell of a feature map: one bin index per feature."""
@@ -106,6 +106,31 @@ _ALL = (
         title="minimum radius, feet",
         of_road=lambda road: int(FEET * minimum_radius(road.points)),
     ),
+    # Bins as wide as those of the curvature, so that the axes compare.
+    Feature(
+        name="lane_curvature_max_right",
+        title="lane curvature to the right, 1/m",
+        unit=0.01,
+        of_road=lambda road: int(100 * road.lane_curvature_max_right),
+    ),
+    Feature(
+        name="lane_curvature_max_left",
+        title="lane curvature to the left, 1/m",
+        unit=0.01,
+        of_road=lambda road: int(100 * road.lane_curvature_max_left),
+    ),
+    Feature(
+        name="other_lane_curvature_max_right",
+        title="other lane's curvature to the right, 1/m",
+        unit=0.01,
+        of_road=lambda road: int(100 * largest_lane_curvature(road.other_lane_centre, "right")),
+    ),
+    Feature(
+        name="other_lane_curvature_max_left",
+        title="other lane's curvature to the left, 1/m",
+        unit=0.01,
+        of_road=lambda road: int(100 * largest_lane_curvature(road.other_lane_centre, "left")),
+    ),
     # DeepHyperion's segment count is the number of turns: its code returns the runs that are not straight.
     Feature(
         name="segment_count",
@@ -115,7 +140,7 @@ _ALL = (
     ),
 )
 FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in _ALL}
-"""Every feature by name; DeepHyperion's seven (paper 3.3 uses the first two)."""
+"""Every feature by name: DeepHyperion's seven (paper 3.3 uses the first two), and the curvature of each lane."""
 DEFAULT_FEATURES = ("turns_count", "curvature")
 """The paper's (3.3)."""
 

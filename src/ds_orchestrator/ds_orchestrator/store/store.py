@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ds_orchestrator.store import rows as check
 from ds_orchestrator.store.rows import pack_numbers
 from ds_orchestrator.store.sqlite_file import Row, SqliteFile, StoreError
-from ds_road import Road
+from ds_road import Road, Side
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 MOST_TRAJECTORY_STEPS = 100_000_000
@@ -250,9 +250,18 @@ class Store:
             "SELECT test_id, sibling, run, number, control_points, seed, published, road_id FROM tests"
             " ORDER BY sibling, run, number"
         )
-        return [self._test_of(row) for row in rows]
+        lane = self._lane()
+        return [self._test_of(row, lane) for row in rows]
 
-    def _test_of(self, row: Row) -> Test:
+    def _lane(self) -> Side:
+        """Lane in which all roads of the campaign are driven, from its configuration."""
+        try:
+            configured = json.loads(self.config).get("lane", "right")
+            return "left" if check.one_of(configured, "lane", ("right", "left")) == "left" else "right"
+        except (ValueError, RecursionError, AttributeError):
+            raise self._file.damaged("its configuration has no lane, expected right or left") from None
+
+    def _test_of(self, row: Row, lane: Side) -> Test:
         test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id = row
         try:
             sibling = check.text(sibling, "sibling")
@@ -260,7 +269,7 @@ class Store:
             if not check.file_name(test_id, "test_id").endswith(f"-{run}-{number:04d}"):
                 raise check.RowError(f"test_id does not end in -{run}-{number:04d}")
             quirk = bool(check.whole(maxitwo_compatible, "published", high=1))
-            road = Road(check.control_points(points), maxitwo_compatible=quirk)
+            road = Road(check.control_points(points), maxitwo_compatible=quirk, lane=lane)
             if road.road_id != road_id:
                 raise check.RowError("road_id does not match the control points")
             return Test(
@@ -358,8 +367,9 @@ class Store:
 def _differences(known: str, given: str) -> str:
     """Describe the keys in which two configurations differ, with both values."""
     old, new = _flat(json.loads(known)), _flat(json.loads(given))
+    unset = "the default"
     keys = [key for key in new | old if old.get(key) != new.get(key)]
-    return "; ".join(f"{key}: {old.get(key)} there, {new.get(key)} now" for key in keys)
+    return "; ".join(f"{key}: {old.get(key, unset)} there, {new.get(key, unset)} now" for key in keys)
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

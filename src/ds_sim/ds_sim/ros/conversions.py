@@ -66,6 +66,7 @@ def road_from_message(message: RoadMsg) -> Road:
         lane_width=message.lane_width,
         sampled=message.sampled,
         maxitwo_compatible=message.maxitwo_compatible,
+        left_lane=message.left_lane,
     )
 
 
@@ -77,6 +78,7 @@ def road_to_message(road: Road) -> RoadMsg:
         lane_width=road.lane_width,
         sampled=road.sampled,
         maxitwo_compatible=road.maxitwo_compatible,
+        left_lane=road.lane == "left",
     )
 
 
