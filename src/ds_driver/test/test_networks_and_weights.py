@@ -16,7 +16,7 @@ from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.preprocessing import Crop, ImageError, prepare
-from ds_driver.networks.torch_networks import load_network, make_network, save_weights
+from ds_driver.networks.torch_networks import FastDropout, disable_dropout, load_network, make_network, save_weights
 from ds_driver.networks.weights import WeightsError, load_weights, shipped_networks
 
 
@@ -165,3 +165,21 @@ def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
         command = driver.command(image, 5.0, Crop(60, 0))
         assert driver.command(image, 5.0, Crop(60, 0)) == command
         assert -1.0 <= command.steering <= 1.0 and 0.0 <= command.throttle <= 1.0
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float32])
+@pytest.mark.parametrize("rescale", [True, False])
+def test_dropout_drops_its_share_and_follows_the_seed(dtype: torch.dtype, rescale: bool) -> None:
+    layer = FastDropout(0.1, rescale=rescale)
+    values = torch.ones((2, 16, 40, 80), dtype=dtype).to(memory_format=torch.channels_last)
+    torch.manual_seed(5)
+    first, second = layer(values), layer(values)
+    torch.manual_seed(5)
+    assert torch.equal(layer(values), first) and not torch.equal(first, second)
+    assert float((first == 0).float().mean()) == pytest.approx(0.1, abs=0.01)
+    assert first.unique().tolist() == pytest.approx([0.0, 1.0 / 0.9 if rescale else 1.0], rel=0.004)
+    network = torch.nn.Sequential(layer)
+    disable_dropout(network)
+    assert torch.equal(network(values), values)
+    network.train()
+    assert not torch.equal(network(values), values)

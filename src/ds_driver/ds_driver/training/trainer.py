@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from ds_driver.data.crops import crops_of
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples
 from ds_driver.networks.preprocessing import Crop, prepare
-from ds_driver.networks.torch_networks import make_network, save_weights
+from ds_driver.networks.torch_networks import disable_dropout, make_network, save_weights
 from ds_driver.training.augmentation import augment
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
@@ -47,6 +47,7 @@ class TrainingPlan:
         learning_rate: learning rate of Adam (paper 4.2.2: 1e-4).
         validation: share of the roads held out (paper 3.2.2: 20 %).
         images_per_simulator: largest number of images per simulator; None for all.
+        without_dropout: epochs at the end that train without dropout, so that a network drives as it was trained.
         threads: number of threads that PyTorch uses.
         device: `cpu`, `cuda`, or `auto`, which uses a GPU if there is one.
     """
@@ -59,6 +60,7 @@ class TrainingPlan:
     learning_rate: float = 1e-4
     validation: float = 0.2
     images_per_simulator: int | None = None
+    without_dropout: int = 0
     threads: int = 2
     device: str = "auto"
 
@@ -69,13 +71,14 @@ class Schedule:
 
     epochs: int
     patience: int
+    without_dropout: int = 0
 
 
 SCHEDULES: dict[str, dict[str, Schedule]] = {
     "laptop": {
         "dave2": Schedule(epochs=2, patience=10),
         "chauffeur": Schedule(epochs=4, patience=10),
-        "epoch": Schedule(epochs=4, patience=10),
+        "epoch": Schedule(epochs=4, patience=10, without_dropout=1),
     },
     "paper": {
         "dave2": Schedule(epochs=50, patience=10),
@@ -234,6 +237,8 @@ def _train_epoch(
     report: Report,
 ) -> float:
     network.train()
+    if number > plan.epochs - plan.without_dropout:
+        disable_dropout(network)
     device = next(network.parameters()).device
     rng = np.random.default_rng([plan.seed, number])
     order = rng.permutation(len(samples))
