@@ -1,1 +1,1 @@
-"""World of a road in Panda3D, and the camera that sees it."""
+"""World and camera of the simulator `panda`, drawn by Panda3D."""

@@ -1,0 +1,103 @@
+"""Constants of the world that Panda3D draws, each with its source; lengths in m, angles in rad, colours linear RGB.
+
+Colours are reflectances: the light that a surface returns under full daylight, as a share of what falls on it.
+"""
+
+from __future__ import annotations
+
+import math
+
+Linear = tuple[float, float, float]
+"""Linear RGB, as shares of full daylight on level ground."""
+
+# Sun and sky.
+LATITUDE = math.radians(46.0)
+"""Chosen: Lugano, where the paper comes from."""
+DECLINATION = math.radians(22.0)
+"""Of the sun on 1 June: 23.45 degrees x sin(360 degrees x (284 + 152) / 365) (Cooper 1969)."""
+HOUR_ANGLE = math.radians(-52.5)
+"""15 degrees an hour from noon; chosen: half past eight in solar time, so that the shadow of a tree is as long as the
+tree is high and reaches the road."""
+EXTINCTION = 0.21
+"""Optical depth of a clear atmosphere (IESNA Lighting Handbook, daylight availability)."""
+SOLAR_ILLUMINANCE = 127.5
+"""Above the atmosphere, klx (IESNA)."""
+SKY_ILLUMINANCE = (0.8, 15.5)
+"""On level ground from a clear sky, klx: the first + the second x sqrt(sin(elevation)) (IESNA)."""
+SUN_TINT: Linear = (1.06, 1.0, 0.86)
+"""Colour of sunlight, of luminance 1; chosen: about 5,000 K on a scale whose white is the mixed daylight."""
+SKY_TINT: Linear = (0.78, 1.02, 1.44)
+"""Colour of skylight, of luminance 1; chosen: about 10,000 K on the same scale."""
+ZENITH: Linear = (0.10, 0.21, 0.46)
+"""Colour of the sky from `ZENITH_ELEVATION` upwards; chosen: its luminance is 0.19, what a white surface sends back of
+the sky's share of daylight."""
+HORIZON: Linear = (0.46, 0.55, 0.66)
+"""Colour of the sky at the horizon, and of haze; chosen: three times as bright as the zenith (CIE clear sky)."""
+ZENITH_ELEVATION = math.radians(55.0)
+"""Chosen."""
+CLOUD: Linear = (0.80, 0.82, 0.85)
+"""Chosen: fair-weather cumulus, nearly white."""
+CLOUD_COVER = 0.35
+"""Share of the sky; chosen: three oktas, "scattered"."""
+VISIBILITY = 10_000.0
+"""Distance at which 2 % of a contrast is left (Koschmieder); chosen: the lower end of what is called clear."""
+HAZE = 3.912 / VISIBILITY
+"""Extinction coefficient, 1/m: -ln(0.02) / visibility (Koschmieder 1924)."""
+
+# Road.
+LINE_WIDTH = 0.15
+"""Of all three lines; chosen: as on country roads (RMS: 0.12 m to 0.15 m)."""
+WHITE: Linear = (0.60, 0.60, 0.60)
+"""Luminance factor 0.60: EN 1436 class B4, a line of some years."""
+YELLOW: Linear = (0.708, 0.348, 0.007)
+"""Luminance factor 0.40 (EN 1436 class B3 for yellow) at chromaticity (0.475, 0.455), in EN 1436's box for yellow."""
+LINE_WEAR = 0.25
+"""Share of a line's paint that the texture takes off at most; chosen."""
+ASPHALT: Linear = (0.120, 0.120, 0.123)
+"""Aged asphalt, 0.10 to 0.15 (Pomerantz et al. 2000, LBNL-43431)."""
+VERGE_WIDTH = 1.0
+"""Strip of gravel beside the road; chosen: the least that RAL 2012 has beside small country roads."""
+GRAVEL: Linear = (0.235, 0.205, 0.165)
+"""Dry soil with stones, 0.2 (Oke 1987, table 1.1: 0.05 wet dark to 0.40 dry sandy)."""
+GRASS: Linear = (0.085, 0.135, 0.040)
+"""Visible part of a meadow's reflectance: about 0.1 with its peak in the green (Bowker et al. 1985, NASA RP-1139)."""
+LEAD_IN, LEAD_OUT = 20.0, 60.0
+"""Length of straight road before the start and beyond the end; chosen: neither ends abruptly in view."""
+
+# Beside the road.
+CLEARANCE = 0.3
+"""Distance that everything keeps from the verge; chosen."""
+SURROUNDINGS = 60.0
+"""Margin around the road's bounding box in which things stand; chosen: what is farther is a few pixels high."""
+POST_SPACING = 25.0
+"""Distance of delineators; RPS, German delineators: 50 m on straights, down to 10 m in bends; chosen: one value."""
+POST_HEIGHT, POST_WIDTH = 1.0, 0.12
+"""Height and width of a delineator (HLB: 1 m; 0.12 m)."""
+TREE_SPACING = 7.0
+"""Cell of the grid on which trees may stand; chosen: mature crowns nearly touch."""
+TREE_HEIGHT = (5.0, 9.5)
+"""Least and greatest; chosen: fruit trees to young limes."""
+HOUSES = (2, 6)
+"""Least and greatest number of houses; chosen: a scattered village."""
+LEAVES: Linear = (0.085, 0.135, 0.035)
+"""Reflectance of a leaf, visible: 0.05 to 0.15 (Bowker et al. 1985)."""
+NEEDLES: Linear = (0.045, 0.085, 0.040)
+"""Conifers are about half as bright as broad-leaved trees (Bowker et al. 1985)."""
+BARK: Linear = (0.12, 0.095, 0.07)
+"""Chosen: grey-brown."""
+WALL: Linear = (0.62, 0.57, 0.48)
+"""Chosen: light plaster, 0.5 to 0.7."""
+ROOF: Linear = (0.30, 0.11, 0.065)
+"""Chosen: clay tiles."""
+POST: Linear = (0.70, 0.70, 0.70)
+"""Chosen: white plastic."""
+
+# Drawing.
+SAMPLES = 4
+"""Samples of a pixel; chosen: what llvmpipe offers."""
+SHADOW_PIXELS = 2048
+"""Size of the map of shadows; chosen: pixels of about 0.1 m on most roads."""
+NEAR, FAR = 0.3, 40_000.0
+"""Nearest and farthest that is drawn; the ground ends at `GROUND_RADIUS`."""
+GROUND_RADIUS = 20_000.0
+"""Chosen: its border is a hundredth of a pixel below the horizon."""

@@ -1,0 +1,83 @@
+"""Scene graph of one road: ground, road, sky, and what stands beside the road."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ds_road import Road
+from ds_sim_panda.scene import textures
+from ds_sim_panda.scene.graphics import panda
+from ds_sim_panda.scene.ground import ground_disc
+from ds_sim_panda.scene.meshes import mesh_node
+from ds_sim_panda.scene.parameters import VERGE_WIDTH
+from ds_sim_panda.scene.road_mesh import Course, course_of, road_strip
+from ds_sim_panda.scene.shaders import shader
+from ds_sim_panda.scene.sky import sky_dome, sky_texture
+
+FILTER = 0.3
+"""Width of road and verge beyond their borders, in which these fade into what is below, m; chosen: a pixel is wider
+only beyond 50 m."""
+
+
+class World:
+    """World of a road in Panda3D's scene graph.
+
+    Everything on the ground is drawn over what was drawn before it, without a depth test: nothing on a plane hides
+    anything on it, and no two surfaces fight for a pixel.
+
+    Args:
+        road: a valid road.
+    """
+
+    def __init__(self, road: Road) -> None:
+        core = panda()
+        course = course_of(road)
+        self.origin = course.origin
+        self.root = core.NodePath("world")
+        self._sky = self._surface(sky_dome(), "sky", 0, sky=sky_texture())
+        self._ground = self._surface(ground_disc(), "ground", 1, grass=textures.grass())
+        self._road_surfaces(course)
+
+    def follow(self, x: float, y: float, z: float) -> None:
+        """Move the sky to the camera and the ground below it; coordinates relative to `origin`, m."""
+        self._sky.set_pos(x, y, z)
+        self._ground.set_pos(x, y, 0.0)
+
+    def show_rows(self, top: int, bottom: int, height: int) -> None:
+        """Leave out all but some rows of the image."""
+        self.root.set_scissor(0.0, 1.0, 1.0 - bottom / height, 1.0 - top / height)
+
+    def _road_surfaces(self, course: Course) -> None:
+        shadows = textures.upload("shadows", np.zeros((4, 4), np.uint8), wrap=False)
+        border = course.half_width
+        outer, inner = border + VERGE_WIDTH + FILTER, border - FILTER
+        for name, offsets, sort, texture in (
+            ("verge", (-outer, -inner), 2, {"gravel": textures.gravel()}),
+            ("verge", (inner, outer), 2, {"gravel": textures.gravel()}),
+            ("road", (-border - FILTER, 0.0, border + FILTER), 3, {"asphalt": textures.asphalt()}),
+        ):
+            strip = self._surface(mesh_node(name, *road_strip(course, offsets)), name, sort, **texture)
+            strip.set_shader_input("half_width", course.half_width)
+            blend = panda().ColorBlendAttrib
+            strip.set_attrib(blend.make(blend.M_add, blend.O_incoming_alpha, blend.O_one_minus_incoming_alpha))
+        for node in self.root.get_children():
+            node.set_shader_input("shadows", shadows)
+            node.set_shader_input("shadow_frame", panda().LVector3(0.0, 0.0, 1e-3))
+            node.set_shader_input("patches", textures.patches())
+
+    def _surface(self, node: Any, kind: str, sort: int, **inputs: Any) -> Any:
+        """Attach a surface that is drawn in the order of `sort`, without depth."""
+        path = self.root.attach_new_node(node)
+        path.set_shader(shader(kind))
+        for name, value in inputs.items():
+            path.set_shader_input(name, value)
+        path.set_bin("background", sort)
+        path.set_depth_test(False)
+        path.set_depth_write(False)
+        path.set_two_sided(True)
+        # Culling needs no bounds: every surface is in view.
+        path.node().set_bounds(panda().OmniBoundingVolume())
+        path.node().set_final(True)
+        return path

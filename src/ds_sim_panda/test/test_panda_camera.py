@@ -1,0 +1,119 @@
+"""Compares the pictures with an independent projection; tests reproducibility, rows and refusals."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from panda_views import CAMERA, STRAIGHT, lane_pose, pose, project
+
+from ds_road import Road, generate
+from ds_sim.simulator import SimulatorError, VehicleState
+from ds_sim_panda.scene.panda_scene import PandaScene
+
+WINDING = generate(np.random.default_rng(11), max_angle=150)
+RNG = np.random.default_rng(0)
+
+
+def loaded(road: Road) -> PandaScene:
+    scene = PandaScene(CAMERA)
+    scene.load(road, RNG)
+    return scene
+
+
+def line_centre(pixels: NDArray[np.uint8], expected: float, *, yellow: bool) -> float:
+    """Position of a line in a row or column of pixels near an expected one: centre of mass of what is coloured so."""
+    start = max(round(expected) - 9, 0)
+    part = pixels[start : round(expected) + 10].astype(float)
+    weight = part[:, 0] - part[:, 2] if yellow else part.min(axis=1)
+    weight = np.maximum(weight - 0.5 * (weight.max() + np.median(weight)), 0.0)
+    return float(start + (weight * np.arange(len(weight))).sum() / weight.sum())
+
+
+@pytest.mark.parametrize(
+    ("yaw", "roll", "pitch", "heave"),
+    [(0.0, 0.0, 0.0, 0.0), (0.15, 0.0, 0.05, 0.0), (-0.1, 0.08, 0.0, 0.1), (0.05, -0.1, -0.04, -0.05)],
+)
+def test_lines_are_where_an_independent_projection_puts_them(
+    yaw: float, roll: float, pitch: float, heave: float
+) -> None:
+    scene = loaded(STRAIGHT)
+    at = lane_pose(STRAIGHT, 30)
+    vehicle = pose(at.x, at.y, at.yaw + yaw, roll, pitch, heave)
+    image = scene.image(vehicle)
+    inset = 0.075 / STRAIGHT.lane_width  # a border line lies inside the border
+    right = STRAIGHT.right_edge + inset * (STRAIGHT.points - STRAIGHT.right_edge)
+    for line, yellow in ((STRAIGHT.points, True), (right, False)):
+        ahead = np.linspace(line[0], line[-1], 4000)
+        seen = project(CAMERA, vehicle, np.column_stack((ahead, np.zeros(len(ahead)))))
+        seen = seen[(seen[:, 2] > 2.0) & (seen[:, 2] < 12.0) & (np.abs(seen[:, 0] - 159.5) < 150)]
+        # Across the line as the picture shows it: along rows, or along columns where the line is flat.
+        steep = np.ptp(seen[:, 1]) > np.ptp(seen[:, 0])
+        along, across = (1, 0) if steep else (0, 1)
+        order = seen[:, along].argsort()
+        places = range(int(seen[:, along].min()) + 1, min(int(seen[:, along].max()), (160 if steep else 320) - 1), 4)
+        assert len(places) >= 6
+        for place in places:
+            expected = float(np.interp(place, seen[order, along], seen[order, across]))
+            if 10 < expected < (310 if steep else 150):
+                found = line_centre(image[place] if steep else image[:, place], expected, yellow=yellow)
+                assert found == pytest.approx(expected, abs=0.7)
+
+
+def digest(scene: PandaScene, states: list[VehicleState]) -> str:
+    return hashlib.sha256(b"".join(scene.image(state).tobytes() for state in states)).hexdigest()
+
+
+STATES = [lane_pose(WINDING, index) for index in (0, 20, 40)]
+
+
+def digest_elsewhere() -> str:
+    return digest(loaded(WINDING), STATES)
+
+
+def test_the_bits_depend_on_the_road_alone() -> None:
+    scene, other = loaded(WINDING), loaded(STRAIGHT)
+    first = digest(scene, STATES)
+    scene.load(STRAIGHT, RNG)
+    assert digest(scene, STATES) != first
+    other.load(WINDING, np.random.default_rng(5))
+    assert digest(other, STATES) == first
+    other.close()
+    scene.load(WINDING, RNG)
+    assert digest(scene, STATES) == first
+
+    found = []
+    for draw in (lambda: digest(scene, STATES), digest_elsewhere):
+        thread = threading.Thread(target=lambda draw=draw: found.append(draw()))  # type: ignore[misc]
+        thread.start()
+        thread.join(60.0)
+    assert [*found, digest(scene, STATES)] == [first] * 3
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply_async(digest_elsewhere).get(60.0) == first
+
+
+def test_rows_that_are_drawn_keep_their_bits() -> None:
+    scene = loaded(WINDING)
+    whole = scene.image(STATES[1])
+    assert not whole.flags.writeable
+    for top, bottom in ((54, 160), (61, 62), (0, 80)):
+        scene.draw_rows(top, bottom)
+        scene.load(WINDING, RNG)
+        part = scene.image(STATES[1])
+        assert np.array_equal(part[top:bottom], whole[top:bottom])
+        assert not part[:top].any() and not part[bottom:].any()
+    with pytest.raises(ValueError, match="expected 0 <= top < bottom <= 160"):
+        scene.draw_rows(10, 161)
+
+
+def test_a_scene_without_a_road_and_other_cameras_are_refused() -> None:
+    scene = PandaScene(CAMERA)
+    with pytest.raises(SimulatorError, match="load one first"):
+        scene.image(STATES[0])
+    with pytest.raises(ValueError, match=r"camera\.lens is equidistant, expected pinhole"):
+        PandaScene(replace(CAMERA, lens="equidistant"))
