@@ -160,8 +160,8 @@ EPOCH = Architecture(
 )
 """Epoch, from Udacity's second challenge, reduced as in the paper: three convolutions, 26,239,009 parameters.
 
-Its dropout in front of a ReLU makes the mean activation larger in training than when driving: trained with dropout to the
-end, it steered 0.85 to 0.90 of its labels, and 0.97 to 1.00 with dropout left on. So the laptop schedule leaves out
+Its dropout in front of a ReLU makes the mean activation larger in training than when driving: trained with dropout to
+the end, it steered 0.85 to 0.90 of its labels, and 0.97 to 1.00 with dropout left on. So the laptop schedule leaves out
 dropout in the last epoch.
 """
 

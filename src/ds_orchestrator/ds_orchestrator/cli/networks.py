@@ -199,7 +199,8 @@ def train_command(
     chosen = schedule_of(schedule, network)
     train(
         data, out, network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs,
-        patience=chosen.patience, without_dropout=chosen.without_dropout, images_per_simulator=images, learning_rate=learning_rate, threads=threads,
+        patience=chosen.patience, without_dropout=chosen.without_dropout, images_per_simulator=images,
+        learning_rate=learning_rate, threads=threads,
         device=device, trusted=trust or [],
     )  # fmt: skip
 
