@@ -47,6 +47,16 @@ def test_another_compiler_than_gcc_will_do() -> None:
     assert machine.find_needs(python(), which=which) == []
 
 
+def test_a_missing_renderer_is_named_with_its_packages(tmp_path: Path) -> None:
+    def no_library(name: str) -> object:
+        raise OSError(f"{name}: cannot open shared object file")
+
+    needs = machine.find_renderer_needs(no_library, [tmp_path])
+    assert machine.apt_command(needs)[3:] == ["libegl1", "libegl-mesa0", "libgl1-mesa-dri"]
+    (tmp_path / "swrast_dri.so").touch()
+    assert machine.find_renderer_needs(lambda name: None, [tmp_path]) == []
+
+
 def test_the_command_for_a_user_who_is_not_root_uses_sudo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     assert machine.missing_line([Need("a C compiler", "gcc")]).endswith("Type: sudo apt-get install -y gcc")

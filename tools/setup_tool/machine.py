@@ -1,7 +1,8 @@
-"""Requirements on the machine: a supported Python, its headers, venv, and a compiler."""
+"""Requirements on the machine: a supported Python, its headers, venv, a compiler, and a renderer for one simulator."""
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import platform
@@ -16,6 +17,9 @@ from setup_tool.console import SetupError
 
 PYTHON_VERSIONS = ((3, 12), (3, 11))
 """Versions for which all wheels exist, preferred first (ROS 2 Jazzy has 3.12)."""
+
+_DRIVER_FOLDERS = (Path("/usr/lib/x86_64-linux-gnu/dri"), Path("/usr/lib64/dri"), Path("/usr/lib/dri"))
+"""Mesa's drivers on Debian and Ubuntu, on Fedora, and on Arch."""
 
 _DESCRIBE = """
 import importlib.util, json, os, sys, sysconfig
@@ -131,6 +135,29 @@ def find_needs(python: Python, which: Callable[[str], str | None] = shutil.which
         needs.append(Need("Python's headers (Python.h)", f"{series}-dev"))
     if not python.has_venv:
         needs.append(Need("Python's venv module", f"{series}-venv"))
+    return needs
+
+
+def find_renderer_needs(
+    load: Callable[[str], object] = ctypes.CDLL, folders: Iterable[Path] = _DRIVER_FOLDERS
+) -> list[Need]:
+    """List what the system lacks to render without a display, as only the simulator `panda` does.
+
+    Args:
+        load: loads a shared library, or raises an OSError.
+        folders: where Mesa's drivers may be.
+    """
+    needs = []
+    for library, what, package in (
+        ("libEGL.so.1", "EGL", "libegl1"),
+        ("libEGL_mesa.so.0", "Mesa's EGL", "libegl-mesa0"),
+    ):
+        try:
+            load(library)
+        except OSError:
+            needs.append(Need(what, package))
+    if not any(next(folder.glob("*swrast_dri.so"), None) for folder in folders):
+        needs.append(Need("Mesa's software renderer", "libgl1-mesa-dri"))
     return needs
 
 

@@ -22,7 +22,7 @@ EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
 
 USED_MODULES = (
     *("ds_driver.ros.closed_loop_node", "ds_sim.ros.simulator_node", "ds_driver.ros.driver_node", "onnxruntime"),
-    *("ds_sim_bullet.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
+    *("ds_sim_bullet.simulator", "ds_sim_panda.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
     *("ds_orchestrator.run", "ds_orchestrator.graph.executor", "ds_orchestrator.maps.heatmap"),
     *("ds_orchestrator.report.html_report", "sklearn.metrics", "plotly.graph_objects"),
 )
@@ -186,6 +186,23 @@ class Setup:
             if needs:
                 raise SetupError(machine.missing_line(needs))
         self._python = python
+        self._provide_renderer()
+
+    def _provide_renderer(self) -> None:
+        """Install what `panda` renders with; without it, only that simulator is refused."""
+        needs = machine.find_renderer_needs()
+        if not needs:
+            return
+        self.console.note(f"  {machine.missing_line(needs)} (only the simulator panda needs it)")
+        if os.geteuid() != 0 or shutil.which("apt-get") is None:
+            return
+        environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+        try:
+            with self.console.step("installing the renderer of panda"):
+                for command in (["apt-get", "update"], machine.apt_command(needs)):
+                    self.console.run(command, environment=environment, folder=self.root, advice=_NETWORK)
+        except CommandFailedError as error:
+            self.console.note(f"  {error}: the simulator panda will be refused, everything else works")
 
     def _find_python(self) -> machine.Python:
         variables = self._ros_variables() if self._prefix else None
