@@ -14,6 +14,7 @@ from panda_views import CAMERA, STRAIGHT, lane_pose, pose, project
 
 from ds_road import Road, generate
 from ds_sim.simulator import SimulatorError, VehicleState
+from ds_sim_panda.scene import world
 from ds_sim_panda.scene.panda_scene import PandaScene
 
 WINDING = generate(np.random.default_rng(11), max_angle=150)
@@ -40,8 +41,9 @@ def line_centre(pixels: NDArray[np.uint8], expected: float, *, yellow: bool) -> 
     [(0.0, 0.0, 0.0, 0.0), (0.15, 0.0, 0.05, 0.0), (-0.1, 0.08, 0.0, 0.1), (0.05, -0.1, -0.04, -0.05)],
 )
 def test_lines_are_where_an_independent_projection_puts_them(
-    yaw: float, roll: float, pitch: float, heave: float
+    monkeypatch: pytest.MonkeyPatch, yaw: float, roll: float, pitch: float, heave: float
 ) -> None:
+    monkeypatch.setattr(world, "place_scenery", lambda course, seed: {})  # no shadows on the lines
     scene = loaded(STRAIGHT)
     at = lane_pose(STRAIGHT, 30)
     vehicle = pose(at.x, at.y, at.yaw + yaw, roll, pitch, heave)

@@ -31,6 +31,7 @@ CONFIGURATION = """
 load-display p3headlessgl
 audio-library-name null
 notify-level error
+garbage-collect-states #f
 textures-power-2 none
 texture-anisotropic-degree 1
 gl-check-errors #f
@@ -94,8 +95,9 @@ class Graphics:
             raise SimulatorError(f"the panda simulator cannot draw: Panda3D finds no EGL display: {INSTALL}")
         self._engine = core.GraphicsEngine(self._pipe)
         self._targets: dict[tuple[int, int, int], tuple[Any, Any, Any]] = {}
-        self._gsg: Any = None
-        driver = self._target(16, 16, SAMPLES)[0].get_gsg()
+        self._host: Any = None
+        self._host = self._target(16, 16, SAMPLES)[0]
+        driver = self._host.get_gsg()
         self.renderer = f"{driver.driver_version.split(') ')[-1]}, {driver.driver_renderer}"
 
     def draw(self, camera: Any, width: int, height: int, *, samples: int = SAMPLES) -> NDArray[np.uint8]:
@@ -138,7 +140,13 @@ class Graphics:
         flags = core.GraphicsPipe.BF_refuse_window | core.GraphicsPipe.BF_fb_props_optional
         size = core.WindowProperties.size(width, height)
         buffer = self._engine.make_output(
-            self._pipe, f"image {key}", 0, properties, size, flags, *([self._gsg] if self._gsg else [])
+            self._pipe,
+            f"image {key}",
+            0,
+            properties,
+            size,
+            flags,
+            *([self._host.get_gsg(), self._host] if self._host else []),
         )
         if buffer is None:
             raise SimulatorError(f"the panda simulator cannot draw: OpenGL does not start: {INSTALL}")
@@ -152,8 +160,8 @@ class Graphics:
             raise SimulatorError(
                 f"the panda simulator draws with Mesa's llvmpipe only, found {gsg.driver_renderer or 'none'}: {INSTALL}"
             )
-        self._gsg = gsg
         buffer.set_clear_color_active(True)
+        buffer.set_clear_depth_active(True)
         buffer.set_clear_color((0.0, 0.0, 0.0, 1.0))
         buffer.set_active(False)
         region = buffer.make_display_region()

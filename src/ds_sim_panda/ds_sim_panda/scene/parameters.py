@@ -77,6 +77,21 @@ TREE_SPACING = 7.0
 """Cell of the grid on which trees may stand; chosen: mature crowns nearly touch."""
 TREE_HEIGHT = (5.0, 9.5)
 """Least and greatest; chosen: fruit trees to young limes."""
+BUSH_HEIGHT = (1.0, 2.0)
+"""Least and greatest; chosen: hedges."""
+BUSH_SHARE, CONIFER_SHARE = 0.3, 0.15
+"""Shares of the plants, where conifers prefer some places; chosen."""
+GROVES = (0.11, 0.22)
+"""Share of the grid's cells with a plant, and how much it varies from place to place (standard deviation); chosen: an
+open country with groves."""
+GROVE_LIMITS = (0.03, 0.5)
+"""Least and greatest share; chosen."""
+ROADSIDE, ROADSIDE_SHARE = 16.0, 2.0
+"""Within this distance of the centre line there are so many times more plants; chosen: trees line country roads."""
+HOUSE_SIZE = (5.5, 4.2, 8.5)
+"""Half the length, half the width, height; chosen: a farmhouse of two storeys."""
+HOUSE_DISTANCE = (15.0, 40.0)
+"""Least and greatest distance of a house's centre from the road's centre line; chosen."""
 HOUSES = (2, 6)
 """Least and greatest number of houses; chosen: a scattered village."""
 LEAVES: Linear = (0.085, 0.135, 0.035)
@@ -95,6 +110,8 @@ POST: Linear = (0.70, 0.70, 0.70)
 # Drawing.
 SAMPLES = 4
 """Samples of a pixel; chosen: what llvmpipe offers."""
+SHADOW_MARGIN = 25.0
+"""Margin around the road's bounding box in which there are shadows; chosen: farther ones are less than a pixel high."""
 SHADOW_PIXELS = 2048
 """Size of the map of shadows; chosen: pixels of about 0.1 m on most roads."""
 NEAR, FAR = 0.3, 40_000.0

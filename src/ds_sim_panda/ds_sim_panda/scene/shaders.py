@@ -26,14 +26,16 @@ _VERTEX = """
 in vec4 p3d_Vertex;
 in vec3 p3d_MultiTexCoord0;
 in vec4 p3d_Color;
-uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelViewMatrix, p3d_ModelMatrix;
+uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelViewMatrix, p3d_ModelMatrix, p3d_ViewMatrixInverse;
 out vec3 seen, place, coordinates;
 out vec3 light;
+out float eye_height;
 void main() {
     gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
     seen = (p3d_ModelViewMatrix * p3d_Vertex).xyz;
     place = (p3d_ModelMatrix * p3d_Vertex).xyz;
     coordinates = p3d_MultiTexCoord0;
+    eye_height = p3d_ViewMatrixInverse[3].z;
     light = p3d_Color.rgb * p3d_Color.rgb * MOST_LIGHT;
 }
 """
@@ -42,6 +44,7 @@ _COMMON = """
 #version 130
 in vec3 seen, place, coordinates;
 in vec3 light;
+in float eye_height;
 out vec4 colour;
 vec3 linear(vec3 stored) { return stored * stored; }
 // The share exp(-HAZE * distance) of a colour arrives; the rest is the colour of the horizon.
@@ -54,6 +57,12 @@ vec3 daylight() {
     float lit = 1.0 - texture(shadows, (place.xy - shadow_frame.xy) * shadow_frame.z).r;
     return SKYLIGHT + lit * SUNLIGHT;
 }
+uniform sampler2D patches;
+// Slow variation from place to place, 0.5 on average; frequency: repetitions per metre.
+float broad(float frequency) {
+    float stored = texture(patches, place.xy * frequency).r;
+    return stored * stored;
+}
 // Width of a pixel across the road, m.
 float pixel_width() { return max(length(vec2(dFdx(coordinates.x), dFdy(coordinates.x))), 1e-4); }
 // Share of a pixel at u, w wide, that lies between two borders.
@@ -63,32 +72,35 @@ float covered(float u, float w, float low, float high) {
 """
 
 _GROUND = """
-uniform sampler2D grass, patches;
+uniform sampler2D grass;
 void main() {
     vec3 c = linear(texture(grass, place.xy * 0.125).rgb);
-    c *= 2.0 * linear(texture(patches, place.xy * 0.0171).rgb);
-    colour = hazed(c * daylight(), 1.0);
+    c *= 2.0 * broad(0.0171);
+    // A pixel on the horizon shows the sky behind it in part.
+    float below = eye_height / length(seen);
+    float horizon = clamp(0.5 + below / length(vec2(dFdx(below), dFdy(below))), 0.0, 1.0);
+    colour = hazed(c * daylight(), horizon);
 }
 """
 
 _VERGE = """
-uniform sampler2D gravel, patches;
+uniform sampler2D gravel;
 uniform float half_width;
 void main() {
     float u = abs(coordinates.x), w = pixel_width();
-    float ragged = 0.5 * texture(patches, place.xy * 0.37).g;
+    float ragged = 0.5 * texture(patches, place.xy * 0.11).g;
     float inside = covered(u, max(w, 0.12), -1e3, half_width + VERGE_WIDTH - ragged);
     colour = hazed(linear(texture(gravel, place.xy * 0.25).rgb) * daylight(), inside);
 }
 """
 
 _ROAD = """
-uniform sampler2D asphalt, patches;
+uniform sampler2D asphalt;
 uniform float half_width;
 void main() {
     float u = coordinates.x, w = pixel_width();
     vec4 surface = texture(asphalt, place.xy * 0.25);
-    vec3 c = linear(surface.rgb) * (1.6 * linear(texture(patches, place.xy * 0.043).rgb) + 0.2);
+    vec3 c = linear(surface.rgb) * (0.4 + 1.2 * broad(0.043));
     float worn = 1.0 - LINE_WEAR * surface.a;
     // Shares of the part of the pixel that lies on the road; the rest shows what is below.
     float inside = max(covered(u, w, -half_width, half_width), 1e-3);

@@ -24,7 +24,7 @@ from ds_sim_panda.scene.textures import noise, stored, upload
 
 LOWEST, HIGHEST = math.radians(-4.0), math.radians(56.0)
 """Elevations between which the sky is painted; above, its last row goes on."""
-ROWS, COLUMNS = 256, 2048
+ROWS, COLUMNS = 160, 1024
 CLOUD_BASE = 0.12
 """Flattens the clouds' plane, so that they do not shrink to nothing at the horizon; chosen."""
 

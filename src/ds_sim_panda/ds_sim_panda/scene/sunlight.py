@@ -46,7 +46,7 @@ def skylight() -> NDArray[np.float64]:
     return _illuminances()[1] * np.array(SKY_TINT)
 
 
-def light_on(normals: NDArray[np.float64], *, softness: float = 0.0) -> NDArray[np.float64]:
+def light_on(normals: NDArray[np.float64], *, softness: float | NDArray[np.float64] = 0.0) -> NDArray[np.float64]:
     """Light on unshaded surfaces, (..., 3) linear RGB.
 
     Args:

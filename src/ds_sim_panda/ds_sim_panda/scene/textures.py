@@ -117,12 +117,11 @@ def asphalt() -> Any:
 
 @cache
 def patches() -> Any:
-    """Broad variation of brightness, 0.5 on average, for all surfaces; its green channel is finer."""
+    """Slow variation for all surfaces, 0.5 on average: broad in the first channel, finer in the second."""
     size = (256, 256)
     broad = 0.5 + 0.09 * noise(size, 6, 11, octaves=4)
-    other = 0.5 + 0.20 * noise(size, 16, 12, octaves=3)
-    warm = broad + 0.02 * noise(size, 5, 13, octaves=2)
-    return upload("patches", stored(np.dstack((warm, other, broad - 0.01))))
+    fine = 0.5 + 0.20 * noise(size, 16, 12, octaves=3)
+    return upload("patches", stored(np.dstack((broad, fine, broad))))
 
 
 LAYERS = ("leaves", "needles", "bark", "wall", "roof", "plain")
@@ -134,8 +133,8 @@ def materials() -> Any:
     """Textures of everything beside the road, relative to the colour of their material: layers of `LAYERS`."""
     size = (128, 128)
     grey: dict[str, NDArray[np.float64]] = {
-        "leaves": 0.62 + 0.22 * noise(size, 16, 20) + 0.16 * noise(size, 32, 21, octaves=2),
-        "needles": 0.62 + 0.22 * noise(size, 32, 22) + 0.14 * noise((128, 128), 8, 23, octaves=2),
+        "leaves": 0.72 + 0.16 * noise(size, 16, 20) + 0.12 * noise(size, 32, 21, octaves=2),
+        "needles": 0.74 + 0.15 * noise(size, 32, 22) + 0.10 * noise(size, 8, 23, octaves=2),
         "bark": 0.7 + 0.2 * np.repeat(noise((8, 128), 8, 24)[:1], 128, axis=0) + 0.08 * noise(size, 16, 25),
         "wall": 0.9 + 0.03 * noise(size, 16, 26, octaves=3),
         "roof": 0.72 + 0.10 * noise(size, 16, 27),

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from ds_road import Road
 from ds_sim_panda.scene import textures
 from ds_sim_panda.scene.graphics import panda
@@ -13,8 +11,11 @@ from ds_sim_panda.scene.ground import ground_disc
 from ds_sim_panda.scene.meshes import mesh_node
 from ds_sim_panda.scene.parameters import VERGE_WIDTH
 from ds_sim_panda.scene.road_mesh import Course, course_of, road_strip
+from ds_sim_panda.scene.scenery import place_scenery
 from ds_sim_panda.scene.shaders import shader
+from ds_sim_panda.scene.shadows import cast_shadows
 from ds_sim_panda.scene.sky import sky_dome, sky_texture
+from ds_sim_panda.scene.solid_meshes import solid_meshes
 
 FILTER = 0.3
 """Width of road and verge beyond their borders, in which these fade into what is below, m; chosen: a pixel is wider
@@ -39,6 +40,18 @@ class World:
         self._sky = self._surface(sky_dome(), "sky", 0, sky=sky_texture())
         self._ground = self._surface(ground_disc(), "ground", 1, grass=textures.grass())
         self._road_surfaces(course)
+        solids = core.NodePath(solid_meshes(place_scenery(course, int(road.road_id, 16))))
+        shadows = cast_shadows(solids, course)
+        self.root.set_shader_input("shadows", shadows.texture)
+        self.root.set_shader_input("shadow_frame", core.LVector3(*shadows.frame))
+        self.root.set_shader_input("patches", textures.patches())
+        solids.set_shader(shader("solid"))
+        solids.set_shader_input("materials", textures.materials())
+        solids.reparent_to(self.root)
+        # The other surfaces have no borders but blended ones. The sky, drawn first, has it as well, as Panda3D takes
+        # it for switched off before it is switched on for the first time, and OpenGL does not.
+        for path in (self._sky, solids):
+            path.set_antialias(core.AntialiasAttrib.M_multisample)
 
     def follow(self, x: float, y: float, z: float) -> None:
         """Move the sky to the camera and the ground below it; coordinates relative to `origin`, m."""
@@ -50,7 +63,6 @@ class World:
         self.root.set_scissor(0.0, 1.0, 1.0 - bottom / height, 1.0 - top / height)
 
     def _road_surfaces(self, course: Course) -> None:
-        shadows = textures.upload("shadows", np.zeros((4, 4), np.uint8), wrap=False)
         border = course.half_width
         outer, inner = border + VERGE_WIDTH + FILTER, border - FILTER
         for name, offsets, sort, texture in (
@@ -60,12 +72,6 @@ class World:
         ):
             strip = self._surface(mesh_node(name, *road_strip(course, offsets)), name, sort, **texture)
             strip.set_shader_input("half_width", course.half_width)
-            blend = panda().ColorBlendAttrib
-            strip.set_attrib(blend.make(blend.M_add, blend.O_incoming_alpha, blend.O_one_minus_incoming_alpha))
-        for node in self.root.get_children():
-            node.set_shader_input("shadows", shadows)
-            node.set_shader_input("shadow_frame", panda().LVector3(0.0, 0.0, 1e-3))
-            node.set_shader_input("patches", textures.patches())
 
     def _surface(self, node: Any, kind: str, sort: int, **inputs: Any) -> Any:
         """Attach a surface that is drawn in the order of `sort`, without depth."""
@@ -77,6 +83,8 @@ class World:
         path.set_depth_test(False)
         path.set_depth_write(False)
         path.set_two_sided(True)
+        blend = panda().ColorBlendAttrib
+        path.set_attrib(blend.make(blend.M_add, blend.O_incoming_alpha, blend.O_one_minus_incoming_alpha))
         # Culling needs no bounds: every surface is in view.
         path.node().set_bounds(panda().OmniBoundingVolume())
         path.node().set_final(True)

@@ -1,0 +1,204 @@
+"""Shapes of what stands beside the road, for a height of 1 and half a length and width of 1."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from ds_sim_panda.scene.parameters import BARK, LEAVES, NEEDLES, POST, ROOF, WALL, Linear
+from ds_sim_panda.scene.textures import LAYERS
+
+DIAGONAL = math.sqrt(2.0)
+"""Plants are round: their radius is the diagonal of their half length and width."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A shape.
+
+    Attributes:
+        position: (n, 3).
+        normal: unit vectors, (n, 3).
+        texture: coordinates and layer, (n, 3).
+        reflectance: (n, 3) linear RGB.
+        softness: how far sunlight reaches round it, (n,); see `sunlight.light_on`.
+        triangles: (m, 3).
+    """
+
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    texture: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
+    softness: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+
+
+@cache
+def solid(kind: str) -> Solid:
+    """Shape of a kind of thing; see `scenery.place_scenery`."""
+    return {"broadleaf": _broadleaf, "conifer": _conifer, "bush": _bush, "house": _house, "post": _post}[kind]()
+
+
+def _joined(parts: Iterable[Solid]) -> Solid:
+    parts = list(parts)
+    starts = np.cumsum([0, *(len(part.position) for part in parts)])
+    return Solid(
+        position=np.concatenate([part.position for part in parts]),
+        normal=np.concatenate([part.normal for part in parts]),
+        texture=np.concatenate([part.texture for part in parts]),
+        reflectance=np.concatenate([part.reflectance for part in parts]),
+        softness=np.concatenate([part.softness for part in parts]),
+        triangles=np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]),
+    )
+
+
+def _blob(
+    centre: tuple[float, float, float], radii: tuple[float, float], colour: Linear, layer: str, seed: int, points: int
+) -> Solid:
+    """Rough ellipsoid with horizontal and vertical radii, darker below, where leaves shade leaves."""
+    index = np.arange(points) + 0.5
+    z = 1.0 - 2.0 * index / points
+    angle = index * math.pi * (3.0 - math.sqrt(5.0))
+    sphere = np.stack((np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z), axis=1)
+    triangles = ConvexHull(sphere).simplices.astype(np.int64)
+    corners = sphere[triangles]
+    inward = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners[:, 0]).sum(axis=1) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    rough = np.random.default_rng(seed).uniform(0.86, 1.0, points)[:, None]
+    scale = np.array((radii[0], radii[0], radii[1]))
+    normal = sphere / scale
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    # Projected along a slanted axis, so that no side shows it stretched to lines.
+    u, v = 1.5 * sphere[:, 0] + 0.9 * sphere[:, 1], 1.5 * sphere[:, 2] + 0.9 * sphere[:, 1]
+    texture = np.stack((u, v, np.full(points, LAYERS.index(layer))), axis=1)
+    shade = 0.55 + 0.45 * (0.5 + 0.5 * z)
+    return Solid(
+        sphere * rough * scale + centre,
+        normal,
+        texture,
+        shade[:, None] * colour,
+        np.full(points, 0.35),
+        triangles,
+    )
+
+
+def _cone(
+    low: float, high: float, radii: tuple[float, float], colour: Linear, layer: str, *, sides: int, softness: float
+) -> Solid:
+    """Cone or frustum about the vertical, open at its ends."""
+    angle = np.linspace(0.0, math.tau, sides + 1)
+    around = np.stack((np.cos(angle), np.sin(angle), np.zeros(sides + 1)), axis=1)
+    rings = [around * r + (0.0, 0.0, z) for r, z in ((radii[0], low), (radii[1], high))]
+    normal = around + (0.0, 0.0, (radii[0] - radii[1]) / (high - low))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    index = np.arange(sides)
+    a, b, c, d = index, index + 1, index + sides + 1, index + sides + 2
+    triangles = [np.stack((a, b, d), 1), *([np.stack((a, d, c), 1)] if radii[1] else [])]
+    texture = np.zeros((2 * sides + 2, 3))
+    texture[:, 0] = np.tile(np.linspace(0.0, 2.0, sides + 1), 2)
+    texture[sides + 1 :, 1] = 1.0
+    texture[:, 2] = LAYERS.index(layer)
+    shade = np.repeat((0.65, 1.0), sides + 1)[:, None]
+    return Solid(
+        np.concatenate(rings),
+        np.tile(normal, (2, 1)),
+        texture,
+        shade * colour,
+        np.full(2 * sides + 2, softness),
+        np.concatenate(triangles),
+    )
+
+
+def _quad(corners: list[tuple[float, float, float]], colour: Linear, layer: str, tiles: tuple[float, float]) -> Solid:
+    """Flat face with three or four corners, counter-clockwise from outside; `tiles`: repetitions of its texture."""
+    position = np.array(corners)
+    normal = np.cross(position[1] - position[0], position[2] - position[0])
+    normal /= np.linalg.norm(normal)
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)[: len(corners)] * tiles
+    texture = np.column_stack((square, np.full(len(corners), LAYERS.index(layer))))
+    triangles = np.array([(0, 1, 2), (0, 2, 3)][: len(corners) - 2])
+    tiled = np.tile(colour, (len(corners), 1))
+    return Solid(position, np.tile(normal, (len(corners), 1)), texture, tiled, np.zeros(len(corners)), triangles)
+
+
+def _box(
+    half: tuple[float, float], low: float, high: float, colour: Linear, layer: str, tiles: tuple[float, float, float]
+) -> Solid:
+    """Upright box without a bottom; `tiles`: repetitions of the texture along x, y and z."""
+    x, y = half
+    ring = [(-x, -y), (x, -y), (x, y), (-x, y)]
+    sides = [
+        _quad([(*a, low), (*b, low), (*b, high), (*a, high)], colour, layer, (tiles[i % 2], tiles[2]))
+        for i, (a, b) in enumerate(zip(ring, [*ring[1:], ring[0]], strict=True))
+    ]
+    return _joined([*sides, _quad([(*p, high) for p in ring], colour, "plain", (1, 1))])
+
+
+def _broadleaf() -> Solid:
+    """Trunk and a crown of four rough lumps."""
+    d = DIAGONAL
+    lumps = (
+        ((0.0, 0.0, 0.67), (0.76, 0.33)),
+        ((0.42, 0.12, 0.50), (0.56, 0.23)),
+        ((-0.30, 0.34, 0.54), (0.56, 0.25)),
+        ((-0.16, -0.42, 0.48), (0.54, 0.22)),
+    )
+    crown = [
+        _blob((x * d, y * d, z), (r * d, h), LEAVES, "leaves", seed, 18)
+        for seed, ((x, y, z), (r, h)) in enumerate(lumps)
+    ]
+    return _joined((_cone(0.0, 0.5, (0.11 * d, 0.07 * d), BARK, "bark", sides=5, softness=0.0), *crown))
+
+
+def _conifer() -> Solid:
+    """Trunk and three cones."""
+    d = DIAGONAL
+    cones = [
+        _cone(low, high, (r * d, 0.0), NEEDLES, "needles", sides=8, softness=0.3)
+        for low, high, r in ((0.12, 0.58, 1.0), (0.34, 0.80, 0.76), (0.58, 1.0, 0.50))
+    ]
+    return _joined((_cone(0.0, 0.2, (0.13 * d, 0.11 * d), BARK, "bark", sides=5, softness=0.0), *cones))
+
+
+def _bush() -> Solid:
+    d = DIAGONAL
+    return _joined(
+        (
+            _blob((0.0, 0.0, 0.45), (0.8 * d, 0.55), LEAVES, "leaves", 10, 16),
+            _blob((0.4 * d, 0.2 * d, 0.3), (0.5 * d, 0.4), LEAVES, "leaves", 11, 12),
+        )
+    )
+
+
+def _house() -> Solid:
+    """Two storeys, gabled roof with eaves, chimney."""
+    x, y, eaves = 0.92, 0.88, 0.66
+    walls = _box((x, y), 0.0, eaves, WALL, "wall", (3.0, 2.0, 2.0))
+    gables = [
+        _quad([(s * x, -s * y, eaves), (s * x, s * y, eaves), (s * x, 0.0, 0.97)], WALL, "plain", (1, 1))
+        for s in (-1.0, 1.0)
+    ]
+    low, ridge = 0.62, 1.0
+    roof = [
+        _quad([(-s, -s, low), (s, -s, low), (s, 0.0, ridge), (-s, 0.0, ridge)], ROOF, "roof", (4.0, 2.0))
+        for s in (1.0, -1.0)
+    ]
+    below = [
+        _quad([(s, -s, low), (-s, -s, low), (-s, 0.0, ridge), (s, 0.0, ridge)], (0.1, 0.08, 0.06), "plain", (1, 1))
+        for s in (1.0, -1.0)
+    ]
+    chimney = _box((0.06, 0.09), 0.8, 1.08, ROOF, "plain", (1, 1, 1))
+    chimney.position[:, :2] += (0.4, 0.25)
+    return _joined((walls, *gables, *roof, *below, chimney))
+
+
+def _post() -> Solid:
+    """White post with the black band of a delineator."""
+    bands = ((0.0, 0.70, POST), (0.70, 0.90, (0.03, 0.03, 0.03)), (0.90, 1.0, POST))
+    return _joined(_box((1.0, 1.0), low, high, colour, "plain", (1, 1, 1)) for low, high, colour in bands)
