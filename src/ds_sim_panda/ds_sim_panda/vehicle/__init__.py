@@ -1,1 +1,1 @@
-"""Full-size car: the multi-body model of CommonRoad."""
+"""Motion of the third sibling: a published multi-body model."""

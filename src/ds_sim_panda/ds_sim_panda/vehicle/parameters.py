@@ -1,0 +1,130 @@
+"""Constants of the multi-body car that are not in its published parameter set, in SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ds_sim.simulator import AutopilotGains
+from ds_sim_panda.vehicle import published
+
+GRAVITY = 9.81
+"""m/s^2; that of the published equations."""
+PREVIEW_DISTANCE = 5.5
+"""Distance of the autopilot's preview point, m; chosen with its gain."""
+GAINS = AutopilotGains(proportional=0.15)
+"""Chosen by driving the training roads, for the largest distance from the edge of the lane: a small gain and a far
+preview suit a steering that needs 1.4 s from the middle to the angle of the sharpest bends."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultiBodyParameters:
+    """Parameters of the car: number of a published set, drive, and settings of the integration.
+
+    The steering has the published limits of angle and rate: 0.4 rad/s suffices for the training roads. The published
+    input is the acceleration that the drive asks for, turned into torques at the wheels; the tyres have no rolling
+    resistance.
+
+    Attributes:
+        parameter_set: number of the published set, see `published.CARS`; chosen: 1, a Ford Escort, a compact car with
+            front-wheel drive, which neither siblings nor twin have.
+        slip_side_force: side force of a tyre by its longitudinal slip, over its load (`r_vy1`). Published are -0.0278,
+            of one tyre, for all wheels, with which the car strays 0.8 m over 200 m of straight road; chosen: 0, as
+            tyres on both sides of a car mirror each other.
+
+        drive_acceleration: acceleration at full throttle, m/s^2; chosen: 0 to 20 km/h in 3 s under the paper's
+            equation 2.
+        max_speed: speed at which the limiter sets in, m/s; paper 4.2.4: 30 km/h.
+        limiter_band: speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
+        regenerative_deceleration: deceleration without throttle, m/s^2; chosen: 0.2 g, that of Nissan's e-Pedal.
+        fade_speed: speed below which that fades out, m/s; chosen: walking pace, 5 km/h.
+        neutral_throttle: throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal maps
+            use about the first fifth for braking.
+
+        substeps: least number of substeps per step of 1/20 s; chosen: 10, so that one takes at most 5 ms.
+        stable_step: largest substep times the rate of the fastest tyre mode, which divides substeps the further the
+            slower the car is; chosen: 1.5, half of Runge-Kutta's limit of 2.79, as the load of a wheel can nearly
+            double. Halving both moves the car by at most 0.1 mm on a road.
+    """
+
+    parameter_set: int = 1
+    slip_side_force: float = 0.0
+
+    drive_acceleration: float = 2.5
+    max_speed: float = 30.0 / 3.6
+    limiter_band: float = 3.0 / 3.6
+    regenerative_deceleration: float = 0.2 * GRAVITY
+    fade_speed: float = 5.0 / 3.6
+    neutral_throttle: float = 0.2
+
+    substeps: int = 10
+    stable_step: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.parameter_set not in published.CARS:
+            numbers = ", ".join(str(number) for number in published.CARS)
+            raise ValueError(f"parameter_set is {self.parameter_set}, expected one of {numbers}: correct it")
+        for name, (low, high) in _LIMITS.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError(f"{name} is {value}, expected a number from {low:g} to {high:g}: correct it")
+
+    @property
+    def published(self) -> Any:
+        """The published parameter set, with the package's own names."""
+        return published.parameter_set(self.parameter_set)
+
+    @property
+    def length(self) -> float:
+        """Length of the car, m; published."""
+        return float(self.published.l)
+
+    @property
+    def width(self) -> float:
+        """Width of the car, m; published."""
+        return float(self.published.w)
+
+    @property
+    def wheelbase(self) -> float:
+        """Distance of the axles, m; published."""
+        return float(self.published.a + self.published.b)
+
+    @property
+    def max_steering_angle(self) -> float:
+        """Angle of the front wheels for |steering| = 1, rad; published."""
+        return float(self.published.steering.max)
+
+    @property
+    def centre_of_mass_ahead(self) -> float:
+        """Distance of the centre of mass ahead of the midpoint between the axles, m."""
+        return float(self.published.b - self.published.a) / 2.0
+
+    @property
+    def slip_rate(self) -> float:
+        """Rate at which the fastest slip of a wheel decays, times speed, m/s^2.
+
+        Along the wheel against its inertia, or sideways against the unsprung mass of its axle, under static load.
+        """
+        p = self.published
+        wheelbase = p.a + p.b
+        front, rear = p.m_s * p.b / wheelbase + p.m_uf, p.m_s * p.a / wheelbase + p.m_ur
+        load = GRAVITY * max(front, rear) / 2.0
+        along = p.tire.p_kx1 * p.R_w**2 / p.I_y_w
+        sideways = 2.0 * abs(p.tire.p_ky1) / min(p.m_uf, p.m_ur)
+        return float(load * max(along, sideways))
+
+
+_TINY = 1e-6
+_LIMITS: dict[str, tuple[float, float]] = {
+    "slip_side_force": (-0.1, 0.1),
+    "drive_acceleration": (0.0, 11.5),
+    "max_speed": (_TINY, 40.0),
+    "limiter_band": (_TINY, 40.0),
+    "regenerative_deceleration": (0.0, 11.5),
+    "fade_speed": (_TINY, 40.0),
+    "neutral_throttle": (_TINY, 0.9),
+    "substeps": (1, 1000),
+    "stable_step": (1e-3, 2.79),
+}
+"""Range of each value; 11.5 m/s^2 is the largest acceleration of the published sets, 2.79 the limit of stability."""

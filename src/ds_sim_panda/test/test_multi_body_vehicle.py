@@ -1,0 +1,219 @@
+"""Compares the multi-body car with the package that publishes the model, values worked out by hand, and itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+
+from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
+from ds_sim_panda.vehicle import published
+from ds_sim_panda.vehicle.integration import derivative
+from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
+from ds_sim_panda.vehicle.parameters import MultiBodyParameters
+
+P = MultiBodyParameters()
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture
+def car() -> MultiBodyVehicle:
+    vehicle = MultiBodyVehicle()
+    vehicle.reset(0.0, 0.0, 0.0, RNG)
+    return vehicle
+
+
+def drive(car: MultiBodyVehicle, frames: int, steering: float, throttle: float) -> list[VehicleState]:
+    states = []
+    for _ in range(frames):
+        car.advance(Command(steering, throttle))
+        states.append(car.state())
+    return states
+
+
+def slalom(car: MultiBodyVehicle, frames: int = 100, throttle: float = 0.5) -> NDArray[np.float64]:
+    """Drive a slalom; returns (frames, 4) of x, y, yaw, speed."""
+    rows = []
+    for frame in range(frames):
+        car.advance(Command(0.4 * math.sin(0.07 * frame), throttle))
+        state = car.state()
+        rows.append((state.x, state.y, state.yaw, state.speed))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("number", published.CARS)
+def test_the_right_hand_side_is_that_of_the_package_at_random_states(number: int) -> None:
+    rng = np.random.default_rng(number)
+    reference = published.parameter_set(number)
+    compiled = published.record(reference)
+    rest = published.rest_state(number)
+    spread = np.full(published.STATES, 0.05)
+    spread[[published.X, published.Y, published.YAW]] = 100.0
+    spread[[published.STEERING, published.YAW_RATE]] = 0.8
+    spread[published.WHEEL_SPEEDS : published.WHEEL_SPEEDS + 4] = 10.0
+    spread[[published.LATERAL_SPEED, published.FRONT_LATERAL_SPEED, published.REAR_LATERAL_SPEED]] = 1.0
+    kinematic = 0
+    for _ in range(1000):
+        state = rest + spread * rng.standard_normal(published.STATES)
+        state[published.SPEED] = rng.choice([rng.uniform(0.1, 15.0), rng.uniform(0.0, 0.12), rng.uniform(-1.0, 1.0)])
+        kinematic += abs(state[published.SPEED]) < 0.1
+        inputs = rng.uniform(-1.0, 1.0, 2) * (1.0, 15.0)
+        found = np.empty(published.STATES)
+        derivative(state.copy(), inputs, compiled, found)
+        try:
+            expected = vehicle_dynamics_mb(state.tolist(), inputs.tolist(), reference)
+        except ZeroDivisionError:  # a wheel that stands while the car moves
+            assert not np.isfinite(found).all()
+            continue
+        assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert 100 < kinematic < 900
+
+
+def test_the_same_commands_give_the_same_bytes_in_a_fresh_process_and_after_any_history(car: MultiBodyVehicle) -> None:
+    code = (
+        f"import sys; sys.path[:0] = {[*sys.path]!r}\n"
+        "import hashlib, math, numpy as np\n"
+        "from ds_sim.simulator import Command\n"
+        "from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle\n"
+        "car = MultiBodyVehicle(); car.reset(125.0, 25.0, 1.5, np.random.default_rng(0)); rows = []\n"
+        "for frame in range(100):\n"
+        "    car.advance(Command(0.4 * math.sin(0.07 * frame), 0.5)); s = car.state()\n"
+        "    rows.append((s.x, s.y, s.yaw, s.speed))\n"
+        "print(hashlib.sha256(np.array(rows).tobytes()).hexdigest())\n"
+    )
+    fresh = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    drive(car, 40, -0.7, 1.0)
+    car.reset(125.0, 25.0, 1.5, RNG)
+    assert hashlib.sha256(slalom(car).tobytes()).hexdigest() == fresh.strip()
+
+
+def test_it_starts_where_reset_puts_it_and_stays_there_whatever_the_steering(car: MultiBodyVehicle) -> None:
+    car.reset(123.4, -56.7, 1.1, RNG)
+    start = car.state()
+    assert (start.x, start.y, start.yaw) == pytest.approx((123.4, -56.7, 1.1), abs=1e-9)
+    assert (start.speed, start.heave, start.roll, start.pitch) == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
+    still = drive(car, 100, 0.0, 0.0)[-1]
+    assert (still.x, still.y, still.heave) == pytest.approx((start.x, start.y, 0.0), abs=1e-6)
+    turned = drive(car, 100, 1.0, 0.0)[-1]
+    assert math.hypot(turned.x - start.x, turned.y - start.y) < 0.005
+    assert turned.yaw == start.yaw
+
+
+def test_steering_minus_one_is_left_and_the_car_is_symmetric(car: MultiBodyVehicle) -> None:
+    left = drive(car, 80, -0.6, 0.6)[-1]
+    car.reset(0.0, 0.0, 0.0, RNG)
+    right = drive(car, 80, 0.6, 0.6)[-1]
+    assert left.yaw > 0.3
+    assert left.y > 0.5
+    assert left.steering_angle == pytest.approx(0.6 * P.max_steering_angle)
+    assert left.roll > 0.001
+    assert (right.yaw, right.y, right.roll) == pytest.approx((-left.yaw, -left.y, -left.roll), rel=0.03)
+
+
+def test_straight_ahead_stays_straight_over_100_metres(car: MultiBodyVehicle) -> None:
+    last = drive(car, 320, 0.0, 0.7)[-1]
+    assert last.x > 100.0
+    assert abs(last.y) < 0.05
+
+
+def test_position_is_the_integral_of_velocity(car: MultiBodyVehicle) -> None:
+    drive(car, 60, 0.0, 0.8)
+    states = [car.state(), *drive(car, 60, -0.3, 0.6)]
+    for before, after in zip(states[:-1], states[1:], strict=True):
+        yaw = 0.5 * (before.yaw + after.yaw)
+        ahead, left = 0.5 * (before.speed + after.speed), 0.5 * (before.lateral_speed + after.lateral_speed)
+        moved = (after.x - before.x, after.y - before.y)
+        expected = (
+            FRAME_TIME * (ahead * math.cos(yaw) - left * math.sin(yaw)),
+            FRAME_TIME * (ahead * math.sin(yaw) + left * math.cos(yaw)),
+        )
+        assert moved == pytest.approx(expected, abs=0.01)
+    assert states[-1].yaw == pytest.approx(states[0].yaw + FRAME_TIME * sum(s.yaw_rate for s in states[1:]), rel=0.02)
+
+
+def test_a_slow_circle_is_the_kinematic_one(car: MultiBodyVehicle) -> None:
+    last = drive(car, 300, -0.2, 0.15)[-1]
+    radius = math.hypot(P.wheelbase / math.tan(last.steering_angle), P.wheelbase / 2.0)
+    assert 0.5 < last.speed < 1.5
+    assert math.hypot(last.speed, last.lateral_speed) / last.yaw_rate == pytest.approx(radius, rel=0.02)
+    assert math.atan2(last.lateral_speed, last.speed) == pytest.approx(math.asin(P.wheelbase / 2.0 / radius), abs=0.01)
+
+
+def test_a_start_does_not_spin_the_wheels_and_a_stop_is_final(car: MultiBodyVehicle) -> None:
+    starting = drive(car, 40, 0.0, 1.0)
+    assert all(b.speed > a.speed for a, b in zip(starting[:-1], starting[1:], strict=True))
+    assert starting[-1].speed == pytest.approx(P.drive_acceleration * 2.0, rel=0.05)
+    stopping = drive(car, 200, 0.0, 0.0)
+    assert all(b.speed <= a.speed for a, b in zip(stopping[:-1], stopping[1:], strict=True))
+    assert 0.0 <= stopping[-1].speed < 1e-2
+    p = P.published
+    rotating = 4 * p.I_y_w / p.R_w**2
+    slowing = (stopping[5].speed - stopping[15].speed) / (10 * FRAME_TIME)
+    assert slowing == pytest.approx(P.regenerative_deceleration * p.m / (p.m + rotating), rel=0.01)
+
+
+def test_the_nose_dips_under_braking(car: MultiBodyVehicle) -> None:
+    pushing = drive(car, 70, 0.0, 1.0)[-1]
+    slowing = drive(car, 30, 0.0, 0.0)[-1]
+    assert math.radians(-2.0) < pushing.pitch < math.radians(-0.3)
+    assert math.radians(0.3) < slowing.pitch < math.radians(2.0)
+
+
+def test_the_steering_has_the_published_rate(car: MultiBodyVehicle) -> None:
+    angles = [0.0, *(s.steering_angle for s in drive(car, 60, 1.0, 0.0))]
+    assert np.abs(np.diff(angles)).max() == pytest.approx(0.4 * FRAME_TIME)
+    assert angles[-1] == pytest.approx(-0.91)
+
+
+@pytest.mark.parametrize("throttle", [0.2, 1.0])
+def test_full_lock_stays_finite_and_moves(car: MultiBodyVehicle, throttle: float) -> None:
+    for steering in (1.0, -1.0):
+        last = drive(car, 80, steering, throttle)[-1]
+        assert all(math.isfinite(getattr(last, name)) for name in VehicleState.__slots__)
+        assert last.speed > 0.09
+        assert abs(last.roll) < math.radians(10.0)
+
+
+def test_the_start_does_not_matter(car: MultiBodyVehicle) -> None:
+    at_origin = slalom(car)
+    car.reset(200.0, -30.0, 0.3, RNG)
+    elsewhere = slalom(car)
+    cos, sin = math.cos(0.3), math.sin(0.3)
+    turned = (elsewhere[:, :2] - (200.0, -30.0)) @ np.array([[cos, -sin], [sin, cos]])
+    assert turned == pytest.approx(at_origin[:, :2], abs=1e-9)
+
+
+def test_halving_the_substep_changes_the_path_little(car: MultiBodyVehicle) -> None:
+    finer = MultiBodyVehicle(dataclasses.replace(P, substeps=2 * P.substeps, stable_step=P.stable_step / 2))
+    finer.reset(0.0, 0.0, 0.0, RNG)
+    assert slalom(finer)[:, :2] == pytest.approx(slalom(car)[:, :2], abs=1e-3)
+
+
+def test_reset_after_close_starts_over(car: MultiBodyVehicle) -> None:
+    before = slalom(car, 20)
+    car.close()
+    car.close()
+    with pytest.raises(SimulatorError, match=r"^the multi-body car has not been placed yet: call reset first$"):
+        car.state()
+    car.reset(0.0, 0.0, 0.0, RNG)
+    assert np.array_equal(slalom(car, 20), before)
+
+
+def test_invalid_parameters_are_refused_in_one_line() -> None:
+    with pytest.raises(ValueError, match=r"^parameter_set is 4, expected one of 1, 2, 3: correct it$"):
+        MultiBodyParameters(parameter_set=4)
+    with pytest.raises(ValueError, match=r"^fade_speed is nan, expected a number from 1e-06 to 40: correct it$"):
+        MultiBodyParameters(fade_speed=math.nan)
+
+
+def test_another_version_of_the_model_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(published, "VERSION", "1.0")
+    with pytest.raises(ImportError, match=r"^commonroad-vehicle-models is 3.0.2, expected 1.0: pip install \S+==1.0$"):
+        MultiBodyVehicle()
