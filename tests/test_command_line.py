@@ -233,8 +233,8 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
     cut.write_bytes(b"cut")
     out = tmp_path / "out"
     cases: tuple[tuple[str, tuple[object, ...]], ...] = (
-        ("bullet, softbody, donkey", ("drive", "--sim", "bulet", "--driver", "autopilot")),
-        ("bullet, softbody, donkey", ("drive",)),
+        ("bullet, softbody, panda, donkey", ("drive", "--sim", "bulet", "--driver", "autopilot")),
+        ("bullet, softbody, panda, donkey", ("drive",)),
         ("dave3", ("drive", "--sim", "donkey", "--driver", "dave3")),
         ("missing", ("drive", "--sim", "donkey", "--driver", tmp_path / "none.safetensors")),
         ("damaged", ("drive", "--sim", "donkey", "--driver", cut)),

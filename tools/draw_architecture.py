@@ -76,9 +76,15 @@ def flow() -> str:
     p = Picture(960, 470)
     p.box(30, 60, 170, 90, "search", ["DeepHyperion: ask, tell", "ds_orchestrator.search"], "science")
     p.box(300, 60, 190, 90, "campaign", ["which road runs where", "ds_orchestrator.campaign"], "science")
-    p.box(590, 30, 160, 60, "sibling DS1", ["ds_sim_bullet"])
-    p.box(590, 105, 160, 60, "sibling DS2", ["ds_sim_softbody"])
-    p.box(590, 180, 160, 60, "twin DT", ["ds_twin_donkey"])
+    for index, (title, package) in enumerate(
+        (
+            ("sibling DS1", "ds_sim_bullet"),
+            ("sibling DS2", "ds_sim_softbody"),
+            ("sibling DS3", "ds_sim_panda"),
+            ("twin DT", "ds_twin_donkey"),
+        )
+    ):
+        p.box(590, 24 + 57 * index, 160, 50, title, [package])
     p.parts.append(
         f'<rect x="575" y="15" width="190" height="240" rx="9" fill="none" stroke="{INK}" stroke-dasharray="5 4"/>'
     )
@@ -134,8 +140,8 @@ def packages() -> str:
     _floor(p, 20, 16, 920, "ds_orchestrator: the method and the command line", rooms)
     rooms = "networks, control, data, training, closed_loop, ros"
     _floor(p, 20, 112, 540, "ds_driver: networks, data, training, driving", rooms)
-    rooms = "ds_sim_bullet, ds_sim_softbody, ds_twin_donkey"
-    _floor(p, 580, 112, 360, "the vehicles: physics and parameters", rooms)
+    rooms = "bullet, softbody, panda, donkey"
+    _floor(p, 580, 112, 360, "the simulators: ds_sim_*, ds_twin_donkey", rooms)
     rooms = "writer, reader, verification, recovery, packs, player, ros"
     _floor(p, 20, 208, 920, "ds_bags: recorded runs", rooms)
     rooms = "contract, camera, lane tracker, oracle, session, resimulation, testing, ros"

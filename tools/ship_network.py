@@ -19,7 +19,7 @@ import numpy as np
 from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.networks.weights import SHIPPED, load_weights
-from ds_orchestrator.evaluation.open_loop import predict
+from ds_orchestrator.evaluation.open_loop import Answers, predict
 from ds_sim.registry import SIMULATORS
 
 PAPER = {
@@ -98,6 +98,7 @@ def main() -> None:
         "offline": {
             "images": {name: len(values) for name, values in errors.items()},
             "mean_squared_error": {name: round(float(np.mean(values**2)), 6) for name, values in errors.items()},
+            "steering_gain": {name: round(_gain(answers), 3) for name, answers in found.items()},
         },
         "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
         "success": success,
@@ -112,6 +113,11 @@ def main() -> None:
 
 def _print_progress(done: int, total: int, line: str) -> None:
     print(f"{done}/{total} {line}", flush=True)
+
+
+def _gain(answers: Answers) -> float:
+    """Slope of the network's steering over the autopilot's, by least squares through the origin; 1 is right."""
+    return float((answers.answered * answers.recorded).sum() / (answers.recorded**2).sum())
 
 
 def _road_ids(data: Path) -> set[str]:

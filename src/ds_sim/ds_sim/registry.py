@@ -13,6 +13,7 @@ from ds_sim.simulator import Simulator, SimulatorSpec
 SIMULATORS = {
     "bullet": "ds_sim_bullet.simulator:BulletSimulator",
     "softbody": "ds_sim_softbody.simulator:SoftbodySimulator",
+    "panda": "ds_sim_panda.simulator:PandaSimulator",
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
 }
 """Name on the command line -> `module:Class`, a class without constructor arguments."""

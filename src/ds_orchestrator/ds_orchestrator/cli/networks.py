@@ -151,7 +151,7 @@ def collect_command(
     seed: Seed = 1,
     every: Annotated[int, typer.Option(min=1, help="Keep every Nth frame.")] = 1,
     disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Strength of random steering pushes.")] = 0.0,
-    sims: Simulators = "bullet,softbody,donkey",
+    sims: Simulators = "bullet,softbody,panda,donkey",
 ) -> None:
     """Collect labelled driving data with the autopilot."""
     collect(out, simulators_of(sims), roads=roads, seed=seed, every=every, disturbance=disturbance)
@@ -216,7 +216,7 @@ def assess_command(
         int, typer.Option(min=1, help="Random roads that no training has seen, each driven both ways.")
     ] = 25,
     seed: Seed = 424242,
-    sims: Simulators = "bullet,softbody,donkey",
+    sims: Simulators = "bullet,softbody,panda,donkey",
     as_json: JsonFlag = False,
 ) -> None:
     """Measure how many unseen roads a network completes on each simulator.

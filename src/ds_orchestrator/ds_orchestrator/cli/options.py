@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-SHIPPED_SIMULATORS = ("bullet", "softbody", "donkey")
+SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey")
 """Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
 
 
@@ -16,7 +16,7 @@ def _complete_simulator(incomplete: str) -> list[str]:
 
 
 def _complete_driver(incomplete: str) -> list[str]:
-    return [name for name in ("autopilot", "dave2", "dave2_short") if name.startswith(incomplete)]
+    return [name for name in ("autopilot", "dave2", "dave2_b", "dave2_short", "chauffeur", "epoch") if name.startswith(incomplete)]
 
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
@@ -36,7 +36,7 @@ Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas."
 Simulator = Annotated[
     str,
     typer.Option(
-        help="Simulator: bullet, softbody, donkey, donkey@FILE (fitted parameters), or module:Class.",
+        help="Simulator: bullet, softbody, panda, donkey, donkey@FILE (fitted parameters), or module:Class.",
         autocompletion=_complete_simulator,
     ),
 ]
