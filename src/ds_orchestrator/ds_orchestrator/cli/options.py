@@ -16,7 +16,11 @@ def _complete_simulator(incomplete: str) -> list[str]:
 
 
 def _complete_driver(incomplete: str) -> list[str]:
-    return [name for name in ("autopilot", "dave2", "dave2_b", "dave2_short", "chauffeur", "epoch") if name.startswith(incomplete)]
+    return [
+        name
+        for name in ("autopilot", "dave2", "dave2_b", "dave2_short", "chauffeur", "epoch")
+        if name.startswith(incomplete)
+    ]
 
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
