@@ -75,8 +75,8 @@ POST_HEIGHT, POST_WIDTH = 1.0, 0.12
 """Height and width of a delineator (HLB: 1 m; 0.12 m)."""
 TREE_SPACING = 7.0
 """Cell of the grid on which trees may stand; chosen: mature crowns nearly touch."""
-TREE_HEIGHT = (5.0, 9.5)
-"""Least and greatest; chosen: fruit trees to young limes."""
+TREE_HEIGHT = (6.0, 11.0)
+"""Least and greatest; chosen: young to grown limes, maples and spruces."""
 BUSH_HEIGHT = (1.0, 2.0)
 """Least and greatest; chosen: hedges."""
 BUSH_SHARE, CONIFER_SHARE = 0.3, 0.15
@@ -86,7 +86,7 @@ GROVES = (0.11, 0.22)
 open country with groves."""
 GROVE_LIMITS = (0.03, 0.5)
 """Least and greatest share; chosen."""
-ROADSIDE, ROADSIDE_SHARE = 16.0, 2.0
+ROADSIDE, ROADSIDE_SHARE = 16.0, 4.0
 """Within this distance of the centre line there are so many times more plants; chosen: trees line country roads."""
 HOUSE_SIZE = (5.5, 4.2, 8.5)
 """Half the length, half the width, height; chosen: a farmhouse of two storeys."""
