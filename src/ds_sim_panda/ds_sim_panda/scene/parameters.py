@@ -86,6 +86,8 @@ GROVES = (0.11, 0.22)
 open country with groves."""
 GROVE_LIMITS = (0.03, 0.5)
 """Least and greatest share; chosen."""
+FAR_FROM_ROAD = 28.0
+"""Plants farther from the centre line have fewer triangles; chosen: half a metre of them is less than three pixels."""
 ROADSIDE, ROADSIDE_SHARE = 16.0, 4.0
 """Within this distance of the centre line there are so many times more plants; chosen: trees line country roads."""
 HOUSE_SIZE = (5.5, 4.2, 8.5)

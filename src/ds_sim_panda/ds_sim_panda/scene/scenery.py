@@ -14,6 +14,7 @@ from ds_sim_panda.scene.parameters import (
     BUSH_SHARE,
     CLEARANCE,
     CONIFER_SHARE,
+    FAR_FROM_ROAD,
     GROVE_LIMITS,
     GROVES,
     HOUSE_DISTANCE,
@@ -127,6 +128,7 @@ def _plants(
     share = np.clip(GROVES[0] + GROVES[1] * _waves(position, rng), *GROVE_LIMITS)
     share[distance < ROADSIDE] *= ROADSIDE_SHARE
     size = np.stack((radius / math.sqrt(2), radius / math.sqrt(2), height), axis=1)
+    far = distance > FAR_FROM_ROAD
     yaw, tint = rng.uniform(0.0, math.tau, count), rng.uniform(0.75, 1.25, count)
     kept = rng.uniform(size=count) < share
     kept &= distance > border + CLEARANCE + radius
@@ -134,7 +136,14 @@ def _plants(
         kept &= np.hypot(*(position - house).T) > reach + radius
     return {
         name: Things(position[of & kept], size[of & kept], yaw[of & kept], tint[of & kept])
-        for name, of in (("broadleaf", ~bush & ~conifer), ("conifer", conifer), ("bush", bush))
+        for name, of in (
+            ("broadleaf", ~bush & ~conifer & ~far),
+            ("far broadleaf", ~bush & ~conifer & far),
+            ("conifer", conifer & ~far),
+            ("far conifer", conifer & far),
+            ("bush", bush & ~far),
+            ("far bush", bush & far),
+        )
     }
 
 

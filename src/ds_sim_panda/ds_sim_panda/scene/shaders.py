@@ -29,13 +29,14 @@ in vec4 p3d_Color;
 uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelViewMatrix, p3d_ModelMatrix, p3d_ViewMatrixInverse;
 out vec3 seen, place, coordinates;
 out vec3 light;
-out float eye_height;
+out float eye_height, arriving;
 void main() {
     gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
     seen = (p3d_ModelViewMatrix * p3d_Vertex).xyz;
     place = (p3d_ModelMatrix * p3d_Vertex).xyz;
     coordinates = p3d_MultiTexCoord0;
     eye_height = p3d_ViewMatrixInverse[3].z;
+    arriving = exp(-HAZE * length(seen));
     light = p3d_Color.rgb * p3d_Color.rgb * MOST_LIGHT;
 }
 """
@@ -44,7 +45,7 @@ _COMMON = """
 #version 130
 in vec3 seen, place, coordinates;
 in vec3 light;
-in float eye_height;
+in float eye_height, arriving;
 out vec4 colour;
 vec3 linear(vec3 stored) { return stored * stored; }
 // The share exp(-HAZE * distance) of a colour arrives; the rest is the colour of the horizon.
@@ -76,10 +77,14 @@ uniform sampler2D grass;
 void main() {
     vec3 c = linear(texture(grass, place.xy * 0.125).rgb);
     c *= 2.0 * broad(0.0171);
+#ifdef FAR
     // A pixel on the horizon shows the sky behind it in part.
     float below = eye_height / length(seen);
-    float horizon = clamp(0.5 + below / length(vec2(dFdx(below), dFdy(below))), 0.0, 1.0);
-    colour = hazed(c * daylight(), horizon);
+    float opacity = clamp(0.5 + below / length(vec2(dFdx(below), dFdy(below))), 0.0, 1.0);
+#else
+    float opacity = 1.0;
+#endif
+    colour = hazed(c * daylight(), opacity);
 }
 """
 
@@ -114,7 +119,7 @@ void main() {
 _SOLID = """
 uniform sampler2DArray materials;
 void main() {
-    colour = hazed(linear(texture(materials, coordinates).rgb) * light, 1.0);
+    colour = vec4(sqrt(mix(HORIZON, linear(texture(materials, coordinates).rgb) * light, arriving)), 1.0);
 }
 """
 
@@ -131,12 +136,20 @@ void main() {
 }
 """
 
-_FRAGMENTS = {"ground": _GROUND, "verge": _VERGE, "road": _ROAD, "solid": _SOLID, "sky": _SKY, "flat": _FLAT}
+_FRAGMENTS = {
+    "ground": _GROUND,
+    "far ground": "#define FAR\n" + _GROUND,
+    "verge": _VERGE,
+    "road": _ROAD,
+    "solid": _SOLID,
+    "sky": _SKY,
+    "flat": _FLAT,
+}
 
 
 @cache
 def shader(name: str) -> Any:
-    """Panda3D's shader of a kind of surface: ground, verge, road, solid, sky, or flat white."""
+    """Panda3D's shader of a kind of surface: ground, far ground, verge, road, solid, sky, or flat white."""
     core = panda()
     return core.Shader.make(core.Shader.SL_GLSL, _filled(_VERTEX), _filled(_COMMON + _FRAGMENTS[name]))
 

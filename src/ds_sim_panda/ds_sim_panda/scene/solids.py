@@ -42,7 +42,17 @@ class Solid:
 @cache
 def solid(kind: str) -> Solid:
     """Shape of a kind of thing; see `scenery.place_scenery`."""
-    return {"broadleaf": _broadleaf, "conifer": _conifer, "bush": _bush, "house": _house, "post": _post}[kind]()
+    shapes = {
+        "broadleaf": lambda: _broadleaf(lumps=4, points=18, sides=5),
+        "far broadleaf": lambda: _broadleaf(lumps=3, points=10, sides=3),
+        "conifer": lambda: _conifer(sides=8),
+        "far conifer": lambda: _conifer(sides=5),
+        "bush": lambda: _bush(points=16),
+        "far bush": lambda: _bush(points=9),
+        "house": _house,
+        "post": _post,
+    }
+    return shapes[kind]()
 
 
 def _joined(parts: Iterable[Solid]) -> Solid:
@@ -140,40 +150,36 @@ def _box(
     return _joined([*sides, _quad([(*p, high) for p in ring], colour, "plain", (1, 1))])
 
 
-def _broadleaf() -> Solid:
-    """Trunk and a crown of four rough lumps."""
+def _broadleaf(*, lumps: int, points: int, sides: int) -> Solid:
+    """Trunk and a crown of rough lumps."""
     d = DIAGONAL
-    lumps = (
+    crown = (
         ((0.0, 0.0, 0.67), (0.76, 0.33)),
         ((0.42, 0.12, 0.50), (0.56, 0.23)),
         ((-0.30, 0.34, 0.54), (0.56, 0.25)),
         ((-0.16, -0.42, 0.48), (0.54, 0.22)),
     )
-    crown = [
-        _blob((x * d, y * d, z), (r * d, h), LEAVES, "leaves", seed, 18)
-        for seed, ((x, y, z), (r, h)) in enumerate(lumps)
+    blobs = [
+        _blob((x * d, y * d, z), (r * d, h), LEAVES, "leaves", seed, points)
+        for seed, ((x, y, z), (r, h)) in enumerate(crown[:lumps])
     ]
-    return _joined((_cone(0.0, 0.5, (0.11 * d, 0.07 * d), BARK, "bark", sides=5, softness=0.0), *crown))
+    return _joined((_cone(0.0, 0.5, (0.11 * d, 0.07 * d), BARK, "bark", sides=sides, softness=0.0), *blobs))
 
 
-def _conifer() -> Solid:
+def _conifer(*, sides: int) -> Solid:
     """Trunk and three cones."""
     d = DIAGONAL
     cones = [
-        _cone(low, high, (r * d, 0.0), NEEDLES, "needles", sides=8, softness=0.3)
+        _cone(low, high, (r * d, 0.0), NEEDLES, "needles", sides=sides, softness=0.3)
         for low, high, r in ((0.12, 0.58, 1.0), (0.34, 0.80, 0.76), (0.58, 1.0, 0.50))
     ]
-    return _joined((_cone(0.0, 0.2, (0.13 * d, 0.11 * d), BARK, "bark", sides=5, softness=0.0), *cones))
+    return _joined((_cone(0.0, 0.2, (0.13 * d, 0.11 * d), BARK, "bark", sides=3, softness=0.0), *cones))
 
 
-def _bush() -> Solid:
+def _bush(*, points: int) -> Solid:
     d = DIAGONAL
-    return _joined(
-        (
-            _blob((0.0, 0.0, 0.45), (0.8 * d, 0.55), LEAVES, "leaves", 10, 16),
-            _blob((0.4 * d, 0.2 * d, 0.3), (0.5 * d, 0.4), LEAVES, "leaves", 11, 12),
-        )
-    )
+    lumps = (((0.0, 0.0, 0.45), (0.8 * d, 0.55)), ((0.4 * d, 0.2 * d, 0.3), (0.5 * d, 0.4)))
+    return _joined(_blob(*lump, LEAVES, "leaves", 10 + i, points) for i, lump in enumerate(lumps))
 
 
 def _house() -> Solid:

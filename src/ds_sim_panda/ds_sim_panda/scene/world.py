@@ -7,7 +7,7 @@ from typing import Any
 from ds_road import Road
 from ds_sim_panda.scene import textures
 from ds_sim_panda.scene.graphics import panda
-from ds_sim_panda.scene.ground import ground_disc
+from ds_sim_panda.scene.ground import ground_rings
 from ds_sim_panda.scene.meshes import mesh_node
 from ds_sim_panda.scene.parameters import VERGE_WIDTH
 from ds_sim_panda.scene.road_mesh import Course, course_of, road_strip
@@ -38,7 +38,10 @@ class World:
         self.origin = course.origin
         self.root = core.NodePath("world")
         self._sky = self._surface(sky_dome(), "sky", 0, sky=sky_texture())
-        self._ground = self._surface(ground_disc(), "ground", 1, grass=textures.grass())
+        self._ground = self._surface(ground_rings(far=False), "ground", 1, grass=textures.grass())
+        far = self._surface(ground_rings(far=True), "far ground", 1, grass=textures.grass())
+        far.set_attrib(_blended())
+        far.reparent_to(self._ground)
         self._road_surfaces(course)
         solids = core.NodePath(solid_meshes(place_scenery(course, int(road.road_id, 16))))
         shadows = cast_shadows(solids, course)
@@ -72,6 +75,7 @@ class World:
         ):
             strip = self._surface(mesh_node(name, *road_strip(course, offsets)), name, sort, **texture)
             strip.set_shader_input("half_width", course.half_width)
+            strip.set_attrib(_blended())
 
     def _surface(self, node: Any, kind: str, sort: int, **inputs: Any) -> Any:
         """Attach a surface that is drawn in the order of `sort`, without depth."""
@@ -83,9 +87,13 @@ class World:
         path.set_depth_test(False)
         path.set_depth_write(False)
         path.set_two_sided(True)
-        blend = panda().ColorBlendAttrib
-        path.set_attrib(blend.make(blend.M_add, blend.O_incoming_alpha, blend.O_one_minus_incoming_alpha))
         # Culling needs no bounds: every surface is in view.
         path.node().set_bounds(panda().OmniBoundingVolume())
         path.node().set_final(True)
         return path
+
+
+def _blended() -> Any:
+    """Attribute of surfaces that fade into what was drawn before them."""
+    blend = panda().ColorBlendAttrib
+    return blend.make(blend.M_add, blend.O_incoming_alpha, blend.O_one_minus_incoming_alpha)
