@@ -200,7 +200,10 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("raw", "named"),
     [
-        ({"siblings": ["bulet"]}, "siblings: unknown simulator 'bulet': expected one of bullet, softbody, panda, donkey"),
+        (
+            {"siblings": ["bulet"]},
+            "siblings: unknown simulator 'bulet': expected one of bullet, softbody, panda, donkey",
+        ),
         ({"siblings": ["bullet", "bullet"]}, "siblings: bullet is named twice"),
         ({"siblings": []}, "siblings: an empty list, expected at least 1"),
         ({"siblings": "bullet"}, "siblings: bullet, expected a list, as in [a, b]"),

@@ -67,14 +67,14 @@ def test_an_unknown_simulator_is_named(name: str) -> None:
 
 
 def test_the_simulators_differ() -> None:
-    """Same road, same commands, three trajectories: complementary, not copies."""
+    """Same road, same commands, as many trajectories: complementary, not copies."""
     ends = []
     for name in sorted(SIMULATORS):
         simulator = make_simulator(name)
         end = drive(simulator, STRAIGHT, lambda o: Command(0.05 if o.time > 2.0 else 0.0, 0.7), steps=80)[-1]
         ends.append((end.vehicle.x, end.vehicle.y))
         simulator.close()
-    assert len(ends) == 3 and min(math.dist(a, b) for i, a in enumerate(ends) for b in ends[:i]) > 0.1
+    assert min(math.dist(a, b) for i, a in enumerate(ends) for b in ends[:i]) > 0.1
     assert np.isfinite(ends).all()
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
+
+import numpy as np
 
 from ds_road import Road
 from ds_sim_panda.scene import textures
@@ -20,6 +23,12 @@ from ds_sim_panda.scene.solid_meshes import solid_meshes
 FILTER = 0.3
 """Width of road and verge beyond their borders, in which these fade into what is below, m; chosen: a pixel is wider
 only beyond 50 m."""
+
+
+def _seed_of(road: Road) -> int:
+    """Seed of what stands beside a road: the same for equal centre lines, however described, and in either lane."""
+    millimetres = np.round(1000.0 * road.points).astype("<i8")
+    return int.from_bytes(hashlib.sha256(millimetres.tobytes()).digest()[:8], "little")
 
 
 class World:
@@ -43,7 +52,7 @@ class World:
         far.set_attrib(_blended())
         far.reparent_to(self._ground)
         self._road_surfaces(course)
-        solids = core.NodePath(solid_meshes(place_scenery(course, int(road.road_id, 16))))
+        solids = core.NodePath(solid_meshes(place_scenery(course, _seed_of(road))))
         shadows = cast_shadows(solids, course)
         self.root.set_shader_input("shadows", shadows.texture)
         self.root.set_shader_input("shadow_frame", core.LVector3(*shadows.frame))
