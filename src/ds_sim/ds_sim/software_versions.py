@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 _DISTRIBUTIONS = (
     "numpy", "scipy", "scikit-learn", "statsmodels", "opencv-python-headless", "torch", "onnxruntime", "openvino",
-    "pybullet", "pymunk", "shapely", "plotly",
+    "pybullet", "pymunk", "panda3d", "numba", "commonroad-vehicle-models", "shapely", "plotly",
 )  # fmt: skip
 
 

@@ -29,14 +29,14 @@ _parcels: dict[str, _Unpacked] = {}
 _idle: list[tuple[str, WorkerProcess]] = []
 
 
-def describe(sha256: str, backend: str) -> dict[str, Any]:
+def describe(sha256: str, backend: str, simulators: tuple[str, ...]) -> dict[str, Any]:
     """Describe this worker.
 
     Returns:
         `fingerprint`, and `largest_batch` if it has prepared itself for the parcel; or `error`, one line.
     """
     try:
-        found: dict[str, Any] = {"fingerprint": fingerprint(backend)}
+        found: dict[str, Any] = {"fingerprint": fingerprint(backend, simulators)}
     except Exception as error:  # an exception may not survive the way back
         return {"error": _one_line(error)}
     if sha256 in _parcels:

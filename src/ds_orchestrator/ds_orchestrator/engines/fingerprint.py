@@ -4,36 +4,47 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
+from ds_sim.simulator import SimulatorError
 from ds_sim.software_versions import versions
 
-CODE = ("ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_twin_donkey")
+CODE = ("ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_twin_donkey")
 """Packages whose code takes part in a drive."""
 LIBRARIES = ("numpy", "opencv-python-headless", "pybullet", "pymunk", "shapely")
 """Libraries that take part in every drive."""
+LIBRARIES_OF_PANDA = ("panda3d", "numba", "commonroad-vehicle-models")
+"""Libraries that take part in drives with the simulator `panda`."""
 BACKENDS = {"onnxruntime": "onnx", "openvino": "openvino", "torch": "torch"}
 """Library -> the back end that computes with it."""
+PROCESSOR_FEATURES = "processor features"
 _FEATURES = ("sse4", "avx", "fma", "f16c", "amx", "asimd", "sve", "bf16")
 """Beginnings of the processor features by which libraries choose their kernels, and so their roundings."""
 
 
-def fingerprint(backend: str) -> dict[str, str]:
+def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
     """What two machines must have in common to compute the same bits: name -> value.
 
     Args:
         backend: `onnx`, `openvino`, `openvino-bf16`, `torch`, or "" for a driver without a network.
+        simulators: names of the simulators.
     """
     known = versions()
-    libraries = [*LIBRARIES, *(name for name, of in BACKENDS.items() if backend.startswith(of))]
+    with_panda = any(name.partition("@")[0] == "panda" or "ds_sim_panda" in name for name in simulators)
+    libraries = [
+        *LIBRARIES,
+        *(name for name, of in BACKENDS.items() if backend.startswith(of)),
+        *(LIBRARIES_OF_PANDA if with_panda else ()),
+    ]
     return {
         "code of Digital Siblings": _code_sha256()[:12],
         "python": ".".join(known["python"].split(".")[:2]),
         **{name: known[name] for name in libraries},
+        **({"renderer": _renderer()} if with_panda else {}),
         "machine": known["machine"],
-        "processor features": _processor_features(),
+        PROCESSOR_FEATURES: _processor_features(),
     }
 
 
@@ -44,7 +55,7 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
         mine, other = here[name], there.get(name, "unknown")
         if mine == other:
             continue
-        if " " in mine:  # sets of words: name only what one side lacks
+        if name == PROCESSOR_FEATURES:  # sets of words: name only what one side lacks
             ours, theirs = set(mine.split()), set(other.split())
             missing = [f"without {' '.join(sorted(ours - theirs))}"] if ours - theirs else []
             extra = [f"with {' '.join(sorted(theirs - ours))}"] if theirs - ours else []
@@ -52,6 +63,16 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
         else:
             found.append(f"{name} {other} there, {mine} here")
     return "; ".join(found)
+
+
+def _renderer() -> str:
+    """Version of the library that draws the images of `panda`; "absent" where it cannot draw."""
+    from ds_sim_panda.scene.graphics import renderer_name
+
+    try:
+        return renderer_name()
+    except (ImportError, SimulatorError):
+        return "absent"
 
 
 def _code_sha256() -> str:

@@ -88,7 +88,7 @@ class Membership:
         self.client = client
         self._address, self._options, self._parcel, self._timeout = address, options, parcel, command_timeout
         self._members, self._say = members, say
-        self._sha256, self._here = parcel.sha256, fingerprint(parcel.backend)
+        self._sha256, self._here = parcel.sha256, fingerprint(parcel.backend, parcel.simulators)
         self._changed = threading.Condition()
         self._known: dict[str, bool] = {}
         """Address -> whether the worker is ready."""
@@ -181,7 +181,7 @@ class Membership:
         try:
             # First by itself: Dask loses the error of a function whose module cannot be imported.
             self._on(address, exec, f"import {dask_worker.__name__}", {})
-            found = self._on(address, dask_worker.describe, self._sha256, self._parcel.backend)
+            found = self._on(address, dask_worker.describe, self._sha256, self._parcel.backend, self._parcel.simulators)
             problem = found.get("error") or differences(self._here, found["fingerprint"])
             if not problem:
                 # The files travel once per worker.

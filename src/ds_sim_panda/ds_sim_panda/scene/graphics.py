@@ -25,6 +25,7 @@ ENVIRONMENT = {
     "LIBGL_ALWAYS_SOFTWARE": "1",  # the same bits on machines with a GPU
     "GALLIUM_DRIVER": "llvmpipe",
     "LP_NUM_THREADS": "0",  # draw in the caller's thread
+    "EGL_LOG_LEVEL": "fatal",  # it would print what an exception says
     "MESA_SHADER_CACHE_DISABLE": "true",  # it would start threads and write to the home folder
 }
 CONFIGURATION = """
@@ -158,7 +159,8 @@ class Graphics:
         gsg = buffer.get_gsg()
         if not buffer.is_valid() or "llvmpipe" not in gsg.driver_renderer:
             raise SimulatorError(
-                f"the panda simulator draws with Mesa's llvmpipe only, found {gsg.driver_renderer or 'none'}: {INSTALL}"
+                f"the panda simulator draws with Mesa's llvmpipe only, found {gsg.driver_renderer or 'nothing'}: "
+                f"unset {', '.join(ENVIRONMENT)}, or {INSTALL}"
             )
         buffer.set_clear_color_active(True)
         buffer.set_clear_depth_active(True)
