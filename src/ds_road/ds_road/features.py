@@ -44,35 +44,41 @@ def curvature(points: NDArray[np.float64]) -> float:
     return float(np.max(2.0 * double_area[bent] / sides[bent], initial=0.0))
 
 
-def lane_curvature(lane_centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Signed curvature of a lane, averaged over windows of `LANE_WINDOW` along it, 1/m, right positive.
+def lane_curvature(lane_centre: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signed curvature of a lane, averaged over a window of `LANE_WINDOW` around each place, 1/m, right positive.
 
     The average over a window is the change of heading between its ends over its length. Headings are those of the steps
-    between samples, at the middles of the steps, and linear between them. The average is then piecewise linear in the
-    place of the window, and the windows that begin or end at the middle of a step hold its extremes.
+    between samples, at the middles of the steps, and linear between them; beyond both ends the lane goes on straight.
 
     Args:
         lane_centre: (n, 2) samples of the centre line of the lane, m, in driving order.
+        places: (k,) arc lengths along it, m.
 
     Returns:
-        (windows,) averages, in order. A lane shorter than the window counts as if it went on straight.
+        (k,) averages.
     """
-    steps = np.diff(lane_centre, axis=0)
-    lengths = np.hypot(*steps.T)
-    middles = np.cumsum(lengths) - lengths / 2
-    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
-    if middles[-1] - middles[0] <= LANE_WINDOW:
-        return np.array([(headings[0] - headings[-1]) / LANE_WINDOW])
-    begins = np.unique(np.concatenate((middles, middles - LANE_WINDOW)))
-    begins = begins[(begins >= middles[0]) & (begins + LANE_WINDOW <= middles[-1])]
-    turned = np.interp(begins + LANE_WINDOW, middles, headings) - np.interp(begins, middles, headings)
-    return np.asarray(-turned / LANE_WINDOW, np.float64)
+    middles, headings = _headings(lane_centre)
+    before, after = (np.interp(places + half, middles, headings) for half in (-LANE_WINDOW / 2, LANE_WINDOW / 2))
+    return np.asarray((before - after) / LANE_WINDOW, np.float64)
 
 
 def largest_lane_curvature(lane_centre: NDArray[np.float64], side: Literal["right", "left"]) -> float:
-    """Largest curvature of a lane to one side, 1/m; 0 if it never bends to that side. See `lane_curvature`."""
+    """Largest curvature of a lane to one side, 1/m; 0 if it never bends to that side. See `lane_curvature`.
+
+    The average is piecewise linear in the place of the window, so it is largest where an end of the window lies in the
+    middle of a step.
+    """
+    middles, _ = _headings(lane_centre)
+    places = np.concatenate((middles - LANE_WINDOW / 2, middles + LANE_WINDOW / 2))
     sign = 1.0 if side == "right" else -1.0
-    return float(np.max(sign * lane_curvature(lane_centre), initial=0.0))
+    return float(np.max(sign * lane_curvature(lane_centre, places), initial=0.0))
+
+
+def _headings(line: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Arc length of the middle of each step of a line, m, and the step's heading, rad, without jumps."""
+    steps = np.diff(line, axis=0)
+    lengths = np.hypot(*steps.T)
+    return np.cumsum(lengths) - lengths / 2, np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
 
 
 def turns_count(points: NDArray[np.float64], *, maxitwo_compatible: bool = False) -> int:
