@@ -73,7 +73,7 @@ def drive_road(simulator: Simulator, driver: Driver, road: Road, seed: int) -> R
 
 def drive_all(drives: Sequence[Drive], *, workers: int | None = None) -> Iterator[RunRecord]:
     """Drive all roads in worker processes and yield the records in order; they do not depend on `workers`."""
-    return map_in_processes(_drive, drives, workers=workers)
+    return map_in_processes(run_drive, drives, workers=workers)
 
 
 @cache
@@ -88,7 +88,8 @@ def _network(driver: str, simulator: str) -> Driver:
     return make_driver(driver, _simulator(simulator).spec)
 
 
-def _drive(drive: Drive) -> RunRecord:
+def run_drive(drive: Drive) -> RunRecord:
+    """Drive in this process, which keeps simulator and network for the next drive."""
     simulator = _simulator(drive.simulator)
     # The autopilot keeps its previous error, so every drive gets a new one.
     is_autopilot = drive.driver == AUTOPILOT

@@ -39,7 +39,7 @@ def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
         *(LIBRARIES_OF_PANDA if with_panda else ()),
     ]
     return {
-        "code of Digital Siblings": _code_sha256()[:12],
+        "code of Digital Siblings": code_sha256()[:12],
         "python": ".".join(known["python"].split(".")[:2]),
         **{name: known[name] for name in libraries},
         **({"renderer": _renderer()} if with_panda else {}),
@@ -75,7 +75,8 @@ def _renderer() -> str:
         return "absent"
 
 
-def _code_sha256() -> str:
+def code_sha256() -> str:
+    """Digest of the source code of every package in `CODE`."""
     digest = hashlib.sha256()
     for package in CODE:
         spec = find_spec(package)

@@ -16,12 +16,12 @@ from ds_orchestrator.evaluation.statistics import (
     Array,
     _average_precision,
     _decided,
-    _interval,
     _over_shared_cells,
     _paired,
     _pearson,
     _resampled_auc,
     _resampled_r,
+    bootstrap_interval,
     caution_of,
 )
 from ds_orchestrator.maps.feature_map import FeatureMap
@@ -125,9 +125,9 @@ def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resample
         r=r,
         p=p,
         reason=reason,
-        r_interval=None if r is None else _interval((predicted, truth), _resampled_r, resamples),
+        r_interval=None if r is None else bootstrap_interval((predicted, truth), _resampled_r, resamples),
         auc=auc,
-        auc_interval=None if auc is None else _interval((predicted, truth), _resampled_auc, resamples),
+        auc_interval=None if auc is None else bootstrap_interval((predicted, truth), _resampled_auc, resamples),
         auc_reason=auc_reason,
         baseline=failing / len(truth) if len(truth) else None,
         failing=failing,
@@ -165,9 +165,12 @@ def paired_differences(
         drawn = 0 if caution_of(len(against), failing) else resamples
         known: dict[str, Any] = {}
         if all(_pearson(one, against, value)[0] is not None for one in (merged_values, values)):
-            known |= {"r": difference_r(*samples), "r_interval": _interval(samples, difference_r, drawn)}
+            known |= {"r": difference_r(*samples), "r_interval": bootstrap_interval(samples, difference_r, drawn)}
         if _decided(against):
-            known |= {"auc": difference_auc(*samples), "auc_interval": _interval(samples, difference_auc, drawn)}
+            known |= {
+                "auc": difference_auc(*samples),
+                "auc_interval": bootstrap_interval(samples, difference_auc, drawn),
+            }
         found.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **known))
     return found
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from statsmodels.stats.inter_rater import cohens_kappa
+from statsmodels.stats.proportion import proportion_confint
 
 from ds_sim.session import RunRecord
-from ds_sim.simulator import HALF_LANE, Outcome
+from ds_sim.simulator import Outcome
 
 GRID = 0.5
 """Arc length between two places at which lateral positions are compared, m; chosen: the distance of two frames."""
@@ -36,6 +37,11 @@ class PairComparison:
         kappa: Cohen's kappa of the verdicts; None if undefined.
         kappa_interval: asymptotic 95 % interval of kappa (statsmodels), clipped to [-1, 1].
         reason: why there is no kappa, or "".
+        second_given_first: share of the roads on which the first fails on which the second fails too: how far the
+            first's failures lie inside the second's; None if the first never fails.
+        second_given_first_interval: its 95 % interval (Clopper and Pearson, Biometrika 26, 1934).
+        first_given_second: the same the other way round.
+        first_given_second_interval: its interval.
         median_apart: median distance between the lateral positions over all places, m.
         apart_95: 95th percentile of that distance, m.
         most_apart: largest distance, m.
@@ -53,6 +59,10 @@ class PairComparison:
     kappa: float | None
     kappa_interval: tuple[float, float] | None
     reason: str
+    second_given_first: float | None
+    second_given_first_interval: tuple[float, float] | None
+    first_given_second: float | None
+    first_given_second_interval: tuple[float, float] | None
     median_apart: float | None
     apart_95: float | None
     most_apart: float | None
@@ -101,19 +111,35 @@ def gaps(one: RunRecord, other: RunRecord) -> NDArray[np.float64]:
 
 
 def _lateral(one: RunRecord, other: RunRecord) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Interpolate the lateral positions of two runs at the same places."""
-    profiles = []
-    for run in (one, other):
-        arc = np.maximum.accumulate([o.lane.arc_length for o in run.observations])
-        lateral = np.array([o.lane.lateral_position for o in run.observations])
-        # Clip at the lane's edge: how far a car goes after leaving the lane does not tell where it failed.
-        profiles.append((arc, np.clip(lateral, -HALF_LANE, HALF_LANE)))
-    end = min((float(arc[-1]) for arc, _ in profiles if len(arc)), default=0.0)
-    places = np.arange(GRID, end, GRID)
-    if not all(len(arc) for arc, _ in profiles):
-        places = places[:0]
-    first, second = (np.interp(places, arc, lateral) if len(places) else places for arc, lateral in profiles)
-    return np.asarray(first, np.float64), np.asarray(second, np.float64)
+    """Lateral positions of two runs at the places that both covered."""
+    first, second = profile_of(one), profile_of(other)
+    both = min(len(first), len(second))
+    return first[:both], second[:both]
+
+
+def profile_of(run: RunRecord) -> NDArray[np.float64]:
+    """Lateral positions of a run every `GRID` m along the lane, m; see `lateral_profile`."""
+    arc = np.array([o.lane.arc_length for o in run.observations], np.float64)
+    return lateral_profile(arc, np.array([o.lane.lateral_position for o in run.observations]), run.road.lane_width / 2)
+
+
+def lateral_profile(arc: NDArray[np.float64], lateral: NDArray[np.float64], half_lane: float) -> NDArray[np.float64]:
+    """Interpolate lateral positions at the places `GRID`, 2 `GRID`, ... m along the lane, as far as the run went.
+
+    Args:
+        arc: (frames,) arc length along the lane, m.
+        lateral: (frames,) lateral position, m.
+        half_lane: half the width of the lane, m. Positions are clipped there: how far a car goes after leaving the lane
+            does not tell where it failed.
+
+    Returns:
+        (places,) lateral positions, m.
+    """
+    if not len(arc):
+        return np.empty(0)
+    along = np.maximum.accumulate(arc)
+    places = np.arange(GRID, along[-1], GRID)
+    return np.asarray(np.interp(places, along, np.clip(lateral, -half_lane, half_lane)), np.float64)
 
 
 def _pair(first: str, second: str, pairs: list[tuple[RunRecord, RunRecord]]) -> PairComparison:
@@ -138,12 +164,27 @@ def _pair(first: str, second: str, pairs: list[tuple[RunRecord, RunRecord]]) -> 
         kappa=kappa,
         kappa_interval=interval,
         reason=reason,
+        second_given_first=_share(table[1, 1], table[1].sum()),
+        second_given_first_interval=_share_interval(table[1, 1], table[1].sum()),
+        first_given_second=_share(table[1, 1], table[:, 1].sum()),
+        first_given_second_interval=_share_interval(table[1, 1], table[:, 1].sum()),
         median_apart=float(np.median(apart)) if known else None,
         apart_95=float(np.percentile(apart, 95)) if known else None,
         most_apart=float(apart.max()) if known else None,
         share_apart=float((apart > APART).mean()) if known else None,
         correlation=float(np.corrcoef(ones, others)[0, 1]) if varied else None,
     )
+
+
+def _share(count: int, total: int) -> float | None:
+    return float(count / total) if total else None
+
+
+def _share_interval(count: int, total: int) -> tuple[float, float] | None:
+    if not total:
+        return None
+    low, high = proportion_confint(int(count), int(total), alpha=0.05, method="beta")
+    return float(low), float(high)
 
 
 def _kappa(first: str, second: str, table: NDArray[np.int_]) -> tuple[float | None, tuple[float, float] | None, str]:

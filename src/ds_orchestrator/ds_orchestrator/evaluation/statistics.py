@@ -126,7 +126,7 @@ def _resampled_auc(predicted: Array, truth: Array) -> float:
     return _ap(predicted, truth) if _decided(truth) else float("nan")
 
 
-def _interval(
+def bootstrap_interval(
     samples: tuple[Array, ...], statistic: Callable[..., float], resamples: int
 ) -> tuple[float, float] | None:
     """Estimate a percentile interval by a bootstrap over cells; equal values give equal intervals.

@@ -1,0 +1,110 @@
+"""Drives roads in worker processes and keeps each run in a file, so that a stopped comparison goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from ds_driver.closed_loop.simulation import AUTOPILOT, Drive, drive_all, run_drive
+from ds_driver.networks.network_driver import driver_sha256
+from ds_driver.process_pool import map_in_processes
+from ds_orchestrator.engines.fingerprint import code_sha256
+from ds_sim.registry import label_of, spec_of
+from ds_sim.run_codec import RunCodecError, decode_run, encode_run
+from ds_sim.session import RunRecord
+
+SETTINGS = "settings.json"
+
+
+class KeptDrivesError(ValueError):
+    """A folder that holds the drives of another driver or car."""
+
+
+def drive_kept(
+    drives: Sequence[Drive], folder: Path | None, *, workers: int | None = None, say: Callable[[str], None]
+) -> Iterator[tuple[RunRecord, bool]]:
+    """Drive all roads, except for those whose runs a folder holds.
+
+    A run is written as soon as it has a verdict; one that ended in an error is driven again the next time.
+
+    Args:
+        drives: what to drive, all with the same driver.
+        folder: of the kept runs, created if missing; None to keep nothing.
+        workers: number of processes; the number of available processors if None.
+        say: called with one line if the code has changed since the folder began.
+
+    Yields:
+        Each run, in order, and whether it was driven now.
+
+    Raises:
+        KeptDrivesError: the folder's runs are those of another driver, or of another car.
+    """
+    if folder is None:
+        yield from ((run, True) for run in drive_all(drives, workers=workers))
+        return
+    _check_settings(folder, drives, say)
+    kept = [_read(folder, drive) for drive in drives]
+    missing = [drive for drive, run in zip(drives, kept, strict=True) if run is None]
+    fresh = map_in_processes(partial(_drive_and_keep, folder), missing, workers=workers) if missing else iter(())
+    for run in kept:
+        yield (next(fresh), True) if run is None else (run, False)
+
+
+def _check_settings(folder: Path, drives: Sequence[Drive], say: Callable[[str], None]) -> None:
+    """Write what the runs depend on besides road and seed, or compare it with what the folder began with."""
+    driver, names = drives[0].driver, {drive.simulator for drive in drives}
+    cars = {name: str(spec_of(name).extra.get("car", "")) for name in names if "@" in name}
+    sha256 = "" if driver == AUTOPILOT else driver_sha256(driver)
+    now = {"driver": driver, "sha256": sha256, "cars": cars, "code": code_sha256()}
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / SETTINGS
+    try:
+        began = json.loads(path.read_text("utf-8"))
+        known = {key: began[key] for key in now}
+        known_cars = dict(known["cars"])
+    except FileNotFoundError:
+        _write(path, (json.dumps(now, indent=1) + "\n").encode())
+        return
+    except (ValueError, KeyError, TypeError):
+        raise KeptDrivesError(f"{path} cannot be read: remove {folder}, or choose another --out") from None
+    if known["driver"] != driver:
+        raise KeptDrivesError(
+            f"{folder} holds drives of {known['driver']!s:.60}, not of {driver}: choose another --out"
+        )
+    if known["sha256"] != sha256:
+        raise KeptDrivesError(f"the weights of {driver} have changed since {folder} began: choose another --out")
+    for name, car in cars.items():
+        if known_cars.get(name, car) != car:
+            raise KeptDrivesError(f"{name}: the file has changed since {folder} began: choose another --out")
+    if known["code"] != now["code"]:
+        say(f"the code has changed since {folder} began: its drives are kept; choose another --out to drive them again")
+
+
+def _drive_and_keep(folder: Path, drive: Drive) -> RunRecord:
+    """Drive in a worker process, which writes the run, so that it is kept whatever happens to the others."""
+    run = run_drive(drive)
+    if run.outcome.is_verdict:
+        _write(_path(folder, drive), encode_run(run))
+    return run
+
+
+def _read(folder: Path, drive: Drive) -> RunRecord | None:
+    try:
+        return decode_run(_path(folder, drive).read_bytes(), drive.road, drive.seed)
+    except (FileNotFoundError, RunCodecError):
+        return None  # not driven yet, or a damaged file: drive
+
+
+def _path(folder: Path, drive: Drive) -> Path:
+    return folder / label_of(drive.simulator) / f"{drive.road.road_id}-{drive.seed}.run"
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file that is there in whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    part.write_bytes(content)
+    part.replace(path)
