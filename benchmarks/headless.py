@@ -19,6 +19,9 @@ from ds_sim.vehicle import Vehicle
 from ds_sim_bullet import simulator as bullet
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
+from ds_sim_panda.vehicle import parameters as panda
+from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
+from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 from ds_sim_softbody import simulator as softbody
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
@@ -62,7 +65,7 @@ class Car:
 
 
 def cars() -> dict[str, Car]:
-    """The three vehicles, by name of their simulator."""
+    """The four vehicles, by name of their simulator."""
     return {
         "bullet": Car(
             make=_bullet,
@@ -75,6 +78,12 @@ def cars() -> dict[str, Car]:
             gains=softbody.GAINS,
             preview=softbody.PREVIEW_DISTANCE,
             substep=FRAME_TIME / SoftbodyParameters().frame_substeps,
+        ),
+        "panda": Car(
+            make=_panda,
+            gains=panda.GAINS,
+            preview=panda.PREVIEW_DISTANCE,
+            substep=FRAME_TIME / MultiBodyParameters().substeps,
         ),
         "donkey": Car(
             make=_donkey,
@@ -116,6 +125,11 @@ def _softbody(finer: int) -> Vehicle:
     return SoftbodyVehicle(
         dataclasses.replace(p, frame_substeps=finer * p.frame_substeps, body_substeps=finer * p.body_substeps)
     )
+
+
+def _panda(finer: int) -> Vehicle:
+    p = MultiBodyParameters()
+    return MultiBodyVehicle(dataclasses.replace(p, substeps=finer * p.substeps, stable_step=p.stable_step / finer))
 
 
 def _donkey(finer: int) -> Vehicle:

@@ -1,4 +1,4 @@
-"""Draws how the three vehicles differ, for docs/simulators.md: `python -m benchmarks.vehicles [--out docs/images]`.
+"""Draws how the four vehicles differ, for docs/simulators.md: `python -m benchmarks.vehicles [--out docs/images]`.
 
 The charts show the same commands on one road, a steering step beside the linear single-track model, and steady circles
 over speed. The last two use the cars of tests/evidence, whose steering has no Ackermann toe, play or delay.
@@ -21,10 +21,13 @@ from ds_road import Road
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim.vehicle import Vehicle
 
-COLOURS: dict[str, Rgb] = {"bullet": (0, 90, 181), "softbody": (213, 94, 0), "donkey": (0, 140, 100)}
+COLOURS: dict[str, Rgb] = {
+    "bullet": (0, 90, 181),
+    "softbody": (213, 94, 0),
+    "panda": (148, 60, 160),
+    "donkey": (0, 140, 100),
+}
 GREY: Rgb = (170, 170, 170)
-STEERING = 9 / 85
-"""Steering of the step and the circles; chosen: a whole number of pulse counts of the twin."""
 
 
 class Recorder:
@@ -67,14 +70,14 @@ def main() -> None:
 
 
 def same_commands(road: Road) -> Chart:
-    """Chart of the paths when the autopilot drives the rigid car and the other two replay its commands."""
+    """Chart of the paths when the autopilot drives the rigid car and the others replay its commands."""
     car = cars()["bullet"]
     recorder = Recorder(car.make(1))
     paths = {"bullet": drive_road(car, recorder, road).path}
     recorder.close()
     lane = road.lane_centre
     ahead = lane[1] - lane[0]
-    for name in ("softbody", "donkey"):
+    for name in ("softbody", "panda", "donkey"):
         vehicle = cars()[name].make(1)
         vehicle.reset(float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(0))
         rows = []
@@ -87,9 +90,9 @@ def same_commands(road: Road) -> Chart:
     everything = np.vstack([path[:, :2] for path in paths.values()] + [lane])
     low, high = everything.min(axis=0) - 8.0, everything.max(axis=0) + 8.0
     chart = Chart(
-        title="The commands that drive the rigid car along the lane, given to all three",
+        title="The commands that drive the rigid car along the lane, given to all four",
         x_title="x, m", y_title="y, m", x_range=(low[0], high[0]), y_range=(low[1], high[1]),
-        size=(700, 120 + round(605 * (high[1] - low[1]) / (high[0] - low[0]))), equal=True, legend_at=(0.04, 0.85),
+        size=(700, 120 + round(605 * (high[1] - low[1]) / (high[0] - low[0]))), equal=True, legend_at=(0.7, 0.06),
     )  # fmt: skip
     normal = np.gradient(lane, axis=0)
     normal = np.column_stack([normal[:, 1], -normal[:, 0]]) / np.hypot(*normal.T)[:, None]
@@ -114,13 +117,13 @@ def step() -> Chart:
         car = started(subject)
         throttle = settled(car, 7.0)
         speed = car.state().speed / subject.scale
-        angle = STEERING * subject.lock
+        angle = subject.circle * subject.lock
         kinematic = speed * math.tan(angle) / subject.model.wheelbase
-        rates = np.array([0.0, *(s.yaw_rate for s in drive(car, 20, -STEERING, throttle))])
+        rates = np.array([0.0, *(s.yaw_rate for s in drive(car, 20, -subject.circle, throttle))])
         car.close()
 
         fine = np.linspace(0.0, 1.0, 501)
-        oracle = subject.model.yaw_rate(speed, subject.steered(angle), fine)
+        oracle = (subject.sudden or subject.model).yaw_rate(speed, subject.steered(angle), fine)
         chart.line(fine, oracle / kinematic, _paler(colour), f"{name}: linear single track")
         chart.dots(times(20), rates / kinematic, colour, f"{name}: driven, every frame")
     return chart
@@ -129,19 +132,19 @@ def step() -> Chart:
 def circles() -> Chart:
     """Chart of the radius of steady circles over speed, relative to the one without slip."""
     chart = Chart(
-        title="Steady circles at a tenth of full lock", x_title="speed, km/h on the road",
+        title="Steady circles at about a tenth of full lock", x_title="speed, km/h on the road",
         y_title="radius over that of the same car without slip", x_range=(5.0, 30.0), y_range=(0.98, 1.10),
         legend_at=(0.05, 0.06),
     )  # fmt: skip
     for name, colour in COLOURS.items():
         subject = SUBJECTS[name]()
         model = subject.model
-        kinematic = model.wheelbase / math.tan(STEERING * subject.lock)
+        kinematic = model.wheelbase / math.tan(subject.circle * subject.lock)
         found = []
         for kmh in (7.0, 11.0, 15.0, 19.0, 23.0, 27.0, 29.0):
             car = started(subject)
             throttle = settled(car, kmh / 3.6)
-            last = drive(car, round(4.0 / FRAME_TIME), -STEERING, throttle)[-1]
+            last = drive(car, round(4.0 / FRAME_TIME), -subject.circle, throttle)[-1]
             car.close()
             found.append((3.6 * last.speed, last.speed / last.yaw_rate / subject.scale / kinematic))
         speeds, radii = np.array(found).T

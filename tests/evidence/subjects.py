@@ -1,4 +1,4 @@
-"""The three vehicles under test: a car to drive, and the textbook model with its constants.
+"""The four vehicles under test: a car to drive, and the textbook model with its constants.
 
 Mechanisms outside the textbook model (Ackermann toe, play and delay of the servo) are switched off; the tests of each
 vehicle cover them.
@@ -18,12 +18,14 @@ from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim.vehicle import Vehicle
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
+from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
+from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
 
-B, S, D = BulletParameters(), SoftbodyParameters(), DonkeyParameters()
+B, S, D, M = BulletParameters(), SoftbodyParameters(), DonkeyParameters(), MultiBodyParameters()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +46,9 @@ class Subject:
         coasting_delay: time for which the car continues to be driven after the throttle is lifted at 7 road m/s, s.
         pitch_per_deceleration: rad per model m/s^2.
         fast: speed at which understeer is measurable, road m/s.
+        circle: steering of the steady circles.
+        sudden: textbook model of a steering step, if other than `model`.
+        absolute: True if the understeer is too small for a relative tolerance.
     """
 
     name: str
@@ -59,6 +64,9 @@ class Subject:
     coasting_delay: float
     pitch_per_deceleration: float
     fast: float = 7.0
+    circle: float = 9 / 85
+    sudden: SingleTrack | None = None
+    absolute: bool = False
 
     @property
     def scale(self) -> float:
@@ -181,7 +189,68 @@ def donkey() -> Subject:
     )
 
 
-SUBJECTS = {"bullet": bullet, "softbody": softbody, "donkey": donkey}
+def panda() -> Subject:
+    """Multi-body car: camber by roll, and the toe of its parallel front wheels, act like steering compliances.
+
+    The model's yaw balance is about the centre of the sprung mass, while its tyres carry the axles' weight, too: the
+    front axle takes a larger share of the force than of the load.
+    """
+    p, tyre, circle = M.published, M.published.tire, 0.07
+    wheelbase = p.a + p.b
+    front_mass, rear_mass = p.m_s * p.b / wheelbase + p.m_uf, p.m_s * p.a / wheelbase + p.m_ur
+    # Springs and anti-roll bar of an axle in series with its tyres, N m/rad; the published bars are negative.
+    springs = (p.K_sf * p.T_f**2 / 2 - p.K_tsf, p.K_sr * p.T_r**2 / 2 - p.K_tsr)
+    tyres = (p.K_zt * p.T_f**2 / 2, p.K_zt * p.T_r**2 / 2)
+    series = tuple(1 / (1 / spring + 1 / rubber) for spring, rubber in zip(springs, tyres, strict=True))
+    roll = p.m_s * p.h_s / (sum(series) - p.m_s * p.h_s * GRAVITY)
+    # Side force by camber over load, of both shifts of the Magic Formula, as slip angle per camber.
+    per_camber = tyre.p_hy3 + tyre.p_vy3 / tyre.p_ky1
+    cambers = (
+        roll * (1 + p.D_f * p.T_f / 2 * series[0] / springs[0]),
+        roll * (1 + p.D_r * p.T_r / 2 * series[1] / springs[1]),
+    )
+    # Parallel wheels: the outer one, which carries more, is steered too far, the inner one too little.
+    toe = p.T_f * math.sin(circle * M.max_steering_angle) ** 2 / (2 * wheelbase)
+    transfer = 2 * (series[0] * roll + p.m_uf * p.R_w) / p.T_f / (front_mass * GRAVITY)
+    front_force, rear_force = p.m * p.b / wheelbase, p.m * p.a / wheelbase
+    # The body's height is counted from where its tyres are not deflected.
+    sink = 0.5 * GRAVITY * (front_mass * p.b + rear_mass * p.a) / wheelbase / p.K_zt
+    pitch = 0.5 * sum(1 / spring + 1 / p.K_zt for spring in (p.K_sf, p.K_sr)) / wheelbase**2
+
+    def axle(distance: float, carried: float, compliance: float) -> Axle:
+        # Slip angles of the model follow at once.
+        return Axle(distance=distance, stiffness=abs(tyre.p_ky1) * carried * GRAVITY, relaxation=0.01,
+                    compliance=compliance)  # fmt: skip
+
+    def model(front_compliance: float, rear_compliance: float) -> SingleTrack:
+        return SingleTrack(
+            mass=p.m,
+            yaw_inertia=p.I_z,
+            front=axle(p.a, front_mass, front_compliance),
+            rear=axle(p.b, rear_mass, rear_compliance),
+        )
+
+    return Subject(
+        name="panda",
+        make=MultiBodyVehicle,
+        model=model((per_camber * cambers[0] + toe * transfer) / front_force, per_camber * cambers[1] / rear_force),
+        # A step is over before the body has rolled.
+        sudden=model(0.0, 0.0),
+        lock=M.max_steering_angle,
+        steering_rate=p.steering.v_max,
+        steering_delay=0.0,
+        mass=p.m + 4 * p.I_y_w / p.R_w**2,
+        coasting_force=0.0,
+        regeneration=p.m * M.regenerative_deceleration,
+        fade_speed=M.fade_speed,
+        coasting_delay=0.0,
+        pitch_per_deceleration=p.m * (p.h_s - sink) * pitch,
+        circle=circle,
+        absolute=True,
+    )
+
+
+SUBJECTS = {"bullet": bullet, "softbody": softbody, "donkey": donkey, "panda": panda}
 
 
 def drive(vehicle: Vehicle, frames: int, steering: float, throttle: float) -> list[VehicleState]:

@@ -16,6 +16,8 @@ from ds_sim.simulator import FRAME_TIME, Command
 from ds_sim.vehicle import Vehicle
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
+from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
+from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 from ds_sim_softbody.lattice import CornerNodes
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
@@ -186,3 +188,17 @@ def test_the_rigid_car_slides_near_the_coulomb_limit(compare: Compare) -> None:
     compare("bullet", "largest lateral acceleration, g", "front axle slides, by hand", measured=lateral / GRAVITY,
             expected=limit, rel=0.08)  # fmt: skip
     assert lateral < B.friction * GRAVITY
+
+
+def test_the_multi_body_car_slides_at_the_limit_of_friction(compare: Compare) -> None:
+    """At 30 km/h its parallel front wheels slow it down before it slides; without its speed limiter it slides."""
+    car = MultiBodyParameters(max_speed=30.0)
+    p = car.published
+    lateral, angle = sliding(MultiBodyVehicle(car), 15.0, 0.3)
+    on_front = (p.m_s * p.b / car.wheelbase + p.m_uf) / p.m
+    # The front tyres carry less of the weight than the share of the force that the model's yaw balance asks of them.
+    friction = p.tire.p_dy1 * on_front * car.wheelbase / p.b
+    limit = grip_limit(friction, angle, angle, sensitivity=0.0, share=1.0, lever=p.h_cg / p.T_f,
+                       length=car.wheelbase / p.T_f)  # fmt: skip
+    compare("panda", "largest lateral acceleration, g (without limiter)", "front axle slides, by hand",
+            measured=lateral / GRAVITY, expected=limit, rel=0.05)  # fmt: skip

@@ -27,6 +27,8 @@ USED_MODULES = (
     *("ds_orchestrator.report.html_report", "sklearn.metrics", "plotly.graph_objects"),
 )
 """Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""
+FIRST_USE = "ds_sim_panda.vehicle.multi_body.MultiBodyVehicle()"
+"""Makes Numba compile the car of `panda`, which takes 10 s, and keep the result beside its source."""
 
 _NETWORK = "is the network there? see the log, then try again: what is done is kept"
 
@@ -319,7 +321,7 @@ class Setup:
         variables = ros.environment_after(self.environment / "env.sh", ros.clean_environment(os.environ))
         try:
             self.console.run(
-                [self.environment / "bin/python", "-c", f"import {', '.join(USED_MODULES)}"],
+                [self.environment / "bin/python", "-c", f"import {', '.join(USED_MODULES)}; {FIRST_USE}"],
                 environment=variables,
                 folder=self.root,
                 advice="see `./ds doctor`",
