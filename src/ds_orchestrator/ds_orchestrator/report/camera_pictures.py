@@ -163,9 +163,9 @@ def _drives_on(
     try:
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
     except Exception as error:  # a missing or broken simulator must not prevent the report
-        return [execution and _no_pictures(error) for _, execution in wanted]
+        return [_no_pictures(error) if execution else None for _, execution in wanted]
     try:
-        return [execution and _drive(simulator, test, execution) for test, execution in wanted]
+        return [_drive(simulator, test, execution) if execution else None for test, execution in wanted]
     finally:
         simulator.close()
 
