@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from report_campaigns import make_execution, road
 
@@ -69,7 +71,9 @@ def test_the_whole_chain(
         stem = tmp_path / "maps" / label_of(map_id.name)
         assert all(Path(f"{stem}{end}").is_file() for end in (".json", "_probability.png", "_quality.png"))
     tables = list((tmp_path / "evaluation").glob("*.csv"))
-    assert bool(tables) == bool(config.twin)
+    assert any(not path.stem.startswith("sibling_") for path in tables) == bool(config.twin)
+    assert any(path.stem.startswith("sibling_") for path in tables) == bool(offsets)
+    assert ("What does a sibling add?" in page) == bool(offsets) == ("too few failures to say" in page)
     for path in tables:
         assert not {"nan", "inf", "-inf"} & {value for row in csv.reader(path.open()) for value in row}
     found = read_correlations(tmp_path, config)
@@ -81,6 +85,21 @@ def test_the_whole_chain(
     # Write again: the results are up to date, and rewriting them loses nothing.
     assert write_all(tmp_path, store).read_text(encoding="utf-8") == page
     store.close()
+
+
+def test_a_report_says_what_each_sibling_adds(tmp_path: Path) -> None:
+    """The same outcomes everywhere, on roads that do not decide them: the second sibling says no more than the first."""
+    fails = np.random.default_rng(3).permutation(24) < 12
+    store = campaign(tmp_path, TWO, [FAILS if one else PASSES for one in fails], list(range(24)))
+    page = write_all(tmp_path, store).read_text(encoding="utf-8")
+    store.close()
+    assert re.search(
+        r"<li>nowhere:A adds 0\.\d+ bits \(.*\) about nowhere:Twin beyond features: adds information</li>", page
+    )
+    assert re.search(r"<li>path_to_x:Sim adds .* beyond features and nowhere:A: nothing shown</li>", page)
+    assert page.count('<img class="wide" src="data:image/png;base64,') == 2
+    rows = list(csv.DictReader((tmp_path / "evaluation" / "sibling_information.csv").open()))
+    assert [row["verdict"] for row in rows] == ["adds information", "nothing shown"]
 
 
 def test_correlations_of_an_earlier_version_are_read(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ def evaluation(
     from ds_orchestrator.evaluation.open_loop import ErrorsError
     from ds_orchestrator.evaluation.table import keep_tables
     from ds_orchestrator.report.build import RQ1
+    from ds_orchestrator.report.sibling_section import sibling_section
 
     with closing(open_store(folder)) as store:
         campaign = read_campaign(store)
@@ -62,6 +63,7 @@ def evaluation(
         )
         keep_tables(tables, folder / RQ1)
     tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
+    tables += siblings.tables if (siblings := sibling_section(campaign)) else []
     return tables_result(tables, out or folder / "evaluation", everything=everything)
 
 
@@ -115,7 +117,7 @@ def _offline_tables(
 
 def is_detail(table: Table) -> bool:
     """True for a table that checks another one or lists what a figure shows: printed with --all only."""
-    return any(word in table.name for word in ("robustness", "variants", "densities"))
+    return any(word in table.name for word in ("robustness", "variants", "densities", "sibling_"))
 
 
 def tables_result(tables: list[Table], out: Path | None, *, everything: bool) -> Result:

@@ -66,6 +66,7 @@ def write_all(
     """
     from ds_orchestrator.maps.heatmap import write_maps
     from ds_orchestrator.report.html_report import write_report
+    from ds_orchestrator.report.sibling_section import sibling_section
 
     report = folder / "report.html"
     count, made = store.count_executions(), store.results()
@@ -93,7 +94,8 @@ def write_all(
     differences = paired_differences_of(data.config, maps)
     tables = tables_of(data.config, maps, correlations, differences)
     write_correlations(folder, correlations)
-    write_tables(tables, folder / "evaluation")
+    siblings = sibling_section(data)
+    write_tables([*tables, *(siblings.tables if siblings else ())], folder / "evaluation")
     store.set_result("evaluation", count)
     # Keep the times of the first writing, so that rewriting gives an identical report.
     store.note("seconds maps", f"{mapped - began:.1f}")
@@ -110,6 +112,7 @@ def write_all(
         paired_differences=differences,
         tables=[*of_rq1, *tables],
         network=network_of(data.config),
+        siblings=siblings,
         trusted=trusted,
     )
     store.set_result("report", count)

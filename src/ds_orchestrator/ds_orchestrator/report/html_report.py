@@ -33,6 +33,7 @@ from ds_orchestrator.report.camera_pictures import (
 from ds_orchestrator.report.findings import count, summarise
 from ds_orchestrator.report.page_data import in_words, page_data
 from ds_orchestrator.report.plotly_figures import correlation_chart, density_chart, layouts
+from ds_orchestrator.report.sibling_section import SiblingSection
 from ds_orchestrator.store.store import Execution
 from ds_sim.simulator import Outcome
 
@@ -50,6 +51,7 @@ def write_report(
     paired_differences: Sequence[PairedDifference] = (),
     tables: Sequence[Table] = (),
     network: Network | None = None,
+    siblings: SiblingSection | None = None,
     trusted: Collection[str] = (),
 ) -> Path:
     """Write `report.html`; the same campaign gives the same bytes.
@@ -62,6 +64,7 @@ def write_report(
         paired_differences: differences between the merged map and each sibling's.
         tables: tables of the evaluation.
         network: network in the paper whose numbers are shown for comparison, or None.
+        siblings: what each sibling adds, or None.
         trusted: user-defined simulators whose code may run; others have no pictures.
 
     Returns:
@@ -94,6 +97,7 @@ def write_report(
         tables=[table for table in tables if table.rows],
         cautions=cautions(correlations),
         of_paper=network is not None,
+        siblings=siblings,
         outcomes=_outcome_table(config, executions),
         verdicts=_VERDICTS,
         stages=stages_of(data),

@@ -34,6 +34,8 @@ ADDED_STRENGTH = 1.0
 """Inverse strength of the ridge penalty on standardised predictors that are added to a prediction: a normal prior with
 a standard deviation of 1. Chosen: a predictor that moves by its own standard deviation multiplies the odds by 7 at most
 (two standard deviations of the prior), so that predictors without information cost little."""
+_NOTHING_NEW = 1e-9
+"""Share of a predictor's spread below which the rest is rounding, not something new."""
 SEED = 14
 """Seed of the divisions; any number does."""
 
@@ -106,7 +108,9 @@ def predict_failures(
 def predict_with(predictions: Predictions, failed: Outcome, added: Array) -> Array:
     """Add predictors to predictions: a logistic model with the predicted logits as its offset.
 
-    Training roads enter with logits from models that did not see them, as the roads that are predicted do.
+    Training roads enter with logits from models that did not see them, as the roads that are predicted do. Of each
+    added predictor only what is new counts: its residual after a linear regression on the logits and on the predictors
+    before it. So a predictor can neither recalibrate the prediction, nor undo the penalty on one that it repeats.
 
     Args:
         predictions: from road features.
@@ -116,12 +120,13 @@ def predict_with(predictions: Predictions, failed: Outcome, added: Array) -> Arr
     Returns:
         (repeats, roads) probabilities of failure, each from a model that did not see the road.
     """
-    from statsmodels.api import GLM, families
+    from statsmodels.genmod.families import Binomial
+    from statsmodels.genmod.generalized_linear_model import GLM
 
     probability = np.empty_like(predictions.probability)
     for fold in predictions.folds:
-        train, test = _standardised(added[fold.train], added[fold.test])
-        model = GLM(failed[fold.train].astype(np.float64), _with_ones(train), families.Binomial(), offset=fold.known)
+        train, test = _new_parts(fold, added)
+        model = GLM(failed[fold.train].astype(np.float64), _with_ones(train), Binomial(), offset=fold.known)
         alpha = 1.0 / (ADDED_STRENGTH * len(train))  # statsmodels divides the likelihood by the number of roads
         fit = model.fit_regularized(alpha=alpha, L1_wt=0.0)
         found = expit(fold.predicted + _with_ones(test) @ fit.params)
@@ -197,6 +202,28 @@ def _standardised(train: Array, test: Array) -> tuple[Array, Array]:
     centre, scale = train.mean(axis=0), train.std(axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     return (train - centre) / scale, (test - centre) / scale
+
+
+def _new_parts(fold: Fold, added: Array) -> tuple[Array, Array]:
+    """What each added predictor says that the logits and the predictors before it do not, in units of its spread.
+
+    Predictors that say nothing new are left out.
+    """
+    train, test = (
+        np.column_stack((logits, added[roads]))
+        for logits, roads in ((fold.known, fold.train), (fold.predicted, fold.test))
+    )
+    train, test = _standardised(train, test)
+    new, new_test = [], []
+    for k in range(added.shape[1]):
+        before, at = _with_ones(train[:, : k + 1]), _with_ones(test[:, : k + 1])
+        weights = np.linalg.lstsq(before, train[:, k + 1])[0]
+        residual = train[:, k + 1] - before @ weights
+        spread = float(residual.std())
+        if spread > _NOTHING_NEW:
+            new.append(residual / spread)
+            new_test.append((test[:, k + 1] - at @ weights) / spread)
+    return np.array(new).reshape(-1, len(train)).T, np.array(new_test).reshape(-1, len(test)).T
 
 
 def _with_ones(predictors: Array) -> Array:
