@@ -1,9 +1,17 @@
 #!/usr/bin/env bash
-# The linters, then the tests in parallel, one worker per core; arguments go to pytest (`-n 0`: one process).
+# The tests in parallel, one worker per core, and the linters beside them; arguments go to pytest (`-n 0`: one process).
 # Tests marked `long` run only when asked for: `make test-long`, or ARGS="-m long".
 set -euo pipefail
 cd "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")/.."
-tools/lint.sh
+findings=$(mktemp)
+trap 'kill "$linters" 2>/dev/null || true; rm -f "$findings"' EXIT
+tools/lint.sh >"$findings" 2>&1 &
+linters=$!
 . .venv/env.sh
 # Files stay whole, as their tests share graphs; conftest.py puts the longest files first.
-exec python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations=25 "$@"
+status=0
+python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations=25 "$@" || status=$?
+wait "$linters" || { linted=$?; [[ $status -ne 0 ]] || status=$linted; }
+echo "linters (tools/lint.sh):"
+cat "$findings"
+exit "$status"

@@ -183,7 +183,7 @@ def import_command(
 def train_command(
     data: Annotated[Path, typer.Option(help="Folder of a data set.")],
     out: Annotated[Path, typer.Option(help="Folder for the weights; a training that was stopped there is resumed.")],
-    network: Annotated[str, typer.Option(help="Architecture: dave2, dave2_short, chauffeur or epoch.")] = "dave2",
+    network: Annotated[str, typer.Option(help="Architecture: dave2, chauffeur or epoch.")] = "dave2",
     seed: Seed = 1,
     schedule: Annotated[str, typer.Option(help="Training schedule: laptop, or paper, which needs a GPU.")] = "laptop",
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs at most; the schedule's if left out.")] = None,
