@@ -88,7 +88,7 @@ def test_the_whole_chain(
 
 
 def test_a_report_says_what_each_sibling_adds(tmp_path: Path) -> None:
-    """The same outcomes everywhere, on roads that do not decide them: the second sibling says no more than the first."""
+    """The same outcomes everywhere, on roads that do not decide them: the second sibling says no more."""
     fails = np.random.default_rng(3).permutation(24) < 12
     store = campaign(tmp_path, TWO, [FAILS if one else PASSES for one in fails], list(range(24)))
     page = write_all(tmp_path, store).read_text(encoding="utf-8")
