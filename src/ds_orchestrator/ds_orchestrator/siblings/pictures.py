@@ -32,8 +32,8 @@ def draw_failures(outcomes: Outcomes, feature: str) -> Picture:
     for name in outcomes.simulators:
         failed, lateral = outcomes.failures(name), outcomes.largest_lateral(name)
         title = f"{name}: fails on {int(failed.sum())} of {len(failed)} roads (discs)"
-        chart = Chart(title, f"{feature}; upwards: largest lateral position, m", (low - margin, high + margin),
-                      (0.0, 1.08 * most), _PANEL)  # fmt: skip
+        axis = f"{_with_unit(feature)}; upwards: largest lateral position, m"
+        chart = Chart(title, axis, (low - margin, high + margin), (0.0, 1.08 * most), _PANEL)
         for value, offset, fails in zip(values, lateral, failed, strict=True):
             chart.point(float(value), float(offset), _FAILS if fails else COLOURS[0], filled=bool(fails))
         panels.append(chart.image)
@@ -70,4 +70,10 @@ def _axis(image: Picture, values: NDArray[np.float64], feature: str, edges: NDAr
         cv2.line(image, (middle, bottom - 2), (middle, bottom + 3), (90, 90, 90), 1)
         text = f"{values[column]:.3g}"
         write(image, text, (min(middle - 4 * len(text), WIDTH - 10 * len(text)), bottom + 17), 0.42)
-    write(image, feature, (LEFT, image.shape[0] - 6), 0.45)
+    write(image, _with_unit(feature), (LEFT, image.shape[0] - 6), 0.45)
+
+
+def _with_unit(feature: str) -> str:
+    if "curvature" in feature:
+        return f"{feature}, 1/m"
+    return f"{feature}, m" if feature == "length" else feature
