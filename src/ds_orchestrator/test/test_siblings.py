@@ -13,7 +13,7 @@ from scipy.stats import beta, spearmanr
 from sklearn.metrics import roc_auc_score
 
 from ds_driver.closed_loop.simulation import Drive
-from ds_orchestrator.evaluation.simulator_agreement import GRID, compare
+from ds_orchestrator.evaluation.simulator_agreement import GRID, compare, lateral_profile
 from ds_orchestrator.siblings import (
     ROAD_FEATURES,
     AddedInformation,
@@ -27,10 +27,12 @@ from ds_orchestrator.siblings.baseline import baseline_of
 from ds_orchestrator.siblings.cross_validation import auc_roc, best_feature, predict_failures
 from ds_orchestrator.siblings.information import information_about
 from ds_orchestrator.siblings.kept_drives import KeptDrivesError, drive_kept
+from ds_orchestrator.siblings.outcomes import recorded_profile
 from ds_orchestrator.siblings.pictures import draw_failures, draw_matrix
 from ds_orchestrator.siblings.residuals import residual_correlations
 from ds_road import Road, generate
 from ds_road.features import lane_curvature
+from ds_sim.lane_tracker import LaneTracker
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
 
@@ -289,3 +291,23 @@ def test_the_pictures_show_every_road_of_every_simulator() -> None:
     one, other = draw_failures(before, feature), draw_failures(after, feature)
     rows, columns = np.nonzero((one != other).any(axis=2))
     assert rows.min() >= 230 and one.shape == other.shape == (460, 1140, 3)
+
+
+def test_a_stored_trajectory_has_the_profile_of_its_run() -> None:
+    """A slalom about the lane's centre, by the lane tracker and by the positions alone."""
+    for road in (*ROADS[:3], ROADS[3].in_lane("left")):
+        lane = road.lane_centre
+        lengths = np.hypot(*np.diff(lane, axis=0).T)
+        along = np.linspace(0.0, lengths.sum() - 1.0, 400)
+        right = (road.right_edge - road.left_edge) / 8.0
+        arcs = np.concatenate(([0.0], np.cumsum(lengths)))
+        centre, across = (
+            np.column_stack([np.interp(along, arcs, values[:, k]) for k in (0, 1)]) for values in (lane, right)
+        )
+        path = centre + 0.5 * np.sin(along / 7.0)[:, None] * across
+        tracker = LaneTracker(lane)
+        lateral, arc = np.array([tracker.update(x, y) for x, y in path.tolist()]).T
+        trajectory = np.column_stack((path, np.zeros((400, 2)), lateral))
+        np.testing.assert_allclose(
+            recorded_profile(road, trajectory), lateral_profile(arc, lateral, 2.0), rtol=0, atol=1e-6
+        )

@@ -136,7 +136,7 @@ def _residual_table(residuals: Sequence[ResidualCorrelation]) -> Table:
             )
             for one in residuals
         ],
-        notes=list(dict.fromkeys(one.caution for one in residuals if one.caution)),
+        notes=list(dict.fromkeys(part for one in residuals if one.caution for part in one.caution.split("; "))),
     )  # fmt: skip
 
 

@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.simulator_agreement import lateral_profile, profile_of
 from ds_road import Road
 from ds_road.features import direction_coverage
-from ds_sim.lane_tracker import LaneTracker
 from ds_sim.session import RunRecord
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def outcomes_of_campaign(data: CampaignData) -> Outcomes:
         [[one.outcome.is_failure for one in row] for _, row in judged],
         [[one.max_lateral_position for one in row] for _, row in judged],
         {
-            name: [_recorded_profile(test.road, row[column].trajectory) for test, row in judged]
+            name: [recorded_profile(test.road, row[column].trajectory) for test, row in judged]
             for column, name in enumerate(names)
         },
         left_out=len(rows) - len(judged),
@@ -129,8 +129,10 @@ def _outcomes(
     )
 
 
-def _recorded_profile(road: Road, trajectory: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lateral positions every `GRID` m of a stored trajectory (x, y, yaw, speed, lateral position)."""
-    tracker = LaneTracker(road.lane_centre)
-    arc = np.array([tracker.update(x, y)[1] for x, y in trajectory[:, :2].tolist()], np.float64)
+def recorded_profile(road: Road, trajectory: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lateral positions every `GRID` m of a stored trajectory (x, y, yaw, speed, lateral position).
+
+    In its lane, a vehicle is nearer to the lane's centre than to any other part of the road's.
+    """
+    arc = shapely.line_locate_point(shapely.LineString(road.lane_centre), shapely.points(trajectory[:, :2]))
     return lateral_profile(arc, trajectory[:, 4], road.lane_width / 2)
