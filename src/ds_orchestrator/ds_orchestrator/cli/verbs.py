@@ -79,6 +79,12 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb("import", "networks", "Import recorded drives of a real car into a data set."),
             Verb("train", "networks", "Train one network for all simulators of a data set."),
             Verb("models", "networks", "List the shipped networks and their success rates."),
+            Verb(
+                "sim2real",
+                "sim2real",
+                "Make simulated images look like photographs of a real track.",
+                ("train", "show", "assess", "translate"),
+            ),
             Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
         ),
     ),

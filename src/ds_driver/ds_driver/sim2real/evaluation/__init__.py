@@ -1,0 +1,1 @@
+"""Assessment of generators by numbers: lane, steering, distance to photographs, flicker."""

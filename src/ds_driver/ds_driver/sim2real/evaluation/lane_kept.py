@@ -1,0 +1,79 @@
+"""Compares the lines found in images with where they are: does a translation bend or drop them?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.sim2real.line_finder import find_lines
+
+NEAR = 0.06
+"""Distance from the true line in which a found one is its own, in widths of the image; chosen: a tenth of a lane."""
+LANE_LINES = ("yellow", "right")
+Truth = dict[str, NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneKept:
+    """Agreement of found lines with the truth, over a set of images.
+
+    Attributes:
+        overlap: intersection over union of all line pixels, found and true, of the same colour.
+        shift: median distance of the lane's lines from where they are, sideways, px.
+        shift_95: 95th percentile of it, px.
+        found: share of the rows of the lane's lines in which the line was found.
+    """
+
+    overlap: float
+    shift: float
+    shift_95: float
+    found: float
+
+
+def lane_kept(images: Sequence[NDArray[np.uint8]], truths: Sequence[Truth]) -> LaneKept:
+    """Find the lines in images and compare them with the truth.
+
+    Args:
+        images: (rows, columns, 3) uint8 RGB each.
+        truths: masks of each image, from `ds_driver.sim2real.evaluation.line_truth`.
+    """
+    common = either = rows = 0
+    shifts: list[float] = []
+    for image, truth in zip(images, truths, strict=True):
+        lines = find_lines(image)
+        white = truth["right"] | truth["left"]
+        for found, true in ((lines.yellow, truth["yellow"]), (lines.white, white)):
+            seen = np.flatnonzero(true.any(axis=1))
+            part = slice(seen[0], None) if seen.size else slice(0)
+            common += int((found & true)[part].sum())
+            either += int((found | true)[part].sum())
+        for name, found in zip(LANE_LINES, (lines.yellow, lines.white), strict=True):
+            moved, count = _shifts(found, truth[name])
+            shifts += moved
+            rows += count
+    return LaneKept(
+        overlap=common / either if either else 0.0,
+        shift=float(np.median(shifts)) if shifts else float(images[0].shape[1]),
+        shift_95=float(np.quantile(shifts, 0.95)) if shifts else float(images[0].shape[1]),
+        found=len(shifts) / rows if rows else 0.0,
+    )
+
+
+def _shifts(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> tuple[list[float], int]:
+    """Distances, px, in the rows where a line is found near its place, and the number of rows that have the line."""
+    reach, shifts, rows = NEAR * true.shape[1], [], 0
+    for seen, is_true in zip(found, true, strict=True):
+        columns = np.flatnonzero(is_true)
+        # Lines cut by the side of the image have no middle, and flat ones are not measured sideways.
+        if not columns.size or columns[0] == 0 or columns[-1] == true.shape[1] - 1 or np.ptp(columns) > 2 * reach:
+            continue
+        rows += 1
+        middle = (columns[0] + columns[-1]) / 2
+        near = np.flatnonzero(seen)
+        near = near[np.abs(near - middle) <= reach]
+        if near.size:
+            shifts.append(abs(float(near.mean()) - middle))
+    return shifts, rows

@@ -1,0 +1,119 @@
+"""Generators and discriminators of CycleGAN (Zhu et al. 2017, section 7.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+INITIAL_DEVIATION = 0.02
+"""Standard deviation of the initial weights (Zhu et al. 2017, section 7.1)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeneratorShape:
+    """Size of a generator.
+
+    Attributes:
+        filters: channels of the first layer (paper: 64).
+        blocks: residual blocks (paper: 9).
+        rows: rows of the image, a multiple of 4.
+        columns: columns of the image, a multiple of 4.
+    """
+
+    filters: int
+    blocks: int
+    rows: int
+    columns: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return rows and columns."""
+        return self.rows, self.columns
+
+
+class ResidualBlock(nn.Module):
+    """Adds two convolutions of its input to the input; (n, channels, rows, columns)."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            nn.ReflectionPad2d(1),
+            nn.Conv2d(channels, channels, 3),
+            nn.InstanceNorm2d(channels),
+            nn.ReLU(inplace=True),
+            nn.ReflectionPad2d(1),
+            nn.Conv2d(channels, channels, 3),
+            nn.InstanceNorm2d(channels),
+        )
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Return the sum."""
+        return values + self.body(values)
+
+
+class Generator(nn.Module):
+    """Translates images from one domain to the other: (n, 3, rows, columns) RGB in -1 to 1 both ways."""
+
+    def __init__(self, shape: GeneratorShape) -> None:
+        super().__init__()
+        filters = shape.filters
+        layers: list[nn.Module] = [
+            nn.ReflectionPad2d(3), nn.Conv2d(3, filters, 7), nn.InstanceNorm2d(filters), nn.ReLU(inplace=True),
+        ]  # fmt: skip
+        for channels in (filters, 2 * filters):
+            down = nn.Conv2d(channels, 2 * channels, 3, stride=2, padding=1)
+            layers += [down, nn.InstanceNorm2d(2 * channels), nn.ReLU(inplace=True)]
+        layers += [ResidualBlock(4 * filters) for _ in range(shape.blocks)]
+        for channels in (4 * filters, 2 * filters):
+            up = nn.ConvTranspose2d(channels, channels // 2, 3, stride=2, padding=1, output_padding=1)
+            layers += [up, nn.InstanceNorm2d(channels // 2), nn.ReLU(inplace=True)]
+        layers += [nn.ReflectionPad2d(3), nn.Conv2d(filters, 3, 7), nn.Tanh()]
+        self.layers = nn.Sequential(*layers)
+        initialise(self)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Translate a batch of images."""
+        result: Tensor = self.layers(image)
+        return result
+
+
+class Discriminator(nn.Module):
+    """Judges overlapping patches of 70 x 70 pixels (PatchGAN); (n, 3, rows, columns) to (n, 1, ...), 1 for real."""
+
+    def __init__(self, filters: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = [nn.Conv2d(3, filters, 4, stride=2, padding=1), nn.LeakyReLU(0.2, inplace=True)]
+        for channels, stride in ((filters, 2), (2 * filters, 2), (4 * filters, 1)):
+            layers += [
+                nn.Conv2d(channels, 2 * channels, 4, stride=stride, padding=1),
+                nn.InstanceNorm2d(2 * channels),
+                nn.LeakyReLU(0.2, inplace=True),
+            ]
+        self.layers = nn.Sequential(*layers, nn.Conv2d(8 * filters, 1, 4, padding=1))
+        initialise(self)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Judge a batch of images."""
+        result: Tensor = self.layers(image)
+        return result
+
+
+def initialise(network: nn.Module) -> None:
+    """Draw normal weights from PyTorch's generator, and set biases to 0."""
+    for layer in network.modules():
+        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
+            nn.init.normal_(layer.weight, 0.0, INITIAL_DEVIATION)
+            assert layer.bias is not None
+            nn.init.zeros_(layer.bias)
+
+
+def to_batch(images: Tensor) -> Tensor:
+    """Convert (n, rows, columns, 3) uint8 RGB to the networks' input, (n, 3, rows, columns) in -1 to 1."""
+    return (images.permute(0, 3, 1, 2).float() / 127.5 - 1.0).contiguous(memory_format=torch.channels_last)
+
+
+def to_images(batch: Tensor) -> Tensor:
+    """Convert what a generator returns to (n, rows, columns, 3) uint8 RGB."""
+    return ((batch.float() + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1).contiguous()

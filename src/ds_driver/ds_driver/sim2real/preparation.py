@@ -1,0 +1,194 @@
+"""Prepares both domains of a training: frames, photographs, and the crops that show the lane alike."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.sim2real.files import write_whole
+from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
+from ds_driver.sim2real.networks import GeneratorShape
+from ds_driver.sim2real.photographs import read_photographs, split
+from ds_driver.sim2real.settings import Sim2RealSettings
+from ds_driver.sim2real.simulated_frames import SimulatedFrames, check_roads_are_new, simulated_frames
+from ds_driver.sim2real.trainer import SHOWN, Domains
+from ds_driver.sim2real.window import Sim2RealError, Window, prepare
+from ds_sim.registry import spec_of
+from ds_sim.simulator import SimulatorSpec
+
+FRAMES = "simulated.npz"
+CARD = "sim2real.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """Both domains, ready for training and for assessment.
+
+    Attributes:
+        domains: prepared images for training.
+        frames: simulated frames, whole.
+        held_out_real: held-out photographs, prepared.
+        match: crops.
+        warnings: lines for the user.
+    """
+
+    domains: Domains
+    frames: SimulatedFrames
+    held_out_real: NDArray[np.uint8]
+    match: Match
+    warnings: tuple[str, ...]
+
+
+def prepare_domains(
+    simulator: str,
+    source: Path,
+    out: Path,
+    settings: Sim2RealSettings,
+    progress: Callable[[int, int, str], None],
+    *,
+    data_sets: Sequence[Path] = (),
+    expected: dict[str, Any] | None = None,
+) -> Prepared:
+    """Read photographs, drive for simulated images, and crop both so that they show the lane alike.
+
+    Args:
+        simulator: name of the simulator.
+        source: tub, bag or folder of photographs.
+        out: folder of the training, created if missing; keeps the simulated images and the card `sim2real.json`.
+        settings: settings of the training.
+        progress: called after each simulated drive.
+        data_sets: folders of data sets whose roads must not be used.
+        expected: card of a finished training; the same photographs must lead to its crops.
+
+    Raises:
+        Sim2RealError: photographs or settings cannot be used.
+        ds_bags.layout.BagError: the tub or bag is damaged.
+    """
+    spec = spec_of(simulator)
+    check_roads_are_new(settings, data_sets)
+    photographs = read_photographs(source, limit=settings.images)
+    # Before the drives, which take minutes.
+    real = measure_lane(photographs, "photographs")
+    out.mkdir(parents=True, exist_ok=True)
+    frames = simulated_frames(simulator, settings, out / FRAMES, progress)
+    images = frames.images[~frames.held_out]
+    simulated = measure_lane(images, f"images of {simulator}")
+    match = match_windows(simulated, network_window(spec), real)
+    if expected is not None and expected["crop"]["real"] != asdict(match.real):
+        raise Sim2RealError(
+            f"{source} does not lead to the crop of the training: give the photographs it was trained on"
+        )
+    training, held_out = split(photographs)
+    size = settings.shape.size
+    small = _prepared(images[_even(len(images), settings.images)], match.simulated, size)
+    small_real = _prepared(training, match.real, size)
+    held_out_real = _prepared(held_out, match.real, size)
+    held_out_frames = np.flatnonzero(frames.held_out)
+    shown = frames.images[held_out_frames[_even(len(held_out_frames), SHOWN)]]
+    domains = Domains(
+        simulated=small,
+        real=small_real,
+        shown_simulated=_prepared(shown, match.simulated, size),
+        shown_real=held_out_real[_even(len(held_out_real), SHOWN)],
+        simulator=simulator,
+        window=match.simulated,
+        real_window=match.real,
+    )
+    match, warnings = _checked(match, small, small_real)
+    if expected is None:
+        _write_card(out / CARD, simulator, source, settings, match, (simulated, real), domains)
+    return Prepared(domains=domains, frames=frames, held_out_real=held_out_real, match=match, warnings=warnings)
+
+
+def network_window(spec: SimulatorSpec) -> Window:
+    """Return the part of a simulator's images that networks see."""
+    return Window(spec.crop_top, spec.camera.height_px - spec.crop_bottom, 0, spec.camera.width)
+
+
+def read_card(folder: Path) -> dict[str, Any]:
+    """Read the card of a training.
+
+    Raises:
+        Sim2RealError: the folder holds no training, or its card is damaged.
+    """
+    path = folder / CARD
+    if not path.is_file():
+        raise Sim2RealError(f"{folder} holds no training: expected one of `ds sim2real train --out {folder}`")
+    try:
+        card = json.loads(path.read_text())
+        if not isinstance(card["simulator"], str) or not isinstance(card["crop"]["real"], dict) or not card["settings"]:
+            raise ValueError
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise Sim2RealError(f"{path} is damaged: run `ds sim2real train` with the same options again") from None
+    return dict(card)
+
+
+def settings_of(card: dict[str, Any]) -> Sim2RealSettings:
+    """Return the settings on a card.
+
+    Raises:
+        Sim2RealError: the card is damaged.
+    """
+    try:
+        values = dict(card["settings"])
+        return Sim2RealSettings(**values | {"shape": GeneratorShape(**values["shape"])})
+    except (TypeError, KeyError, ValueError):
+        raise Sim2RealError("the settings on the card are damaged: run `ds sim2real train` again") from None
+
+
+def _checked(match: Match, small: NDArray[np.uint8], small_real: NDArray[np.uint8]) -> tuple[Match, tuple[str, ...]]:
+    """Measure both domains once more, as cropped, and say what still differs."""
+    views = (measure_lane(small, "cropped simulated images"), measure_lane(small_real, "cropped photographs"))
+    whole = Window(0, small.shape[1], 0, small.shape[2])
+    match = replace(match, positions=(views[0].seen_through(whole), views[1].seen_through(whole)))
+    warnings = []
+    if match.difference > BOUND:
+        warnings.append(
+            f"the lane differs by {match.difference:.2f} of the picture between simulated images "
+            f"({match.positions[0]}) and photographs ({match.positions[1]}), expected at most {BOUND:g}: the generator "
+            "will move lines; take photographs from the right lane, with the camera mounted alike"
+        )
+    if match.kept < LEAST_KEPT:
+        warnings.append(
+            f"the photographs show {match.kept:.0%} of what the simulator shows, expected at least {LEAST_KEPT:.0%}: "
+            "networks will see little of the road"
+        )
+    return match, tuple(warnings)
+
+
+def _write_card(
+    path: Path,
+    simulator: str,
+    source: Path,
+    settings: Sim2RealSettings,
+    match: Match,
+    views: tuple[LaneView, LaneView],
+    domains: Domains,
+) -> None:
+    card = {
+        "simulator": simulator,
+        "photographs": source.resolve().name,
+        "settings": asdict(settings),
+        "images": {"simulated": len(domains.simulated), "real": len(domains.real)},
+        "crop": {"simulated": asdict(match.simulated), "real": asdict(match.real), "kept": round(match.kept, 4)},
+        "lane": {
+            name: {"share_of_images": round(view.share, 4), **{k: round(v, 4) for k, v in asdict(position).items()}}
+            for name, view, position in zip(("simulated", "real"), views, match.positions, strict=True)
+        },
+        "difference": round(match.difference, 4),
+    }
+    write_whole(path, (json.dumps(card, indent=1, allow_nan=False) + "\n").encode())
+
+
+def _prepared(images: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
+    return np.stack([prepare(image, window, size) for image in images])
+
+
+def _even(count: int, limit: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64))

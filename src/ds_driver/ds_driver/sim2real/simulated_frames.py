@@ -1,0 +1,194 @@
+"""Simulated images for generators: the autopilot drives random roads that are used nowhere else (paper 4.1.2)."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.closed_loop.simulation import AUTOPILOT, make_driver
+from ds_driver.data.collection import roads_both_ways
+from ds_driver.process_pool import map_in_processes
+from ds_driver.sim2real.files import write_whole
+from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
+from ds_driver.sim2real.window import Sim2RealError
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.simulator import Outcome, Simulator, VehicleState
+
+STATE_FIELDS = tuple(VehicleState.__dataclass_fields__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedFrames:
+    """Images of drives, with the poses from which they were taken.
+
+    Attributes:
+        images: (n, 160, 320, 3) uint8 RGB.
+        states: (n, 10) vehicle states when the images were exposed, columns as in `STATE_FIELDS`.
+        drives: (n,) index of the drive; drive i is on road i // 2, backwards if i is odd.
+        steps: (n,) step of the run.
+        roads: roads of the drives, in their direction.
+        held_out: (n,) bool, frames on the last fifth of the roads; these come in consecutive pairs.
+    """
+
+    images: NDArray[np.uint8]
+    states: NDArray[np.float64]
+    drives: NDArray[np.int32]
+    steps: NDArray[np.int32]
+    roads: tuple[Road, ...]
+    held_out: NDArray[np.bool_]
+
+    def state(self, index: int) -> VehicleState:
+        """Return the vehicle's state of one image."""
+        return VehicleState(**dict(zip(STATE_FIELDS, map(float, self.states[index]), strict=True)))
+
+    def pairs(self) -> NDArray[np.int64]:
+        """Return the indices of the held-out frames whose next step follows them at once."""
+        follows = (np.diff(self.steps) == 1) & (np.diff(self.drives) == 0) & self.held_out[:-1]
+        return np.flatnonzero(follows)
+
+
+def sim2real_roads(settings: Sim2RealSettings) -> tuple[Road, ...]:
+    """Generate the roads of all drives: each road forwards, then backwards."""
+    roads = roads_both_ways(settings.roads, settings.road_seed)
+    return tuple(way for road in roads for way in (road, road.reversed()))
+
+
+def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -> None:
+    """Refuse roads that a data set has, too.
+
+    Raises:
+        Sim2RealError: a road is in a data set.
+    """
+    roads = sim2real_roads(settings)
+    ids = {road.road_id for road in roads}
+    for folder in data_sets:
+        known = {path.name.rpartition("-")[0] for path in folder.glob("*/*.parquet")}
+        if ids & known:
+            raise Sim2RealError(
+                f"{len(ids & known)} of the roads are in {folder}, too, expected new ones: choose another --seed"
+            )
+
+
+def simulated_frames(
+    simulator: str, settings: Sim2RealSettings, file: Path, progress: Callable[[int, int, str], None]
+) -> SimulatedFrames:
+    """Drive the roads, or read the file of an earlier call with the same settings.
+
+    Args:
+        simulator: name of the simulator.
+        settings: settings of the training.
+        file: `.npz` that keeps the frames.
+        progress: called after each drive.
+
+    Raises:
+        Sim2RealError: the file is damaged or has other settings.
+    """
+    identity = json.dumps(
+        {
+            "simulator": simulator,
+            "roads": settings.roads,
+            "seed": settings.seed,
+            "road_seed": settings.road_seed,
+            "every": settings.every,
+            "longest": settings.longest,
+        }
+    )
+    roads = sim2real_roads(settings)
+    if file.exists():
+        return _read(file, identity, roads)
+    first_held_out = 2 * (settings.roads - max(1, round(HELD_OUT * settings.roads)))
+    jobs = [
+        _Job(
+            simulator=simulator,
+            road=road,
+            index=index,
+            seed=settings.seed,
+            every=settings.every,
+            pairs=index >= first_held_out,
+            longest=settings.longest,
+        )
+        for index, road in enumerate(roads)
+    ]
+    drives = []
+    for done, drive in enumerate(map_in_processes(_drive, jobs, workers=settings.threads), start=1):
+        drives.append(drive)
+        progress(done, len(jobs), f"{simulator}: {len(drive[0])} images")
+    images, states, steps = (np.concatenate([drive[part] for drive in drives]) for part in range(3))
+    numbers = np.concatenate([np.full(len(drive[0]), index, np.int32) for index, drive in enumerate(drives)])
+    content = io.BytesIO()
+    np.savez(content, images=images, states=states, steps=steps, drives=numbers, identity=np.array(identity))
+    write_whole(file, content.getvalue())
+    return _frames(images, states, numbers, steps, roads)
+
+
+def _read(file: Path, identity: str, roads: tuple[Road, ...]) -> SimulatedFrames:
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            found = str(stored["identity"])
+            images, states, drives, steps = (stored[name] for name in ("images", "states", "drives", "steps"))
+            same = len({len(images), len(states), len(drives), len(steps)}) == 1
+            if not same or images.dtype != np.uint8 or images.ndim != 4 or not np.isfinite(states).all():
+                raise ValueError("its arrays do not belong together")
+    except Exception as error:  # damaged files make the reader raise arbitrary errors
+        raise Sim2RealError(f"{file} cannot be read ({type(error).__name__}): delete it and train again") from None
+    if found != identity:
+        raise Sim2RealError(f"{file} has other simulated drives: choose another --out, or delete the folder")
+    return _frames(images, states, drives, steps, roads)
+
+
+def _frames(
+    images: NDArray[np.uint8],
+    states: NDArray[np.float64],
+    drives: NDArray[np.int32],
+    steps: NDArray[np.int32],
+    roads: tuple[Road, ...],
+) -> SimulatedFrames:
+    first = len(roads) - 2 * max(1, round(HELD_OUT * len(roads) / 2))
+    return SimulatedFrames(
+        images=images, states=states, drives=drives, steps=steps, roads=roads, held_out=drives >= first
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    simulator: str
+    road: Road
+    index: int
+    seed: int
+    every: int
+    pairs: bool
+    longest: int | None
+
+
+@cache
+def _simulator(name: str) -> Simulator:
+    """Create a simulator once per worker, as this takes seconds."""
+    return make_simulator(name)
+
+
+def _drive(job: _Job) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int32]]:
+    """Drive one road; images, states when they were exposed, and steps."""
+    simulator = _simulator(job.simulator)
+    spec = simulator.spec
+    driver = make_driver(AUTOPILOT, spec)
+    seed = int(np.random.default_rng([job.seed, job.index]).integers(2**31))
+    observation = simulator.load(job.road, seed=seed)
+    states, images, poses, steps = [observation.vehicle], [], [], []
+    while observation.outcome is Outcome.RUNNING and (job.longest is None or observation.step < job.longest):
+        phase = observation.step % job.every
+        if phase == 0 or (job.pairs and phase == 1):
+            images.append(observation.image.copy())
+            exposed = states[max(0, observation.step - spec.camera.latency)]
+            poses.append([float(getattr(exposed, name)) for name in STATE_FIELDS])
+            steps.append(observation.step)
+        observation = simulator.step(driver(observation))
+        states.append(observation.vehicle)
+    return np.array(images), np.array(poses), np.array(steps, np.int32)

@@ -1,0 +1,285 @@
+"""Trains CycleGAN between a simulator's images and photographs (Zhu et al. 2017; paper 3.2.2, 4.1.2)."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training on a CPU faster
+
+import hashlib
+import io
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ds_driver.sim2real.files import write_whole
+from ds_driver.sim2real.generator_file import save_generator
+from ds_driver.sim2real.image_pool import ImagePool
+from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
+from ds_driver.sim2real.settings import Sim2RealSettings
+from ds_driver.sim2real.sheets import sheet
+from ds_driver.sim2real.window import Sim2RealError, Window
+from ds_driver.training.trainer import device_of
+from ds_sim.camera.png import png
+
+CHECKPOINT = "checkpoint.pt"
+EPOCHS = "epochs"
+"""Folder of the stored generators and sheets."""
+SHOWN = 4
+"""Pictures of each domain on a sheet."""
+REPORTS = 10
+"""Lines of progress per epoch."""
+Report = Callable[[str], None]
+LOSSES = ("adversarial", "cycle", "identity", "discriminator")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Domains:
+    """Prepared images of both domains, (n, rows, columns, 3) uint8 RGB of the generators' size.
+
+    Attributes:
+        simulated: for training.
+        real: for training.
+        shown_simulated: held-out ones for the sheets.
+        shown_real: held-out ones for the sheets.
+        simulator: name of the simulator.
+        window: part of the simulator's images.
+        real_window: part of the photographs.
+    """
+
+    simulated: NDArray[np.uint8]
+    real: NDArray[np.uint8]
+    shown_simulated: NDArray[np.uint8]
+    shown_real: NDArray[np.uint8]
+    simulator: str
+    window: Window
+    real_window: Window
+
+
+class CycleGan:
+    """Two generators, two discriminators, their optimisers and pools.
+
+    Args:
+        settings: settings of the training.
+        device: where it computes.
+    """
+
+    def __init__(self, settings: Sim2RealSettings, device: torch.device) -> None:
+        torch.manual_seed(settings.seed)
+        self.to_real, self.to_simulated = Generator(settings.shape), Generator(settings.shape)
+        self.judges_real = Discriminator(settings.discriminator_filters)
+        self.judges_simulated = Discriminator(settings.discriminator_filters)
+        for network in self.networks():
+            network.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._judges = [*self.judges_real.parameters(), *self.judges_simulated.parameters()]
+        generators = [*self.to_real.parameters(), *self.to_simulated.parameters()]
+        options: dict[str, Any] = {"lr": settings.learning_rate, "betas": (0.5, 0.999)}
+        self.optimizers = (torch.optim.Adam(generators, **options), torch.optim.Adam(self._judges, **options))
+        self.pools = (ImagePool(settings.pool), ImagePool(settings.pool))
+        self._settings, self._device = settings, device
+
+    def networks(self) -> tuple[nn.Module, ...]:
+        """Return all networks, in a fixed order."""
+        return self.to_real, self.to_simulated, self.judges_real, self.judges_simulated
+
+    def set_learning_rate(self, share: float) -> None:
+        """Set the learning rate to a share of the settings' one."""
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = self._settings.learning_rate * share
+
+    def step(self, simulated: Tensor, real: Tensor, rng: np.random.Generator) -> Tensor:
+        """Learn from one batch of each domain, in -1 to 1; return the losses named in `LOSSES`."""
+        settings = self._settings
+        self._freeze_judges(True)
+        with torch.autocast(self._device.type, dtype=torch.bfloat16):
+            fake_real, fake_simulated = self.to_real(simulated), self.to_simulated(real)
+            again_simulated, again_real = self.to_simulated(fake_real), self.to_real(fake_simulated)
+            same_simulated, same_real = self.to_simulated(simulated), self.to_real(real)
+            verdicts = self.judges_real(fake_real), self.judges_simulated(fake_simulated)
+        adversarial = _least_squares(verdicts[0], 1.0) + _least_squares(verdicts[1], 1.0)
+        cycle = _distance(again_simulated, simulated) + _distance(again_real, real)
+        identity = _distance(same_simulated, simulated) + _distance(same_real, real)
+        loss = adversarial + settings.cycle * (cycle + settings.identity * identity)
+        self.optimizers[0].zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimizers[0].step()
+
+        self._freeze_judges(False)
+        earlier_real = self.pools[0].query(fake_real.detach(), rng)
+        earlier_simulated = self.pools[1].query(fake_simulated.detach(), rng)
+        with torch.autocast(self._device.type, dtype=torch.bfloat16):
+            answers = [
+                (self.judges_real(real), self.judges_real(earlier_real)),
+                (self.judges_simulated(simulated), self.judges_simulated(earlier_simulated)),
+            ]
+        losses = [_least_squares(true, 1.0) + _least_squares(false, 0.0) for true, false in answers]
+        judged = 0.5 * (losses[0] + losses[1])
+        self.optimizers[1].zero_grad(set_to_none=True)
+        judged.backward()
+        self.optimizers[1].step()
+        return torch.stack((adversarial, cycle, identity, judged)).detach()
+
+    def _freeze_judges(self, frozen: bool) -> None:
+        for parameter in self._judges:
+            parameter.requires_grad_(not frozen)
+
+
+def train(
+    domains: Domains,
+    settings: Sim2RealSettings,
+    out: Path,
+    report: Report,
+    *,
+    now: Callable[[], float] = time.monotonic,
+) -> list[dict[str, float]]:
+    """Train; an interrupted training continues after the last whole epoch, with the results of an undisturbed one.
+
+    Writes `epochs/epoch_NNN.safetensors` and `.png` (simulated, translated, back; real, simulated, back).
+
+    Args:
+        domains: images.
+        settings: settings of the training.
+        out: existing folder.
+        report: called with lines of progress.
+        now: clock for the time left, s.
+
+    Returns:
+        Mean losses of each epoch.
+
+    Raises:
+        Sim2RealError: the folder holds another training, or training diverged.
+        ds_driver.training.trainer.TrainingError: the device is not available.
+    """
+    device = device_of(settings.device)
+    torch.set_num_threads(settings.threads)
+    torch.backends.cudnn.deterministic = True
+    gan = CycleGan(settings, device)
+    identity = _identity(domains, settings)
+    history = _resume(out / CHECKPOINT, gan, identity, device)
+    (out / EPOCHS).mkdir(exist_ok=True)
+    steps = settings.steps or max(len(domains.simulated), len(domains.real))
+    while len(history) < settings.epochs:
+        epoch, began = len(history) + 1, now()
+        gan.set_learning_rate(learning_rate_share(epoch, settings.epochs))
+        rng = np.random.default_rng([settings.seed, epoch])
+        simulated, real = (_order(len(part), steps, rng) for part in (domains.simulated, domains.real))
+        total = torch.zeros(len(LOSSES), device=device)
+        for step in range(steps):
+            there, back = (
+                to_batch(torch.from_numpy(images[index][None])).to(device)
+                for images, index in ((domains.simulated, simulated[step]), (domains.real, real[step]))
+            )
+            total += gan.step(there, back, rng)
+            if (step + 1) % max(1, steps // REPORTS) == 0:
+                left = (now() - began) / (step + 1) * (steps * (settings.epochs - epoch + 1) - step - 1)
+                values = _named(total / (step + 1))
+                if not all(np.isfinite(value) for value in values.values()):
+                    raise Sim2RealError(
+                        f"training diverged in epoch {epoch}: continue with another --seed in another --out"
+                    )
+                losses = ", ".join(f"{name} {value:.3f}" for name, value in values.items())
+                report(f"epoch {epoch}/{settings.epochs}, step {step + 1}/{steps}: {losses}; {left / 60:.0f} min left")
+        history.append(_named(total / steps))
+        name = f"epoch_{epoch:03d}"
+        write_whole(out / EPOCHS / f"{name}.png", png(_sheet(gan, domains, device)))
+        if epoch % settings.keep_every == 0 or epoch == settings.epochs:
+            tensors = {key: value.float().cpu().numpy() for key, value in gan.to_real.state_dict().items()}
+            save_generator(
+                out / EPOCHS / f"{name}.safetensors",
+                tensors,
+                simulator=domains.simulator,
+                shape=settings.shape,
+                window=domains.window,
+                real_window=domains.real_window,
+            )
+        _save(out / CHECKPOINT, gan, identity, history)
+    return history
+
+
+def learning_rate_share(epoch: int, epochs: int) -> float:
+    """Return the share of the learning rate for an epoch, from 1: constant, then linear to 0 (Zhu et al. 2017)."""
+    constant = epochs - epochs // 2
+    return 1.0 - max(0, epoch - constant) / (epochs // 2 + 1)
+
+
+def _order(count: int, steps: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Draw indices so that all come up equally often."""
+    rounds = -(-steps // count)
+    return np.concatenate([rng.permutation(count) for _ in range(rounds)])[:steps]
+
+
+def _least_squares(verdict: Tensor, target: float) -> Tensor:
+    return (verdict.float() - target).square().mean()
+
+
+def _distance(image: Tensor, other: Tensor) -> Tensor:
+    return (image.float() - other).abs().mean()
+
+
+def _named(losses: Tensor) -> dict[str, float]:
+    return dict(zip(LOSSES, losses.cpu().tolist(), strict=True))
+
+
+@torch.inference_mode()
+def _sheet(gan: CycleGan, domains: Domains, device: torch.device) -> NDArray[np.uint8]:
+    def row(image: NDArray[np.uint8], there: nn.Module, back: nn.Module) -> list[NDArray[np.uint8]]:
+        batch = to_batch(torch.from_numpy(image[None])).to(device)
+        translated = there(batch)
+        return [image, *(to_images(part)[0].cpu().numpy() for part in (translated, back(translated)))]
+
+    left = [row(image, gan.to_real, gan.to_simulated) for image in domains.shown_simulated]
+    right = [row(image, gan.to_simulated, gan.to_real) for image in domains.shown_real]
+    return sheet([a + b for a, b in zip(left, right, strict=True)])
+
+
+def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
+    """What must match for a training to be resumed; threads and device may change."""
+    digest = hashlib.sha256()
+    for part in (domains.simulated, domains.real):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    plan = asdict(replace(settings, threads=1, device="auto"))
+    windows = [str(domains.window), str(domains.real_window)]
+    return json.dumps([domains.simulator, plan, windows, digest.hexdigest()], sort_keys=True)
+
+
+def _save(path: Path, gan: CycleGan, identity: str, history: list[dict[str, float]]) -> None:
+    content = io.BytesIO()
+    state = {
+        "networks": [network.state_dict() for network in gan.networks()],
+        "optimizers": [optimizer.state_dict() for optimizer in gan.optimizers],
+        "pools": [pool.state() for pool in gan.pools],
+        "identity": identity,
+        "history": history,
+    }
+    torch.save(state, content)
+    write_whole(path, content.getvalue())
+
+
+def _resume(path: Path, gan: CycleGan, identity: str, device: torch.device) -> list[dict[str, float]]:
+    """Resume from a checkpoint of the same training, loaded as plain tensors, never as code."""
+    if not path.exists():
+        return []
+    try:
+        state = torch.load(path, weights_only=True, map_location=device)
+        recorded = state["identity"]
+    except Exception as error:  # torch.load may raise anything on a damaged file
+        raise Sim2RealError(f"{path} cannot be read ({type(error).__name__}): delete it and train again") from None
+    if recorded != identity:
+        raise Sim2RealError(f"{path.parent} holds a training with other settings or images: choose another --out")
+    for network, tensors in zip(gan.networks(), state["networks"], strict=True):
+        network.load_state_dict(tensors)
+    for optimizer, values in zip(gan.optimizers, state["optimizers"], strict=True):
+        optimizer.load_state_dict(values)
+    for pool, images in zip(gan.pools, state["pools"], strict=True):
+        if len(images):
+            pool.restore(images, device)
+    return list(state["history"])

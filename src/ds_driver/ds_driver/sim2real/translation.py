@@ -1,0 +1,114 @@
+"""Translates data sets and tubs: the same format out, resumable, byte-deterministic."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from ds_bags.donkey_tub import is_tub, read_tub
+from ds_driver.data.dataset import IMPORTED, decode, keep_import, read_drive, write_drive
+from ds_driver.data.pixels import rgb_of_file
+from ds_driver.data.recordings import MAX_IMAGE_FILE
+from ds_driver.networks.preprocessing import ImageError
+from ds_driver.sim2real.files import write_whole
+from ds_driver.sim2real.translator import Translator
+from ds_driver.sim2real.window import Sim2RealError
+from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
+from ds_sim.camera.jpeg import encode
+
+Progress = Callable[[int, int, str], None]
+MARK = "sim2real"
+"""Key of the generator in `imported.json`, and stem of the file that marks a translated tub."""
+
+
+def translate(source: Path, out: Path, translator: Translator, progress: Progress) -> int:
+    """Translate a data set or a tub of simulated drives; what is there already is kept, so a stopped one continues.
+
+    Args:
+        source: data set of `ds collect`, or tub.
+        out: folder to write, new or one that the same generator wrote.
+        translator: translates.
+        progress: called after each drive, or each hundred images of a tub.
+
+    Returns:
+        Number of translated drives, or of images of a tub.
+
+    Raises:
+        Sim2RealError: there is nothing to translate, or `out` holds translations by another generator.
+        ds_driver.data.dataset.DatasetError: a file of the data set is damaged.
+        ds_bags.donkey_tub.TubError: the tub is damaged.
+    """
+    if source.resolve() == out.resolve():
+        raise Sim2RealError(f"{out} is the folder to read from: choose another --out")
+    return (_tub if is_tub(source) else _data_set)(source, out, translator, progress)
+
+
+def _data_set(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:
+    """Translate the drives of the generator's simulator.
+
+    Translated images are cropped already, so their folder is marked as imported recordings are.
+    """
+    simulator = translator.generator.simulator
+    files = sorted((folder / simulator).glob("*.parquet"))
+    if not files:
+        known = sorted({path.parent.name for path in folder.glob("*/*.parquet")})
+        has = f"it has those of {', '.join(known)}" if known else "it has none at all"
+        raise Sim2RealError(f"{folder} has no drives of {simulator}, whose images the generator translates: {has}")
+    _claim(out / simulator / IMPORTED, translator)
+    (out / simulator).mkdir(parents=True, exist_ok=True)
+    keep_import(out, simulator, {MARK: translator.generator.sha256})
+    for done, file in enumerate(files, start=1):
+        target = out / simulator / file.name
+        if not target.exists():
+            read_drive(file)
+            rows: list[dict[str, Any]] = pq.read_table(file).to_pylist()
+            for row in rows:
+                row["image"] = encode(translator.translate(decode(row["image"])))
+            write_drive(target, rows)
+        progress(done, len(files), f"{simulator}: {file.stem}")
+    return len(files)
+
+
+def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:
+    """Translate the images of a tub that a simulator's camera recorded; catalogues are copied as they are."""
+    tub = read_tub(folder)
+    images = [record.image for record in tub.records if record.image is not None]
+    if not images:
+        raise Sim2RealError(f"{folder} is a tub without images: nothing to translate")
+    (out / "images").mkdir(parents=True, exist_ok=True)
+    mark = out / f"{MARK}.json"
+    _claim(mark, translator)
+    write_whole(mark, (json.dumps({MARK: translator.generator.sha256}, indent=1) + "\n").encode())
+    for done, image in enumerate(images, start=1):
+        target = out / "images" / image.name
+        if not target.exists():
+            try:
+                pixels = rgb_of_file(read_bounded(image, MAX_IMAGE_FILE))
+            except (OSError, ImageError, BoundedYamlError) as error:
+                reason = getattr(error, "strerror", None) or error
+                raise Sim2RealError(f"{image}: {reason}: copy the tub again") from None
+            write_whole(target, encode(translator.translate(pixels)))
+        if done % 100 == 0 or done == len(images):
+            progress(done, len(images), f"{folder.name}: images")
+    # Last, so that an unfinished folder is no tub.
+    for file in (*tub.files, folder / "manifest.json"):
+        write_whole(out / file.name, file.read_bytes())
+    return len(images)
+
+
+def _claim(mark: Path, translator: Translator) -> None:
+    """Refuse a folder with the translations of another generator, or with anything else."""
+    if not mark.exists():
+        if any(path.suffix == ".parquet" for path in mark.parent.glob("*")):
+            raise Sim2RealError(f"{mark.parent} holds drives that are no translations: choose another --out")
+        return
+    try:
+        found = json.loads(mark.read_text()).get(MARK)
+    except (ValueError, AttributeError, RecursionError):
+        found = None
+    if found != translator.generator.sha256:
+        raise Sim2RealError(f"{mark.parent} holds translations by another generator: choose another --out")

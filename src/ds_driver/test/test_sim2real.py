@@ -1,0 +1,363 @@
+"""Pseudo-real images: networks as published, training that resumes, lines found and kept, crops, translations."""
+
+from __future__ import annotations
+
+import errno
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from ds_driver.data.crops import crops_of
+from ds_driver.data.dataset import decode, drive_path, read_samples, write_drive
+from ds_driver.networks.preprocessing import Crop
+from ds_driver.sim2real import photographs
+from ds_driver.sim2real.evaluation.checkpoints import HeldOut, assess_checkpoints, flicker, ship
+from ds_driver.sim2real.evaluation.choice import broken_bounds, choose
+from ds_driver.sim2real.evaluation.kernel_distance import kernel_distance
+from ds_driver.sim2real.evaluation.lane_kept import lane_kept
+from ds_driver.sim2real.evaluation.line_truth import LineProjector
+from ds_driver.sim2real.files import write_whole
+from ds_driver.sim2real.generator_file import StoredGenerator, check_fits, load_generator, save_generator
+from ds_driver.sim2real.image_pool import ImagePool
+from ds_driver.sim2real.lane_view import BOUND, match_windows, measure_lane
+from ds_driver.sim2real.line_finder import find_lines
+from ds_driver.sim2real.networks import Discriminator, Generator, GeneratorShape, to_batch, to_images
+from ds_driver.sim2real.preparation import prepare_domains, read_card, settings_of
+from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
+from ds_driver.sim2real.simulated_frames import check_roads_are_new, sim2real_roads, simulated_frames
+from ds_driver.sim2real.trainer import CHECKPOINT, EPOCHS, Domains, learning_rate_share, train
+from ds_driver.sim2real.translation import translate
+from ds_driver.sim2real.translator import Translator
+from ds_driver.sim2real.window import Sim2RealError, Window, prepare
+from ds_road import generate
+from ds_sim.camera.jpeg import encode
+from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.registry import spec_of
+from ds_sim.simulator import VehicleState
+
+TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
+SETTINGS = Sim2RealSettings(
+    shape=TINY, discriminator_filters=2, epochs=2, steps=2, pool=1, roads=2, threads=1, device="cpu"
+)
+WHOLE = Window(0, 160, 0, 320)
+
+
+def lane_image(yellow: float, white: float, horizon: float, size: tuple[int, int] = (120, 160)) -> NDArray[np.uint8]:
+    """Draw a straight lane on grass: columns of its lines at the bottom, and the row where they meet."""
+    rows, columns = size
+    image = np.full((rows, columns, 3), (60, 130, 50), np.uint8)
+    middle = columns / 2
+    far = np.array([middle, horizon])
+
+    def line(bottom: float, half: float, colour: tuple[int, int, int]) -> None:
+        corners = np.array([far, [bottom - half, rows], [bottom + half, rows]])
+        cv2.fillPoly(image, [corners.round().astype(np.int32)], colour)
+
+    cv2.fillPoly(image, [np.array([far, [-columns, rows], [white + 3, rows]]).astype(np.int32)], (80, 80, 80))
+    line(yellow, 5, (225, 190, 40))
+    line(white, 5, (235, 235, 235))
+    return image
+
+
+def lanes(yellow: float, white: float, horizon: float, count: int = 8) -> NDArray[np.uint8]:
+    return np.stack([lane_image(yellow + i % 3 - 1, white + i % 3 - 1, horizon) for i in range(count)])
+
+
+def domains(rng: np.random.Generator) -> Domains:
+    images = rng.integers(0, 256, (4, 5, *TINY.size, 3), dtype=np.uint8)
+    return Domains(
+        simulated=images[0], real=images[1], shown_simulated=images[2], shown_real=images[3], simulator="bullet",
+        window=WHOLE, real_window=WHOLE,
+    )  # fmt: skip
+
+
+def tiny_generator(path: Path, seed: int = 1, simulator: str = "bullet") -> StoredGenerator:
+    torch.manual_seed(seed)
+    tensors = {name: value.numpy() for name, value in Generator(TINY).state_dict().items()}
+    save_generator(path, tensors, simulator=simulator, shape=TINY, window=Window(54, 160, 0, 320), real_window=WHOLE)
+    return load_generator(path)
+
+
+def test_the_networks_of_the_paper_have_its_numbers_of_parameters() -> None:
+    """Counted on the authors' checkpoints: 9 blocks of 64 filters, and a 70 x 70 PatchGAN."""
+    preset = PRESETS["paper"]
+    generator, discriminator = Generator(preset.shape), Discriminator(preset.discriminator_filters)
+    assert sum(p.numel() for p in generator.parameters()) == 11_378_179
+    assert sum(p.numel() for p in discriminator.parameters()) == 2_764_737
+
+
+def test_a_stored_generator_computes_in_onnx_what_pytorch_computes(tmp_path: Path) -> None:
+    stored = tiny_generator(tmp_path / "g.safetensors")
+    network = Generator(TINY)
+    network.load_state_dict({name: torch.from_numpy(value) for name, value in stored.tensors.items()})
+    image = np.random.default_rng(1).integers(0, 256, (*TINY.size, 3), dtype=np.uint8)
+    with torch.inference_mode():
+        expected = to_images(network(to_batch(torch.from_numpy(image[None]))))[0].numpy()
+    found = Translator(stored).small(image)
+    assert found.shape == expected.shape and np.abs(found.astype(int) - expected).max() <= 1
+    assert np.ptp(found) > 0
+
+
+def test_a_pool_returns_earlier_images_half_of_the_time() -> None:
+    pool, rng = ImagePool(10), np.random.default_rng(1)
+    returned = [float(pool.query(torch.full((1, 1, 1, 1), float(i)), rng)) for i in range(1000)]
+    assert returned[:10] == list(range(10)) and len(pool.images) == 10
+    own = sum(value == i for i, value in enumerate(returned[10:], start=10))
+    assert 430 < own < 560 and all(value <= i for i, value in enumerate(returned))
+
+
+def test_the_learning_rate_is_constant_and_then_falls_to_nothing() -> None:
+    shares = [learning_rate_share(epoch, 20) for epoch in range(1, 21)]
+    assert shares[:10] == [1.0] * 10
+    assert np.diff(shares[9:]) == pytest.approx(-1 / 11) and shares[-1] == pytest.approx(1 / 11)
+
+
+def test_a_stopped_training_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
+    data = domains(np.random.default_rng(3))
+    for name in ("whole", "stopped"):
+        (tmp_path / name).mkdir()
+    train(data, SETTINGS, tmp_path / "whole", lambda line: None)
+
+    def stop(line: str) -> None:
+        if line.startswith("epoch 2/2, step 2"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(data, SETTINGS, tmp_path / "stopped", stop)
+    lines: list[str] = []
+    train(data, SETTINGS, tmp_path / "stopped", lines.append)
+    assert lines[0].startswith("epoch 2/2") and "left" in lines[0]
+    names = sorted(path.name for path in (tmp_path / "whole" / EPOCHS).iterdir())
+    assert names == [f"epoch_00{i}.{kind}" for i in (1, 2) for kind in ("png", "safetensors")]
+    for name in names:
+        contents = [(tmp_path / folder / EPOCHS / name).read_bytes() for folder in ("whole", "stopped")]
+        assert contents[0] == contents[1], name
+    with pytest.raises(Sim2RealError, match="other settings or images"):
+        train(data, replace(SETTINGS, seed=2), tmp_path / "whole", lines.append)
+
+
+def test_a_full_disk_and_a_damaged_checkpoint_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = domains(np.random.default_rng(3))
+    one = replace(SETTINGS, epochs=1, steps=1)
+    train(data, one, tmp_path, lambda line: None)
+    kept = (tmp_path / CHECKPOINT).read_bytes()
+
+    def full(path: Path, content: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", full)
+        with pytest.raises(OSError, match="No space"):
+            write_whole(tmp_path / CHECKPOINT, b"new")
+    assert (tmp_path / CHECKPOINT).read_bytes() == kept and not list(tmp_path.glob(".*partial"))
+    (tmp_path / CHECKPOINT).write_bytes(kept[: len(kept) // 2])
+    with pytest.raises(Sim2RealError, match="delete it and train again"):
+        train(data, one, tmp_path, lambda line: None)
+
+
+def test_lines_are_found_and_a_picture_without_any_has_none() -> None:
+    lines = find_lines(lane_image(40, 130, 20))
+    assert lines.yellow[110, 34:47].any() and lines.white[110, 118:130].any()
+    assert not lines.white[60:, 60:90].any() and not lines.yellow[:, 90:].any()
+    plain = np.full((80, 160, 3), (40, 120, 200), np.uint8)
+    assert not find_lines(plain).yellow.any() and not find_lines(plain).white.any()
+
+
+def test_both_domains_are_cropped_to_show_the_lane_alike() -> None:
+    simulated = measure_lane(lanes(20, 140, 10), "images")
+    real = measure_lane(lanes(45, 120, 25), "photographs")
+    whole = Window(0, 120, 0, 160)
+    assert simulated.seen_through(whole).yellow == pytest.approx(20 / 160, abs=0.02)
+    assert simulated.seen_through(whole).difference(real.seen_through(whole)) > BOUND
+    match = match_windows(simulated, whole, real)
+    assert match.difference < BOUND / 2 and match.kept > 0.9
+    # The lane of the photographs is narrower, so that they are cropped.
+    assert match.real.right - match.real.left < 120
+
+
+def test_photographs_of_nothing_like_a_road_are_refused() -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (20, 60, 80, 3), dtype=np.uint8)
+    with pytest.raises(Sim2RealError, match="nothing like a lane"):
+        measure_lane(noise, "photographs")
+
+
+def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
+    def refused(match: str) -> None:
+        with pytest.raises(Sim2RealError, match=match) as caught:
+            photographs.read_photographs(tmp_path)
+        assert "\n" not in str(caught.value)
+
+    refused("no photographs, expected at least 20")
+    image = encode(np.zeros((60, 80, 3), np.uint8))
+    (tmp_path / "a00.jpg").write_bytes(image)
+    refused("one photograph, expected at least 20")
+    for i in range(1, 25):
+        (tmp_path / f"a{i:02d}.jpg").write_bytes(image)
+    found = photographs.read_photographs(tmp_path, limit=22)
+    assert found.shape == (22, 60, 80, 3) and [len(part) for part in photographs.split(found)] == [18, 4]
+    (tmp_path / "a07.jpg").write_bytes(encode(np.zeros((60, 90, 3), np.uint8)))
+    refused("a07.jpg: photographs of 80 x 60 and 90 x 60 px")
+    (tmp_path / "a07.jpg").write_bytes(image[:50])
+    refused("a07.jpg: an image is damaged")
+    with pytest.raises(Sim2RealError, match="does not exist"):
+        photographs.read_photographs(tmp_path / "nowhere")
+
+
+def test_windows_and_sizes_that_do_not_fit_are_refused() -> None:
+    image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), dtype=np.uint8)
+    assert np.array_equal(prepare(image, Window(60, 140, 0, 160), (80, 160)), image[60:140, :160])
+    with pytest.raises(Sim2RealError, match="another camera"):
+        prepare(image[:100], WHOLE, (80, 160))
+    with pytest.raises(Sim2RealError, match="at least 8 rows"):
+        Window(10, 12, 0, 100)
+
+
+@pytest.mark.parametrize("simulator", ["bullet", "donkey"])
+def test_the_truth_about_lines_is_where_the_camera_draws_them(simulator: str) -> None:
+    """The renderer warps a raster of the ground; the truth projects points: both must agree within a pixel."""
+    spec = spec_of(simulator)
+    road = generate(np.random.default_rng(5))
+    lane, index = road.lane_centre, 20
+    ahead = lane[index + 1] - lane[index]
+    state = VehicleState(
+        x=float(lane[index, 0]), y=float(lane[index, 1]), yaw=math.atan2(ahead[1], ahead[0]), speed=0.0, yaw_rate=0.0,
+        steering_angle=0.0, roll=0.02, pitch=0.01, heave=0.02,
+    )  # fmt: skip
+    scene = PaintedScene(replace(spec.camera, noise=0.0), spec.look)
+    scene.load(road, np.random.default_rng(1))
+    window, size = Window(spec.crop_top, 160 - spec.crop_bottom, 0, 320), (80, 160)
+    image = prepare(scene.still(state, np.random.default_rng(1)), window, size)
+    truth = LineProjector(road, spec.camera, spec.look.line_width).masks(state, window, size)
+    kept = lane_kept([image], [truth])
+    assert kept.shift < 0.6 and kept.found > 0.9 and kept.overlap > 0.3
+    moved = lane_kept([np.roll(image, 3, axis=1)], [truth])
+    assert moved.shift == pytest.approx(3.0, abs=0.6)
+    dropped = lane_kept([np.full_like(image, 90)], [truth])
+    assert dropped.found == 0.0 and dropped.overlap == 0.0
+
+
+def test_a_distance_is_near_nothing_for_one_distribution_and_grows_with_a_shift() -> None:
+    rng = np.random.default_rng(1)
+    x, y = (rng.normal(size=(80, 16)).astype(np.float32) for _ in range(2))
+    same, near, far = (kernel_distance(x, y + shift) for shift in (0.0, 0.3, 1.0))
+    assert same.low < 0.0 < same.high and near.value < far.value and far.low > 0.0
+    assert far.low < far.value < far.high
+    # The definition, without the shortcuts.
+    scale = np.sqrt(np.mean(np.concatenate((x, y + 1.0)).astype(float) ** 2))
+    a, b = x / scale, (y + 1.0) / scale
+    k = [((p @ q.T) / 16 + 1) ** 3 for p, q in ((a, a), (b, b), (a, b))]
+    off = [(part.sum() - np.trace(part)) / (80 * 79) for part in k[:2]]
+    assert far.value == pytest.approx(off[0] + off[1] - 2 * k[2].mean(), rel=1e-5)
+
+
+def test_flicker_counts_still_pixels_only() -> None:
+    before, after = np.zeros((2, 4, 3), np.uint8), np.zeros((2, 4, 3), np.uint8)
+    after[0] = 100
+    translated = np.zeros_like(after)
+    translated[0], translated[1] = 200, 10
+    assert flicker([before], [after], [before], [translated]) == 10.0
+
+
+def test_a_generator_that_bends_lines_is_not_chosen() -> None:
+    plain = {"lane": {"shift": 0.5, "shift_95": 2.0, "found": 0.9, "overlap": 0.5}, "flicker": 1.0}
+    good = {"lane": {"shift": 1.0, "shift_95": 3.0, "found": 0.8, "overlap": 0.4}, "flicker": 3.0}
+    bent = {"lane": {"shift": 3.5, "shift_95": 9.0, "found": 0.5, "overlap": 0.1}, "flicker": 9.0}
+    assert broken_bounds(good, plain, 160) == [] and len(broken_bounds(bent, plain, 160)) == 5
+    numbers = {
+        name: entry | {"broken": broken_bounds(entry, plain, 160), "distance": {"dave2": {"value": value}}}
+        for name, entry, value in (("epoch_001", bent, 0.1), ("epoch_002", good, 0.5), ("epoch_003", good, 0.4))
+    }
+    assert choose(numbers) == "epoch_003"
+    assert choose({"epoch_001": numbers["epoch_001"]}) is None
+
+
+def test_roads_are_those_of_no_data_set(tmp_path: Path) -> None:
+    roads = {road.road_id for road in sim2real_roads(SETTINGS)}
+    assert len(roads) == 4
+    check_roads_are_new(SETTINGS, [tmp_path])
+    (tmp_path / "bullet").mkdir()
+    (tmp_path / "bullet" / f"{min(roads)}-forward.parquet").touch()
+    with pytest.raises(Sim2RealError, match="1 of the roads"):
+        check_roads_are_new(SETTINGS, [tmp_path])
+
+
+def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    data, out = tmp_path / "data", tmp_path / "out"
+    images = [encode(rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)) for _ in range(2)]
+    about = {"steering": 0.5, "speed": 1.0, "step": 0, "road_id": "r", "direction": "forward"}
+    for name in ("bullet", "softbody"):
+        rows = [{"image": image, "simulator": name, **about} for image in images]
+        write_drive(drive_path(data, name, "r", "forward"), rows)
+    translator = Translator(tiny_generator(tmp_path / "g.safetensors"))
+    done: list[str] = []
+    assert translate(data, out, translator, lambda i, n, line: done.append(line)) == 1 and len(done) == 1
+    samples = read_samples(out)
+    assert [sample.simulator for sample in samples] == ["bullet"] * 2 and samples[0].steering == 0.5
+    assert samples[0].jpeg == encode(translator.translate(decode(images[0])))
+    assert crops_of(out, ["bullet"]) == {"bullet": Crop()}
+    file = drive_path(out, "bullet", "r", "forward")
+    content, written = file.read_bytes(), file.stat().st_mtime_ns
+    translate(data, out, translator, lambda i, n, line: None)
+    assert file.stat().st_mtime_ns == written
+    translate(data, tmp_path / "again", translator, lambda i, n, line: None)
+    assert drive_path(tmp_path / "again", "bullet", "r", "forward").read_bytes() == content
+    other = Translator(tiny_generator(tmp_path / "other.safetensors", seed=2))
+    with pytest.raises(Sim2RealError, match="another generator"):
+        translate(data, out, other, lambda i, n, line: None)
+    donkey = Translator(tiny_generator(tmp_path / "donkey.safetensors", simulator="donkey"))
+    with pytest.raises(Sim2RealError, match="has no drives of donkey"):
+        translate(data, tmp_path / "x", donkey, lambda i, n, line: None)
+    with pytest.raises(Sim2RealError, match="camera images of simulators"):
+        translator.translate(np.zeros((120, 160, 3), np.uint8))
+
+
+def test_generators_that_are_damaged_or_of_another_simulator_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "g.safetensors"
+    stored = tiny_generator(path)
+    with pytest.raises(Sim2RealError, match="translates images of bullet, these are of donkey"):
+        check_fits(stored, "donkey")
+    content = path.read_bytes()
+    for damaged in (content[:-40], b"", b"x" * 100, content.replace(b'filters\\": 2', b'filters\\": 3')):
+        path.write_bytes(damaged)
+        with pytest.raises(Sim2RealError) as caught:
+            load_generator(path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(Sim2RealError, match="no such generator"):
+        load_generator(tmp_path / "missing.safetensors")
+
+
+@pytest.mark.long
+def test_from_photographs_to_an_assessed_generator(tmp_path: Path) -> None:
+    """Images of another simulator stand for the photographs; so short a training ends within no bound."""
+    shape = GeneratorShape(filters=4, blocks=1, rows=80, columns=160)
+    settings = replace(SETTINGS, shape=shape, discriminator_filters=4, roads=2, every=4, longest=80)
+    lines: list[str] = []
+    said = lambda done, total, line: lines.append(line)  # noqa: E731
+    real = tmp_path / "photographs"
+    real.mkdir()
+    for index, image in enumerate(simulated_frames("softbody", settings, tmp_path / "s.npz", said).images):
+        (real / f"{index:03d}.jpg").write_bytes(encode(image))
+    out = tmp_path / "out"
+    prepared = prepare_domains("bullet", real, out, settings, said)
+    assert prepared.match.difference < BOUND and not prepared.warnings
+    frames = prepared.frames
+    assert len(frames.pairs()) > 10 and frames.held_out.sum() == 2 * len(frames.pairs())
+    train(prepared.domains, settings, out, lines.append)
+    again = prepare_domains("bullet", real, out, settings, said, expected=read_card(out))
+    assert again.match == prepared.match and settings_of(read_card(out)) == settings
+    held_out = HeldOut("bullet", again.frames, again.held_out_real, again.match.simulated)
+    found = assess_checkpoints(out, held_out, "dave2_short", said)
+    plain = found["untranslated"]["lane"]
+    assert plain["shift"] < 1.0 and plain["found"] > 0.9 and found["untranslated"]["steering_change"]["mean"] == 0.0
+    assert set(found["checkpoints"]) == {"epoch_001", "epoch_002"} and found["chosen"] is None
+    with pytest.raises(Sim2RealError, match="no generator in .* may be shipped"):
+        ship(out, found, read_card(out), tmp_path / "shipped")
+    files = ship(out, found | {"chosen": "epoch_002"}, read_card(out), tmp_path / "shipped")
+    assert [file.name for file in files] == ["bullet.safetensors", "bullet.onnx", "bullet.json"]

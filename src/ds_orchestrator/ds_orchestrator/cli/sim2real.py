@@ -1,0 +1,191 @@
+"""`ds sim2real train`, `show`, `assess`, `translate`: simulated images that look like photographs of a real track."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from ds_orchestrator.cli.options import JsonFlag, Simulator
+from ds_orchestrator.cli.output import Interrupted, Result, answer, countdown, say
+
+if TYPE_CHECKING:
+    from ds_driver.sim2real.settings import Sim2RealSettings
+
+app = typer.Typer()
+sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
+app.add_typer(sim2real_app, name="sim2real")
+
+Generator = Annotated[Path, typer.Argument(metavar="GENERATOR", help="Generator, a .safetensors file.")]
+RealImages = Annotated[
+    Path, typer.Option("--real", help="Photographs from the right lane: a Donkey Car tub, a bag, or a folder.")
+]
+
+
+def train(simulator: str, real: Path, out: Path, settings: Sim2RealSettings, data_sets: list[Path]) -> Result:
+    """Measure where both domains show the lane, crop them alike, and train."""
+    from ds_driver.sim2real.preparation import prepare_domains
+    from ds_driver.sim2real.trainer import CHECKPOINT, EPOCHS
+    from ds_driver.sim2real.trainer import train as train_generators
+
+    try:
+        prepared = prepare_domains(simulator, real, out, settings, countdown(), data_sets=data_sets)
+        match = prepared.match
+        for name, window, position in zip(
+            (simulator, "photographs"), (match.simulated, match.real), match.positions, strict=True
+        ):
+            say(f"{name}: cropped to {window}; {position}")
+        for warning in prepared.warnings:
+            say(f"warning: {warning}")
+        history = train_generators(prepared.domains, settings, out, say)
+    except KeyboardInterrupt:
+        kept = (out / CHECKPOINT).is_file()
+        line = f"the finished epochs are kept in {out}; the same command continues" if kept else ""
+        raise Interrupted(line) from None
+    document = {
+        "simulator": simulator,
+        "crop": {"simulated": asdict(match.simulated), "real": asdict(match.real)},
+        "difference": match.difference,
+        "warnings": list(prepared.warnings),
+        "losses": history,
+        "epochs": str(out / EPOCHS),
+    }
+    return Result(document=document, show=lambda: print(out / EPOCHS))
+
+
+def show(generator: Path, source: Path, out: Path, count: int) -> Result:
+    """Draw frames beside their translations."""
+    from ds_driver.sim2real.files import write_whole
+    from ds_driver.sim2real.generator_file import load_generator
+    from ds_driver.sim2real.sheets import sheet
+    from ds_driver.sim2real.source_images import camera_images
+    from ds_driver.sim2real.translator import Translator
+    from ds_sim.camera.png import png
+
+    translator = Translator(load_generator(generator))
+    images = [translator.prepared(image) for image in camera_images(source, translator.generator.simulator, count)]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, png(sheet([[image, translator.small(image)] for image in images])))
+    return Result(document={"picture": str(out), "images": len(images)}, show=lambda: print(out))
+
+
+def translate(source: Path, out: Path, generator: Path, backend: str) -> Result:
+    """Translate a data set or a tub."""
+    from ds_driver.sim2real.generator_file import load_generator
+    from ds_driver.sim2real.translation import translate as translate_all
+    from ds_driver.sim2real.translator import Translator
+
+    try:
+        count = translate_all(source, out, Translator(load_generator(generator), backend), countdown())
+    except KeyboardInterrupt:
+        raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
+    return Result(document={"out": str(out), "translated": count}, show=lambda: print(out))
+
+
+def assess(folder: Path, real: Path, driver: str, ship_to: Path | None) -> Result:
+    """Assess the checkpoints of a training, and write out the chosen one."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ds_driver.sim2real.evaluation.checkpoints import PLAIN, HeldOut, assess_checkpoints, ship
+    from ds_driver.sim2real.preparation import prepare_domains, read_card, settings_of
+
+    card = read_card(folder)
+    try:
+        prepared = prepare_domains(card["simulator"], real, folder, settings_of(card), countdown(), expected=card)
+        held_out = HeldOut(card["simulator"], prepared.frames, prepared.held_out_real, prepared.match.simulated)
+        document = assess_checkpoints(folder, held_out, driver, countdown())
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    files = ship(folder, document, card, ship_to) if ship_to else []
+    document = document | {"shipped": [str(file) for file in files]}
+
+    def show() -> None:
+        table = Table(
+            "", "overlap", "shift, px", "found", "steering", *document[PLAIN]["distance"], "flicker", "bounds"
+        )
+        for name, row in {PLAIN: document[PLAIN], **document["checkpoints"]}.items():
+            lane = row["lane"]
+            distances = (f"{d['value']:.3f} ({d['low']:.3f} to {d['high']:.3f})" for d in row["distance"].values())
+            bounds = "" if name == PLAIN else ("broken" if row["broken"] else "kept")
+            table.add_row(
+                name, f"{lane['overlap']:.2f}", f"{lane['shift']:.2f}", f"{lane['found']:.2f}",
+                f"{row['steering_change']['mean']:.3f}", *distances, f"{row['flicker']:.1f}", bounds,
+            )  # fmt: skip
+        Console().print(table)
+        print(f"chosen: {document['chosen'] or 'none, as all break a bound'}")
+        for file in files:
+            print(file)
+
+    return Result(document=document, show=show)
+
+
+@sim2real_app.command("train")
+def train_command(
+    real: RealImages,
+    out: Annotated[Path, typer.Option(help="Folder; a training that was stopped there is resumed.")],
+    sim: Simulator = "bullet",
+    preset: Annotated[
+        Literal["laptop", "paper"], typer.Option(help="Sizes and duration; paper needs a GPU.")
+    ] = "laptop",
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of weights, order and drives.")] = 1,
+    epochs: Annotated[int | None, typer.Option(min=1, max=1000, help="Epochs; the preset's if left out.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Steps per epoch; the preset's if left out.")] = None,
+    threads: Annotated[int, typer.Option(min=1, max=256, help="Threads of PyTorch.")] = 2,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    unlike: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="Data set whose roads must not be among the simulated ones; repeatable."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Train a generator for one simulator's images.
+
+    The simulated images come from random roads of their own, driven by the autopilot.
+    """
+    from ds_driver.sim2real.settings import PRESETS
+
+    settings = replace(PRESETS[preset], seed=seed, threads=threads, device=device)
+    changes: dict[str, Any] = {"epochs": epochs, "steps": steps}
+    settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
+    answer(train(sim, real, out, settings, unlike or []), as_json)
+
+
+@sim2real_app.command("show")
+def show_command(
+    generator: Generator,
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set, bag, tub or folder of camera images.")],
+    out: Annotated[Path, typer.Option(help="Picture to write, a .png file.")] = Path("sim2real.png"),
+    count: Annotated[int, typer.Option(min=1, max=200, help="Number of images, evenly chosen.")] = 8,
+    as_json: JsonFlag = False,
+) -> None:
+    """Draw simulated images beside their translations."""
+    answer(show(generator, source, out, count), as_json)
+
+
+@sim2real_app.command("assess")
+def assess_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
+    real: RealImages,
+    driver: Annotated[str, typer.Option(help="Frozen network whose change of steering is measured.")] = "dave2",
+    ship: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the chosen generator, its card and its ONNX file.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Assess the checkpoints of a training on held-out frames, and choose one by the numbers."""
+    answer(assess(folder, real, driver, ship), as_json)
+
+
+@sim2real_app.command("translate")
+def translate_command(
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set of simulated drives, or a tub.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; a translation that was stopped there is resumed.")],
+    generator: Annotated[Path, typer.Option(help="Generator, a .safetensors file.")],
+    backend: Annotated[str, typer.Option(help="onnx, openvino or openvino-bf16.")] = "onnx",
+    as_json: JsonFlag = False,
+) -> None:
+    """Translate the images of a data set or a tub; the same format out."""
+    answer(translate(source, out, generator, backend), as_json)
