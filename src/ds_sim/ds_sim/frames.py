@@ -51,7 +51,10 @@ def body_rotations(vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
 
 def camera_pose(camera: CameraSpec) -> Pose:
     """Pose of the camera's optical frame in the vehicle's frame."""
-    turn = Rotation.from_matrix(Rotation.from_euler("Y", camera.pitch).as_matrix() @ _OPTICAL)
+    mount = Rotation.from_euler("Y", camera.pitch)
+    if camera.yaw:
+        mount = Rotation.from_euler("ZY", [camera.yaw, camera.pitch])
+    turn = Rotation.from_matrix(mount.as_matrix() @ _OPTICAL)
     return (camera.forward, 0.0, camera.height), _quaternion(turn)
 
 

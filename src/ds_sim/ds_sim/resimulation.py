@@ -6,6 +6,8 @@ import math
 import struct
 from collections.abc import Iterator
 
+from ds_sim.conditions.loading import load
+from ds_sim.conditions.model import NotApplicableError
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, SimulatorError
@@ -43,9 +45,11 @@ def resimulate(simulator_name: str, run: RunRecord) -> Iterator[Observation]:
         for step, recorded in enumerate(run.observations):
             try:
                 observation = (
-                    simulator.step(run.commands[step - 1]) if step else simulator.load(run.road, seed=run.seed)
+                    simulator.step(run.commands[step - 1])
+                    if step
+                    else load(simulator, run.road, seed=run.seed, conditions=run.conditions)
                 )
-            except SimulatorError as error:
+            except (SimulatorError, NotApplicableError) as error:
                 raise ResimulationError(simulator_name, step, f"where the simulator fails ({error})") from None
             if difference := difference_between(observation, recorded):
                 raise ResimulationError(simulator_name, step, difference)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ds_road import Road, RoadError
 from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.conditions.actuation import COMMAND_CONDITIONS, Actuation, actuation_of
+from ds_sim.conditions.loading import check_applicable
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.oracle import Oracle, OracleLimits
-from ds_sim.scene import Scene
+from ds_sim.scene import Scene, conditions_of
 from ds_sim.simulator import (
     FRAME_TIME,
     Command,
@@ -21,14 +24,14 @@ from ds_sim.simulator import (
     SimulatorError,
     SimulatorSpec,
 )
-from ds_sim.vehicle import Vehicle
+from ds_sim.vehicle import VEHICLE_CONDITIONS, AdjustableVehicle, Vehicle
 
 
 class RoadSimulator:
     """Implements `ds_sim.simulator.Simulator` and `DrawsRows` for any vehicle model.
 
     Args:
-        spec: description of the simulator.
+        spec: description of the simulator; `conditions` is filled in from what vehicle and scene realise.
         vehicle: physics model.
         scene: what the camera sees; a `PaintedScene` of the spec's camera and look if omitted.
         limits: thresholds that end a run; the defaults of `OracleLimits` if omitted.
@@ -42,9 +45,11 @@ class RoadSimulator:
         scene: Scene | None = None,
         limits: OracleLimits | None = None,
     ) -> None:
-        self._spec = spec
         self.vehicle = vehicle
         self.scene = scene or PaintedScene(spec.camera, spec.look)
+        adjustable = VEHICLE_CONDITIONS if isinstance(vehicle, AdjustableVehicle) else frozenset()
+        realised = COMMAND_CONDITIONS | adjustable | conditions_of(self.scene)
+        self._spec = replace(spec, conditions=tuple(name for name in FIELDS if name in realised))
         self._limits = limits or OracleLimits()
         self._run: _Run | None = None
 
@@ -57,20 +62,32 @@ class RoadSimulator:
         """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
         self.scene.draw_rows(top, bottom)
 
-    def load(self, road: Road, *, seed: int) -> Observation:
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""
         self._run = None
+        check_applicable(conditions, self._spec)
         if not road.validity.valid:
             raise RoadError(f"road {road.road_id} is not valid: {road.validity.reason}")
         vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         lane = road.lane_centre
         ahead = lane[1] - lane[0]
+        if isinstance(self.vehicle, AdjustableVehicle):
+            self.vehicle.adjust(friction=conditions.friction, payload=conditions.payload)
         self.vehicle.reset(
             float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(vehicle_seed)
         )
         tracker = LaneTracker(lane)
-        self.scene.load(road, np.random.default_rng(sensor_seed))
-        run = _Run(tracker=tracker, oracle=Oracle(tracker.length, self._limits), half_lane=road.lane_width / 2)
+        sensor_rng = np.random.default_rng(sensor_seed)
+        if conditions_of(self.scene) & conditions.changed.keys():
+            self.scene.load(road, sensor_rng, conditions)
+        else:
+            self.scene.load(road, sensor_rng)  # also of scenes that take no conditions
+        run = _Run(
+            tracker=tracker,
+            oracle=Oracle(tracker.length, self._limits),
+            half_lane=road.lane_width / 2,
+            actuation=actuation_of(conditions, self._spec.max_steering_angle),
+        )
         self._run = run
         return self._observe(run)
 
@@ -83,6 +100,8 @@ class RoadSimulator:
             raise SimulatorError(
                 f"{self._spec.name}: the run has ended ({run.outcome.name}): load a road to start another"
             )
+        if run.actuation is not None:
+            command = run.actuation.reached(command, run.speed)
         self.vehicle.advance(command)
         run.step += 1
         return self._observe(run)
@@ -99,6 +118,7 @@ class RoadSimulator:
         if not all(math.isfinite(v) for v in (*pose, state.speed, state.lateral_speed, state.yaw_rate)):
             self._run = None
             raise SimulatorError(f"{self._spec.name}: the physics diverged at step {run.step}: a state is not finite")
+        run.speed = state.speed
         lateral, arc = run.tracker.update(state.x, state.y)
         ahead = self._spec.preview_distance
         preview = run.tracker.lateral_position(
@@ -128,5 +148,7 @@ class _Run:
     tracker: LaneTracker
     oracle: Oracle
     half_lane: float
+    actuation: Actuation | None
+    speed: float = 0.0
     step: int = 0
     outcome: Outcome = Outcome.RUNNING

@@ -2,8 +2,8 @@
 
 Layout, little-endian: a header (magic, version, outcome, reason, number of frames, of commands and of bytes of the
 message, CRC-32); one column after the other of float64 (time, vehicle, lane), of uint32 (step) and of uint8 (outcome)
-over the frames, and of float64 over the commands (steering, throttle); the message as UTF-8. The road and the seed are
-not sent, since the receiver has asked for them, but the CRC-32 covers them.
+over the frames, and of float64 over the commands (steering, throttle); the message as UTF-8. The road, the
+seed and the conditions are not sent, since the receiver has asked for them, but the CRC-32 covers them.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.text import format_conditions
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
 
@@ -69,19 +71,20 @@ def encode_run(run: RunRecord) -> bytes:
         raise
     except (ValueError, OverflowError, TypeError, struct.error) as error:
         raise RunCodecError(f"the run of road {run.road.road_id} cannot be sent: {error}") from None
-    return start + struct.pack("<I", _checksum(start, body, run.road, run.seed)) + body
+    return start + struct.pack("<I", _checksum(start, body, run.road, run.seed, run.conditions)) + body
 
 
-def decode_run(data: bytes, road: Road, seed: int) -> RunRecord:
+def decode_run(data: bytes, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
     """Decode a run that `encode_run` encoded; memory is bounded by the size of the data.
 
     Args:
         data: the whole encoded run.
         road: road that was driven.
         seed: seed of the run.
+        conditions: operating conditions of the run.
 
     Raises:
-        RunCodecError: the data is damaged, or of another version, another road or another seed.
+        RunCodecError: the data is damaged, or of another version, road, seed or conditions.
     """
     if len(data) < _HEADER.size:
         raise RunCodecError(f"a run of {len(data)} bytes, expected {_HEADER.size} or more: it was cut off")
@@ -95,10 +98,13 @@ def decode_run(data: bytes, road: Road, seed: int) -> RunRecord:
     if len(data) != size:
         raise RunCodecError(f"a run of {len(data)} bytes, expected {size}: it was cut off, or something follows it")
     start, body = data[: _HEADER.size - _CHECKSUM_SIZE], data[_HEADER.size :]
-    if _checksum(start, body, road, seed) != checksum:
-        raise RunCodecError("a run has a wrong checksum: it is damaged, or of another road or seed, send it again")
+    if _checksum(start, body, road, seed, conditions) != checksum:
+        raise RunCodecError(
+            "a run has a wrong checksum: it is damaged, or of another road, seed or conditions, send it again"
+        )
     try:
-        return _record(body, frames, commands, RunRecord(road=road, seed=seed, outcome=Outcome(outcome)), reason)
+        run = RunRecord(road=road, seed=seed, conditions=conditions, outcome=Outcome(outcome))
+        return _record(body, frames, commands, run, reason)
     except RunCodecError:
         raise
     except ValueError as error:  # an outcome, reason or command that does not exist, or text that is not UTF-8
@@ -154,5 +160,6 @@ def _check_finite(columns: NDArray[np.float64], names: tuple[str, ...]) -> None:
         raise RunCodecError(f"{names[name]} is {columns[name, index]} in frame {index}, expected a finite number")
 
 
-def _checksum(start: bytes, body: bytes, road: Road, seed: int) -> int:
-    return zlib.crc32(body, zlib.crc32(start, zlib.crc32(f"{road.road_id} {seed}".encode())))
+def _checksum(start: bytes, body: bytes, road: Road, seed: int, conditions: Conditions) -> int:
+    test = " ".join(filter(None, (road.road_id, str(seed), format_conditions(conditions))))
+    return zlib.crc32(body, zlib.crc32(start, zlib.crc32(test.encode())))

@@ -8,20 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import VehicleState
 
 
 class Scene(Protocol):
     """World of one road, as the camera of one vehicle sees it; images are (rows, columns, 3) uint8 RGB."""
 
-    def load(self, road: Road, rng: np.random.Generator) -> None:
+    def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Build the world of a road from scratch.
+
+        A scene that leaves `conditions` out always has the default ones; `conditions_of` says what a scene realises.
 
         The images that follow depend on these arguments and on the states alone, bit for bit, in any process.
 
         Args:
             road: a valid road.
             rng: source of all random numbers of the run, such as sensor noise.
+            conditions: of the test, all of which the scene realises.
         """
         ...
 
@@ -45,3 +49,9 @@ class Scene(Protocol):
     def close(self) -> None:
         """Release the scene's resources; `load` may follow."""
         ...
+
+
+def conditions_of(scene: Scene) -> frozenset[str]:
+    """Names of the conditions that a scene realises: its attribute `conditions`, if it has one."""
+    names: frozenset[str] = getattr(scene, "conditions", frozenset())
+    return names

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_sim.conditions.loading import check_applicable, load
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, Reason, Simulator, SimulatorError
 
 NO_IMAGE: NDArray[np.uint8] = np.empty((0, 0, 3), np.uint8)
@@ -23,6 +25,7 @@ class RunRecord:
     Attributes:
         road: road that was driven.
         seed: seed of the run.
+        conditions: operating conditions of the run.
         observations: one per frame, the first at rest, without images.
         commands: command k led from frame k to frame k + 1.
         outcome: how the run ended; RUNNING until then.
@@ -32,6 +35,7 @@ class RunRecord:
 
     road: Road
     seed: int
+    conditions: Conditions = DEFAULT
     observations: list[Observation] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     outcome: Outcome = Outcome.RUNNING
@@ -78,14 +82,18 @@ class Session:
         """True while a run is in progress."""
         return self.run is not None and self.run.outcome is Outcome.RUNNING
 
-    def start(self, road: Road, seed: int) -> Observation | None:
+    def start(self, road: Road, seed: int, conditions: Conditions = DEFAULT) -> Observation | None:
         """Start a run at the beginning of a road.
 
         Returns:
             First observation; None if the simulator failed, which ends the run as SIM_ERROR.
+
+        Raises:
+            ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; no run is made of that.
         """
-        self.run = RunRecord(road=road, seed=seed)
-        return self._record(lambda: self.simulator.load(road, seed=seed))
+        check_applicable(conditions, self.simulator.spec)
+        self.run = RunRecord(road=road, seed=seed, conditions=conditions)
+        return self._record(lambda: load(self.simulator, road, seed=seed, conditions=conditions))
 
     def advance(self, command: Command) -> Observation | None:
         """Drive one step.

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.conditions.model import DEFAULT, Conditions
 
 FRAME_RATE = 20.0
 """Camera frames per simulated second (paper 3.2.1: all simulators aligned at 20 fps)."""
@@ -185,6 +186,7 @@ class SimulatorSpec:
         autopilot: gains of the autopilot (paper, equation 1).
         preview_distance: distance of the autopilot's preview point ahead of the vehicle's centre, m.
         engine: name and version of the physics engine.
+        conditions: names of the operating conditions that it realises, see `ds_sim.conditions`.
         extra: further properties, name -> value.
     """
 
@@ -201,6 +203,7 @@ class SimulatorSpec:
     autopilot: AutopilotGains
     preview_distance: float
     engine: str = ""
+    conditions: tuple[str, ...] = ()
     extra: dict[str, str] = field(default_factory=dict)
 
 
@@ -224,21 +227,25 @@ class AutopilotGains:
 
 
 class Simulator(Protocol):
-    """Simulates a vehicle with a camera on a road; a run depends on (road, seed, commands) alone."""
+    """Simulates a vehicle with a camera on a road; a run depends on (road, seed, conditions, commands) alone."""
 
     @property
     def spec(self) -> SimulatorSpec:
         """Description of this simulator."""
         ...
 
-    def load(self, road: Road, *, seed: int) -> Observation:
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch, with the vehicle at rest at the start of the driven lane.
+
+        A simulator may leave `conditions` out and then runs tests with the default ones: call it by
+        `ds_sim.conditions.load`, which hands over only what `spec.conditions` names.
 
         Returns:
             First observation, at step 0.
 
         Raises:
             ds_road.RoadError: the road is not valid.
+            ds_sim.conditions.NotApplicableError: it cannot realise a condition.
         """
         ...
 

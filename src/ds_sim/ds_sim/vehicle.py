@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -36,3 +36,21 @@ class Vehicle(Protocol):
     def close(self) -> None:
         """Release the model's resources; `reset` may follow."""
         ...
+
+
+@runtime_checkable
+class AdjustableVehicle(Protocol):
+    """Vehicle whose physics take conditions of a test; any other has the default ones."""
+
+    def adjust(self, *, friction: float, payload: float) -> None:
+        """Change the vehicle for the runs to come; (1, 0) is the vehicle as it was made, bit for bit.
+
+        Args:
+            friction: factor on the tyres' grip on a dry road.
+            payload: load over the mass of the vehicle, spread like that mass.
+        """
+        ...
+
+
+VEHICLE_CONDITIONS = frozenset({"friction", "payload"})
+"""Conditions that an `AdjustableVehicle` realises."""

@@ -99,7 +99,7 @@ def test_damage_is_refused_in_one_line(data: st.DataObject) -> None:
 
 @pytest.mark.parametrize(("road", "seed"), [(OTHER_ROAD, 7), (ROAD, 8)])
 def test_the_answer_to_another_request_is_refused(road: Road, seed: int) -> None:
-    with pytest.raises(RunCodecError, match="another road or seed"):
+    with pytest.raises(RunCodecError, match="another road, seed or conditions"):
         decode_run(encode_run(a_run()), road, seed)
 
 

@@ -118,6 +118,25 @@ class BulletParameters:
             if not (math.isfinite(value) and low <= value <= high):
                 raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 
+    def adjusted(self, *, friction: float, payload: float) -> BulletParameters:
+        """Copy with another grip and load; springs and dampers stay those of the car as it was made.
+
+        Args:
+            friction: factor on the friction coefficient.
+            payload: load over the mass of the car, spread like that mass.
+        """
+        if (friction, payload) == (1.0, 0.0):
+            return self
+        mass = self.mass * (1.0 + payload)
+        heavier = (mass - 4.0 * self.unsprung_mass) / self.sprung_mass
+        return dataclasses.replace(
+            self,
+            mass=mass,
+            ride_frequency=self.ride_frequency / math.sqrt(heavier),
+            damping_ratio=self.damping_ratio / math.sqrt(heavier),
+            friction=self.friction * friction,
+        )
+
     @property
     def sprung_mass(self) -> float:
         """Mass of the body, kg."""

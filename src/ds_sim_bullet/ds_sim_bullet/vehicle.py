@@ -44,11 +44,18 @@ class BulletVehicle:
     """
 
     def __init__(self, parameters: BulletParameters | None = None) -> None:
-        self.parameters = parameters or BulletParameters()
+        self._nominal = self.parameters = parameters or BulletParameters()
         self._bullet = _import_bullet()
         self._client = -1
         self._suspension = Suspension(self.parameters)
         self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
+
+    def adjust(self, *, friction: float, payload: float) -> None:
+        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        parameters = self._nominal.adjusted(friction=friction, payload=payload)
+        if parameters != self.parameters:
+            self.parameters = parameters
+            self._suspension = Suspension(parameters)
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """Build the world from scratch with the car at rest in equilibrium; `rng` is not used."""

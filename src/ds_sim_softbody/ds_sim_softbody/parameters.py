@@ -180,6 +180,34 @@ class SoftbodyParameters:
                 f"({self.body_substeps}): correct one of them"
             )
 
+    def adjusted(self, *, friction: float, payload: float) -> SoftbodyParameters:
+        """Copy with another grip and load; springs and dampers stay those of the car as it was made.
+
+        Args:
+            friction: factor on the friction coefficient.
+            payload: load over the mass of the car, spread like that mass.
+        """
+        if (friction, payload) == (1.0, 0.0):
+            return self
+        grown = 1.0 + payload
+        mass = self.mass * grown
+        heavier = (mass - 4.0 * self.unsprung_mass) / self.sprung_mass
+        # The leaning body adds m g h to the moment that the springs hold: the gradient grows faster than the mass.
+        lean = (self.centre_of_mass_height - self.roll_axis_height) * self.sprung_mass
+        gradient = heavier * lean / (lean / self.roll_gradient + lean * GRAVITY * (1.0 - heavier))
+        return dataclasses.replace(
+            self,
+            mass=mass,
+            yaw_inertia=self.yaw_inertia * grown,
+            roll_inertia=self.roll_inertia * heavier,
+            pitch_inertia=self.pitch_inertia * heavier,
+            ride_frequency=self.ride_frequency / math.sqrt(heavier),
+            roll_gradient=gradient,
+            body_damping=self.body_damping / math.sqrt(heavier),
+            # The reference load of these grows with the mass.
+            friction=self.friction * friction * (1.0 - self.load_sensitivity * payload),
+        )
+
     @property
     def sprung_mass(self) -> float:
         """Mass of the body, kg."""

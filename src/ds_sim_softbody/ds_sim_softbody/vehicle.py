@@ -22,7 +22,7 @@ class SoftbodyVehicle:
     """
 
     def __init__(self, parameters: SoftbodyParameters | None = None) -> None:
-        self._parameters = parameters or SoftbodyParameters()
+        self._nominal = self._parameters = parameters or SoftbodyParameters()
         self._plan = blueprint(self._parameters)
         self._car: Car | None = None
         self._start = (0.0, 0.0, 0.0)
@@ -31,6 +31,12 @@ class SoftbodyVehicle:
     def parameters(self) -> SoftbodyParameters:
         """Parameters of the car."""
         return self._parameters
+
+    def adjust(self, *, friction: float, payload: float) -> None:
+        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        parameters = self._nominal.adjusted(friction=friction, payload=payload)
+        if parameters != self._parameters:
+            self._parameters, self._plan = parameters, blueprint(parameters)
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """Build the car from scratch, at rest with its centre at (x, y), m, heading yaw (rad); `rng` is not used."""

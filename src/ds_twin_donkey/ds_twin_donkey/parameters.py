@@ -137,6 +137,31 @@ class DonkeyParameters:
             if not (math.isfinite(value) and low <= value <= high):
                 raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 
+    def adjusted(self, *, friction: float, payload: float) -> DonkeyParameters:
+        """Copy with another grip and load; springs and dampers stay those of the car as it was made.
+
+        Args:
+            friction: factor on the friction coefficient.
+            payload: load over the mass of the car, spread like that mass.
+        """
+        if (friction, payload) == (1.0, 0.0):
+            return self
+        grown = 1.0 + payload
+        softer = 1.0 / math.sqrt(grown)
+        # The lean of the heavier body is taken up by the springs, which the frequency does not show.
+        return dataclasses.replace(
+            self,
+            mass=self.mass * grown,
+            yaw_inertia=self.yaw_inertia * grown,
+            roll_inertia=self.roll_inertia * grown,
+            pitch_inertia=self.pitch_inertia * grown,
+            roll_frequency=self.roll_frequency * softer,
+            pitch_frequency=self.pitch_frequency * softer,
+            body_damping=self.body_damping * softer,
+            # The reference load of this grows with the mass.
+            friction=self.friction * friction * (1.0 - self.load_sensitivity * payload),
+        )
+
     def changed(self, **values: float) -> DonkeyParameters:
         """Copy with some values changed.
 

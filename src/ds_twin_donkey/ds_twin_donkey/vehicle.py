@@ -19,7 +19,8 @@ class DonkeyVehicle:
     """
 
     def __init__(self, parameters: DonkeyParameters | None = None) -> None:
-        self._model = CarModel(parameters or DonkeyParameters())
+        self._nominal = parameters or DonkeyParameters()
+        self._model = CarModel(self._nominal)
         self._state = CarState()
         self._pulses: list[Pulse] = []
         self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
@@ -28,6 +29,12 @@ class DonkeyVehicle:
     def parameters(self) -> DonkeyParameters:
         """Parameters of the car."""
         return self._model.parameters
+
+    def adjust(self, *, friction: float, payload: float) -> None:
+        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        parameters = self._nominal.adjusted(friction=friction, payload=payload)
+        if parameters != self._model.parameters:
+            self._model = CarModel(parameters)
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """Put the car at rest with its centre at (x, y), road metres, heading yaw (rad); `rng` is not used."""

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.atlas import TILE, AtlasMemory, Box, Ground
 from ds_sim.camera.look import Look
+from ds_sim.camera.surface import SURFACE_CONDITIONS, Surface
 from ds_sim.camera.textures import TEXTURE_SIZE, textures
+from ds_sim.conditions.model import DEFAULT, Conditions
 
 __all__ = ["Ground", "paint_ground"]
 
@@ -33,14 +35,27 @@ _LINE_REACH = 4
 """Pixels beyond the half of a line's thickness that drawing may touch: anti-aliasing, and rounding."""
 
 
-def paint_ground(road: Road, look: Look, memory: AtlasMemory | None = None) -> Ground:
+def paint_ground(
+    road: Road,
+    look: Look,
+    memory: AtlasMemory | None = None,
+    *,
+    conditions: Conditions = DEFAULT,
+    rng: np.random.Generator | None = None,
+) -> Ground:
     """Paint the ground of a road: grass, asphalt, two solid white edges, one solid yellow centre (paper 3.1.2).
 
     Args:
         road: road to paint.
         look: colours and textures.
         memory: see `Ground`.
+        conditions: wear, shadows and pavement.
+        rng: what is random about those; the same for every road if omitted.
     """
+    surface = None
+    if SURFACE_CONDITIONS & conditions.changed.keys():
+        source = rng or np.random.default_rng(0)
+        surface = Surface(conditions, look, source, resolution=RESOLUTION, leads=(LEAD_IN, LEAD_OUT))
     memory = memory or AtlasMemory()
     centre, across = _with_leads(road)
     half_width = road.lane_width * 2 / 2
@@ -60,16 +75,21 @@ def paint_ground(road: Road, look: Look, memory: AtlasMemory | None = None) -> G
     )
     lead_in, lead_out = slice(0, 2), slice(-2, None)
     body = slice(1, -1)
-    reach = half_width / RESOLUTION + look.line_width / RESOLUTION / 2 + _LINE_REACH
+    beside = surface.reach if surface else 0.0
+    reach = (half_width + beside) / RESOLUTION + look.line_width / RESOLUTION / 2 + _LINE_REACH
     stretches = [
         (part, _touched_tiles(ground, (centre[part] - low) / RESOLUTION, reach)) for part in (lead_in, lead_out, body)
     ]
     touched = np.logical_or.reduce([tiles for _, tiles in stretches])
     raster = ground.open_tiles(touched)
     mask = memory.mask(ground.shape)
+    asphalt = surface.pavement(texture.asphalt) if surface else texture.asphalt
     for part, tiles in stretches:
         boxes = list(ground.boxes(tiles))
-        _paint_stretch(raster, mask, boxes, texture.asphalt, centre[part] - low, across[part], half_width, look)
+        lines = None if surface else look
+        _paint_stretch(raster, mask, boxes, asphalt, centre[part] - low, across[part], half_width, lines)
+    if surface:
+        surface.draw(raster, mask, list(ground.boxes(touched)), centre - low, across, half_width)
     ground.close_tiles(touched)
     return ground
 
@@ -107,11 +127,11 @@ def _paint_stretch(
     centre: NDArray[np.float64],
     across: NDArray[np.float64],
     half_width: float,
-    look: Look,
+    look: Look | None,
 ) -> None:
     """Paint one stretch of road, which lies within `boxes`; `centre` is relative to the raster's corner, m.
 
-    `mask` is a raster of zeros, to which it returns.
+    Without a look no lines are painted. `mask` is a raster of zeros, to which it returns.
     """
 
     def pixels(offset: float) -> NDArray[np.int32]:
@@ -125,6 +145,8 @@ def _paint_stretch(
         part = box.of(mask)
         cv2.copyTo(texture, part, box.of(raster))
         part[:] = 0
+    if look is None:
+        return
     thickness = max(1, round(look.line_width / RESOLUTION))
     inset = half_width - look.line_width / 2
     for offset, colour in ((inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line)):

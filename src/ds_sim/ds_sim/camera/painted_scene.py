@@ -11,9 +11,12 @@ from ds_road import Road
 from ds_sim.camera.atlas import AtlasMemory
 from ds_sim.camera.ground import Ground, paint_ground
 from ds_sim.camera.look import Look
+from ds_sim.camera.optics import LENS_CONDITIONS, MOUNT_CONDITIONS, SENSOR_CONDITIONS, Optics, mounted, noise_of
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.surface import SURFACE_CONDITIONS
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import SimulatorError, VehicleState
 
 
@@ -24,6 +27,12 @@ class PaintedScene:
         camera: camera and its mounting.
         look: appearance of the world.
     """
+
+    conditions = (
+        SURFACE_CONDITIONS | LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS
+        | {"visibility", "sun_azimuth", "sun_elevation"}
+    )  # fmt: skip
+    """Conditions that any painted scene realises."""
 
     def __init__(self, camera: CameraSpec, look: Look) -> None:
         self._spec = camera
@@ -42,26 +51,48 @@ class PaintedScene:
             self._rows = (top, bottom)
             self._camera = Camera(self._spec, self._look, scene_rows(self._spec, self._rows))
 
-    def load(self, road: Road, rng: np.random.Generator) -> None:
+    def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Paint the ground of a road; see `Scene.load`."""
         self._view = None
+        if conditions.is_default:
+            self._view = _View(
+                camera=self._camera,
+                ground=paint_ground(road, self._look, self._memory),
+                sensor=Sensor(self._spec, rng, self._rows),
+                spec=self._spec,
+                rows=self._rows,
+            )
+            return
+        ground_rng, lens_rng = rng.spawn(2)
+        look = _lit(self._look, conditions)
+        spec = replace(mounted(self._spec, conditions), noise=noise_of(self._spec, conditions))
+        rows = scene_rows(spec, self._rows)
+        camera = self._camera
+        if look != self._look or spec != self._spec:
+            camera = Camera(spec, look, rows)
+        optics = None
+        if (LENS_CONDITIONS | {"visibility"}) & conditions.changed.keys():
+            optics = Optics(
+                spec, conditions, lens_rng, sun=(look.sun_azimuth, look.sun_elevation), rows=rows, haze=look.horizon
+            )
         self._view = _View(
-            camera=self._camera,
-            ground=paint_ground(road, self._look, self._memory),
-            sensor=Sensor(self._spec, rng, self._rows),
+            camera=camera,
+            ground=paint_ground(road, look, self._memory, conditions=conditions, rng=ground_rng),
+            sensor=Sensor(spec, rng, self._rows),
+            spec=spec,
             rows=self._rows,
+            optics=optics,
         )
 
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
         """Deliver the next camera image; see `Scene.image`."""
         view = self._loaded()
-        return view.sensor.deliver(view.camera.render(view.ground, state))
+        return view.sensor.deliver(view.scene(state))
 
     def still(self, state: VehicleState, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Take one image from any pose; see `Scene.still`."""
         view = self._loaded()
-        sensor = Sensor(replace(self._spec, latency=0), rng, view.rows)
-        return sensor.deliver(view.camera.render(view.ground, state))
+        return Sensor(replace(view.spec, latency=0), rng, view.rows).deliver(view.scene(state))
 
     def close(self) -> None:
         """Release the painted ground."""
@@ -81,4 +112,23 @@ class _View:
     camera: Camera
     ground: Ground
     sensor: Sensor
+    spec: CameraSpec
     rows: tuple[int, int]
+    optics: Optics | None = None
+
+    def scene(self, state: VehicleState) -> NDArray[np.uint8]:
+        """What reaches the sensor."""
+        image = self.camera.render(self.ground, state)
+        if self.optics is None:
+            return image
+        return self.optics.apply(image, *self.camera.view(state))
+
+
+def _lit(look: Look, conditions: Conditions) -> Look:
+    """Look under the sun of conditions."""
+    azimuth, elevation = conditions.sun_azimuth, conditions.sun_elevation
+    return replace(
+        look,
+        sun_azimuth=look.sun_azimuth if azimuth is None else azimuth,
+        sun_elevation=look.sun_elevation if elevation is None else elevation,
+    )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 import weakref
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -68,7 +69,9 @@ class Camera:
         self._top, self._bottom = rows or (0, spec.height_px)
         self._panorama = Panorama(spec, look)
         self._focal = float(spec.intrinsics[0, 0])
-        centre = sample_rays(spec, 1)[0].reshape(3, spec.height_px, spec.width)
+        # The rays of a lens do not depend on how it is mounted.
+        self._lens = replace(spec, height=1.0, forward=0.0, pitch=0.0, yaw=0.0)
+        centre = sample_rays(self._lens, 1)[0].reshape(3, spec.height_px, spec.width)
         self._centre_rays = centre
         self._min_sample_index = SAMPLES.index(BLUR_SAMPLES) if spec.exposure else 0
         self._max_ray_length = float(np.linalg.norm(centre, axis=0).max())
@@ -119,6 +122,11 @@ class Camera:
         cv2.cvtColor(frame[self._top : self._bottom], cv2.COLOR_RGBA2RGB, image[self._top : self._bottom])
         return image
 
+    def view(self, vehicle: VehicleState) -> tuple[NDArray[np.float64], float]:
+        """Optical axes right, down, forward in the road frame, (3, 3), and height of the optical centre, m."""
+        axes, position = self._pose(vehicle)
+        return np.array(axes), position[2]
+
     def _pose(self, vehicle: VehicleState) -> tuple[tuple[_Vector, _Vector, _Vector], _Vector]:
         """Optical axes right, down, forward in the road frame, and the optical centre, m."""
         spec = self._spec
@@ -137,6 +145,13 @@ class Camera:
         )
         ct, st = math.cos(spec.pitch), math.sin(spec.pitch)
         right = (-(cy * sp * sr - sy * cr), -(sy * sp * sr + cy * cr), -(cp * sr))
+        if spec.yaw:
+            rx, ry, rz = right
+            cw, sw = math.cos(spec.yaw), math.sin(spec.yaw)
+            fx, fy, fz, right = (
+                fx * cw - rx * sw, fy * cw - ry * sw, fz * cw - rz * sw,
+                (rx * cw + fx * sw, ry * cw + fy * sw, rz * cw + fz * sw),
+            )  # fmt: skip
         down = (-(ux * ct + fx * st), -(uy * ct + fy * st), -(uz * ct + fz * st))
         forward = (fx * ct - ux * st, fy * ct - uy * st, fz * ct - uz * st)
         return (right, down, forward), position
@@ -227,7 +242,7 @@ class Camera:
         for band, size in zip(bands, counts, strict=True):
             np.matmul(
                 motion[band.samples],
-                sample_rays(self._spec, band.samples)[:, :, band.top * width : band.bottom * width],
+                sample_rays(self._lens, band.samples)[:, :, band.top * width : band.bottom * width],
                 memory.points[:, end : end + size].reshape(3, band.samples, -1).transpose(1, 0, 2),
             )
             end += size

@@ -25,6 +25,7 @@ class CameraSpec:
         height: height of the optical centre above ground, m.
         forward: distance of the optical centre ahead of the vehicle's centre, m.
         pitch: angle of the optical axis, nose down positive, rad.
+        yaw: angle of the optical axis about the vehicle's vertical axis, left positive, rad.
         lens: `pinhole`, or `equidistant` for a wide angle: distances from the image centre are proportional to angles
             from the optical axis (within 0.01 px, see `distortion`), which appears as barrel distortion.
         gain: brightness factor.
@@ -43,6 +44,7 @@ class CameraSpec:
     height: float
     forward: float = 0.0
     pitch: float = 0.0
+    yaw: float = 0.0
     lens: Literal["pinhole", "equidistant"] = "pinhole"
     gain: float = 1.0
     gamma: float = 1.0

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_sim.camera.optics import LENS_CONDITIONS, MOUNT_CONDITIONS, SENSOR_CONDITIONS, Optics, mounted, noise_of
+from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_panda.scene.graphics import graphics, panda
 from ds_sim_panda.scene.viewpoint import camera_pose, check_camera, make_lens
@@ -18,7 +23,7 @@ class PandaScene:
     """Implements `ds_sim.scene.Scene` with Panda3D: textured meshes, shadows of the sun, haze.
 
     The world belongs to the road: the same road always looks alike, whatever the seed of the run. The camera has
-    neither noise nor latency.
+    neither noise nor latency, unless conditions give it noise.
 
     Args:
         camera: pinhole camera.
@@ -29,6 +34,9 @@ class PandaScene:
         SimulatorError: EGL or Mesa's software renderer is missing.
     """
 
+    conditions = (LENS_CONDITIONS - {"low_sun"}) | SENSOR_CONDITIONS | MOUNT_CONDITIONS
+    """Conditions that this scene realises: those of the camera, not yet those of the world."""
+
     def __init__(self, camera: CameraSpec) -> None:
         check_camera(camera)
         graphics()
@@ -36,20 +44,24 @@ class PandaScene:
         self._rows = self._run_rows = (0, camera.height_px)
         self._camera = panda().NodePath(panda().Camera("camera", make_lens(camera)))
         self._world: World | None = None
+        self._view = _View(spec=camera)
 
-    def load(self, road: Road, rng: np.random.Generator) -> None:
-        """Build the world of a road from scratch; `rng` is not used."""
+    def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
+        """Build the world of a road from scratch; `rng` is used by conditions alone."""
         self._world = None
         self._run_rows = self._rows
+        self._view = self._under(conditions, rng)
         self._world = World(road)
 
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
         """Deliver the next camera image, (rows, columns, 3) uint8 RGB, read-only."""
-        return self._draw(state, self._run_rows)
+        image = self._draw(state, self._run_rows)
+        return image if self._view.sensor is None else self._view.sensor.deliver(image)
 
     def still(self, state: VehicleState, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Take one image from any pose; `rng` is not used."""
-        return self._draw(state, self._run_rows)
+        """Take one image from any pose; `rng` is used by conditions alone."""
+        image = self._draw(state, self._run_rows)
+        return image if self._view.sensor is None else Sensor(self._view.spec, rng, self._run_rows).deliver(image)
 
     def draw_rows(self, top: int, bottom: int) -> None:
         """Draw only some rows of the images of the runs to come."""
@@ -62,8 +74,19 @@ class PandaScene:
         """Release the world; `load` may follow."""
         self._world = None
 
+    def _under(self, conditions: Conditions, rng: np.random.Generator) -> _View:
+        """Make the camera of a run under its conditions."""
+        if not self.conditions & conditions.changed.keys():
+            return _View(spec=self._spec)
+        spec = replace(mounted(self._spec, conditions), noise=noise_of(self._spec, conditions))
+        optics = None
+        if LENS_CONDITIONS & conditions.changed.keys():
+            optics = Optics(spec, conditions, rng.spawn(1)[0], sun=(0.0, 0.0), rows=self._run_rows)
+        return _View(spec=spec, optics=optics, sensor=Sensor(spec, rng, self._run_rows) if spec.noise else None)
+
     def _draw(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
-        world, spec = self._world, self._spec
+        world, view = self._world, self._view
+        spec = view.spec
         if world is None:
             raise SimulatorError("the scene has no road: load one first")
         pose = camera_pose(spec, state)
@@ -76,5 +99,16 @@ class PandaScene:
         image = cv2.cvtColor(drawn[::-1], cv2.COLOR_BGR2RGB)
         image[: rows[0]] = 0
         image[rows[1] :] = 0
+        if view.optics is not None:
+            image = view.optics.apply(image, np.eye(3), spec.height)
         image.setflags(write=False)
         return image
+
+
+@dataclass(frozen=True, kw_only=True)
+class _View:
+    """Camera of one run, and what conditions put before and behind its lens."""
+
+    spec: CameraSpec
+    optics: Optics | None = None
+    sensor: Sensor | None = None

@@ -43,6 +43,8 @@ def camera_pose(spec: CameraSpec, state: VehicleState) -> NDArray[np.float64]:
     """
     body = _turn(2, state.yaw) @ _turn(1, state.pitch) @ _turn(0, state.roll)
     mounted = body @ _turn(1, spec.pitch)
+    if spec.yaw:
+        mounted = body @ _turn(2, spec.yaw) @ _turn(1, spec.pitch)
     pose = np.eye(4)
     pose[0, :3] = -mounted[:, 1]
     pose[1, :3] = mounted[:, 0]

@@ -31,15 +31,18 @@ class MultiBodyVehicle:
         model.check_version()
         from ds_sim_panda.vehicle.integration import advance  # imports Numba, which takes most of a second
 
-        self.parameters = p = parameters or MultiBodyParameters()
+        self.parameters = parameters or MultiBodyParameters()
         self._integrate = advance
-        self._car: Any = model.record(p.published, tire={"r_vy1": p.slip_side_force})
-        self._law: Any = model.record(p, slip_rate=p.slip_rate)
-        self._rest = model.rest_state(p.parameter_set)
-        for _ in range(SETTLING_FRAMES):
-            self._advance(self._rest, Command(0.0, 0.0))
+        self._adjusted = (1.0, 0.0)
+        self._settle()
         self._x: np.ndarray | None = None
         self._start = (0.0, 0.0, 0.0)
+
+    def adjust(self, *, friction: float, payload: float) -> None:
+        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        if (friction, payload) != self._adjusted:
+            self._adjusted = (friction, payload)
+            self._settle()
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """Place the car at rest with its centre at (x, y), m, heading yaw (rad); `rng` is not used."""
@@ -80,6 +83,31 @@ class MultiBodyVehicle:
     def close(self) -> None:
         """Release the state; `reset` may follow."""
         self._x = None
+
+    def _settle(self) -> None:
+        """Make the car with its grip and load, at rest on its springs."""
+        p, (friction, payload) = self.parameters, self._adjusted
+        car, grown = p.published, 1.0 + payload
+        tyre = {"r_vy1": p.slip_side_force}
+        changed: dict[str, Any] = {}
+        if friction != 1.0:
+            # Peak friction of the Magic Formula; its stiffness, and so the feel below the limit, stays.
+            tyre |= {"p_dx1": friction * car.tire.p_dx1, "p_dy1": friction * car.tire.p_dy1}
+        if payload:
+            sprung = (car.m_s + payload * car.m) / car.m_s
+            changed = {"m": grown * car.m, "m_s": sprung * car.m_s, "I_z": grown * car.I_z}
+            changed |= {name: sprung * getattr(car, name) for name in ("I_Phi_s", "I_y_s", "I_xz_s")}
+        self._car: Any = model.record(car, tire=tyre, **changed)
+        # The published input is an acceleration: the motor's force stays that of the car without load.
+        self._law: Any = model.record(
+            p,
+            slip_rate=p.slip_rate * grown,
+            drive_acceleration=p.drive_acceleration / grown,
+            regenerative_deceleration=p.regenerative_deceleration / grown,
+        )
+        self._rest = model.rest_state(p.parameter_set)
+        for _ in range(SETTLING_FRAMES):
+            self._advance(self._rest, Command(0.0, 0.0))
 
     def _advance(self, state: np.ndarray, command: Command) -> None:
         p = self.parameters

@@ -1,0 +1,98 @@
+"""Pictures of each operating condition at three strengths on each simulator, for `docs/conditions.md`.
+
+    python benchmarks/condition_pictures.py --out docs/images [--sim bullet ...] [--only visibility ...]
+
+One sheet per simulator: a row per condition, its strengths from left to right.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.text import parse_conditions
+from ds_sim.registry import SIMULATORS, make_simulator
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import VehicleState
+
+STRENGTHS = (
+    ("line_contrast=0.6", "line_contrast=0.3", "line_contrast=0.1"),
+    ("line_cover=0.2", "line_cover=0.4", "line_cover=0.7"),
+    ("pavement_reflectance=0.05", "pavement_reflectance=0.2", "pavement_reflectance=0.4"),
+    ("repair_share=0.1", "repair_share=0.3", "repair_share=0.6"),
+    ("shadow_density=0.2,shadow_depth=0.6", "shadow_density=0.5", "shadow_density=0.5,shadow_depth=0.9"),
+    ("visibility=300", "visibility=80", "visibility=30"),
+    ("illuminance=1000", "illuminance=200", "illuminance=30"),
+    ("veiling_luminance=200", "veiling_luminance=800", "veiling_luminance=2500"),
+    (
+        "low_sun=1000,sun_azimuth=80deg,sun_elevation=10deg",
+        "low_sun=5000,sun_azimuth=80deg,sun_elevation=10deg",
+        "low_sun=20000,sun_azimuth=80deg,sun_elevation=10deg",
+    ),
+    ("lens_dirt=0.05", "lens_dirt=0.2", "lens_dirt=0.4"),
+    ("sensor_noise=5", "sensor_noise=15", "sensor_noise=35"),
+    ("exposure=0.4", "exposure=2", "exposure=5"),
+    ("camera_height=0.7", "camera_height=1.3", "camera_height=1.8"),
+    ("camera_pitch=-3deg", "camera_pitch=3deg", "camera_pitch=6deg"),
+    ("camera_yaw=-6deg", "camera_yaw=3deg", "camera_yaw=8deg"),
+)  # fmt: skip
+ROAD = Road([(125.0, 0.0), (125.0, 25.0), (125.0, 50.0), (130.0, 75.0), (145.0, 95.0), (170.0, 105.0), (195.0, 110.0)])
+"""A straight with a bend to the right."""
+SEED = 7
+
+
+def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint8]:
+    """Image from the lane, 8 m after its start."""
+    simulator.load(ROAD, seed=SEED, conditions=conditions)
+    lane = ROAD.lane_centre
+    index = int(np.searchsorted(np.cumsum(np.hypot(*np.diff(lane, axis=0).T)), 8.0))
+    ahead = lane[index + 1] - lane[index]
+    state = VehicleState(
+        x=float(lane[index, 0]), y=float(lane[index, 1]), yaw=math.atan2(ahead[1], ahead[0]), speed=0.0, yaw_rate=0.0,
+        steering_angle=0.0,
+    )  # fmt: skip
+    return simulator.scene.still(state, np.random.default_rng(SEED))
+
+
+def sheet(name: str, only: list[str]) -> NDArray[np.uint8]:
+    """Rows of pictures with their conditions below."""
+    simulator = make_simulator(name)
+    assert isinstance(simulator, RoadSimulator)
+    rows = []
+    for texts in STRENGTHS:
+        kind = texts[0].partition("=")[0]
+        if (only and kind not in only) or kind not in simulator.spec.conditions:
+            continue
+        row = []
+        for text in texts:
+            image = picture(simulator, parse_conditions(text))
+            label = np.full((18, image.shape[1], 3), 255, np.uint8)
+            cv2.putText(label, text[:52], (3, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
+            row.append(np.vstack((image, label)))
+        rows.append(np.hstack(row))
+    simulator.close()
+    return np.vstack(rows)
+
+
+def main() -> None:
+    """Draw the sheets."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
+    parser.add_argument("--sim", nargs="*", default=list(SIMULATORS), help="simulators")
+    parser.add_argument("--only", nargs="*", default=[], help="conditions, by the first name of a row")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.sim:
+        image = sheet(name, arguments.only)
+        cv2.imwrite(str(arguments.out / f"conditions_{name}.jpg"), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+if __name__ == "__main__":
+    main()

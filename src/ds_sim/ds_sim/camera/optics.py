@@ -1,0 +1,162 @@
+"""What conditions do to the light on its way to the sensor: haze, stray light, dirt on the lens, exposure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_sim.camera.lens import sample_rays
+from ds_sim.camera.light import decode, encode, light_of
+from ds_sim.camera.look import Colour
+from ds_sim.camera.spec import CameraSpec
+from ds_sim.conditions.model import REFERENCE_ILLUMINANCE, Conditions
+
+LENS_CONDITIONS = frozenset({"illuminance", "veiling_luminance", "low_sun", "lens_dirt", "exposure"})
+"""Conditions that change an image without knowing what it shows."""
+SENSOR_CONDITIONS = frozenset({"illuminance", "sensor_noise"})
+"""Conditions that change the noise of the sensor."""
+MOUNT_CONDITIONS = frozenset({"camera_height", "camera_pitch", "camera_yaw"})
+"""Conditions that change the mounting of the camera."""
+KOSCHMIEDER = 3.912
+"""Extinction coefficient times visibility: -ln 0.02, the contrast threshold of meteorological visibility."""
+HAZE_TOP = 100.0
+"""Height of the layer of haze, m; chosen: fog near the ground is 15 to 100 m high."""
+MAX_GAIN = 16.0
+"""Largest factor of the camera's automatic exposure; chosen: four stops, as vehicle cameras have."""
+MEAN_LIGHT = 0.18
+"""Light that automatic exposure makes of a picture's mean, relative to white: the grey card of exposure meters."""
+PHOTON_NOISE = 1.0
+"""Least standard deviation of the noise at the reference illuminance, of which more gain makes more, grey levels;
+chosen: the shot noise of 65,000 electrons at level 255."""
+SMALLEST_ANGLE = 0.5
+"""Angle from the sun's centre within which its veil grows no further, degrees: the sun's disc and a pixel."""
+DIRT = (0.11, 0.095, 0.075)
+"""Light of a smudge, relative to white; chosen: dry mud, lit from all sides."""
+DIRT_OPACITY = 0.85
+"""Share of the light that a smudge keeps out in its middle; chosen: dried spray of a wet road."""
+WHITE = REFERENCE_ILLUMINANCE / math.pi
+"""Luminance of a white surface at the reference illuminance, cd/m2."""
+_DIRT_SCALES = (3.0, 12.0)
+"""Standard deviations of the noise that smudges are cut from, px; chosen: drops and wiped areas."""
+_DIRT_BLUR = 2.5
+"""Standard deviation of a smudge's edge, px: it lies on the lens, out of focus."""
+_Axes = NDArray[np.float64]
+
+
+def mounted(spec: CameraSpec, conditions: Conditions) -> CameraSpec:
+    """Camera as conditions mount it."""
+    if not MOUNT_CONDITIONS & conditions.changed.keys():
+        return spec
+    return replace(
+        spec,
+        height=spec.height * conditions.camera_height,
+        pitch=spec.pitch + conditions.camera_pitch,
+        yaw=spec.yaw + conditions.camera_yaw,
+    )
+
+
+def automatic_gain(conditions: Conditions) -> float:
+    """Factor by which the camera's automatic exposure makes up for a lack of light, or for light that veils all."""
+    reflected = conditions.illuminance / REFERENCE_ILLUMINANCE
+    return min(1.0 / (reflected + conditions.veiling_luminance / WHITE / MEAN_LIGHT), MAX_GAIN)
+
+
+def noise_of(spec: CameraSpec, conditions: Conditions) -> float:
+    """Standard deviation of a camera's noise, grey levels: its own, that of dim light, and what is added."""
+    dim = max(automatic_gain(conditions) - 1.0, 0.0) * max(spec.noise, PHOTON_NOISE) ** 2
+    return math.sqrt(spec.noise**2 + dim + conditions.sensor_noise**2)
+
+
+class Optics:
+    """Applies the conditions of one run to rendered images.
+
+    Args:
+        spec: camera.
+        conditions: of the run.
+        rng: source of the smudges.
+        sun: azimuth and elevation of the sun where the conditions do not say them, rad.
+        rows: first row and end of the rows that are changed.
+        haze: colour of the horizon, into which distant things fade; None for a scene with a haze of its own.
+    """
+
+    def __init__(
+        self,
+        spec: CameraSpec,
+        conditions: Conditions,
+        rng: np.random.Generator,
+        *,
+        sun: tuple[float, float],
+        rows: tuple[int, int],
+        haze: Colour | None = None,
+    ) -> None:
+        c = conditions
+        self._rows = slice(*rows)
+        self._shape = (rows[1] - rows[0], spec.width)
+        lens = replace(spec, height=1.0, forward=0.0, pitch=0.0, yaw=0.0)
+        rays = sample_rays(lens, 1)[0].reshape(3, spec.height_px, spec.width)[:, self._rows].reshape(3, -1)
+        self._rays = rays / np.linalg.norm(rays, axis=0)
+        self._extinction = 0.0 if haze is None else KOSCHMIEDER / c.visibility
+        self._airlight = light_of(haze or (0, 0, 0))
+        gain = automatic_gain(c) * c.exposure
+        self._scale = np.float32(gain * c.illuminance / REFERENCE_ILLUMINANCE)
+        self._veil = np.float32(gain * c.veiling_luminance / WHITE)
+        # Veiling luminance in cd/m2 of E in lx at an angle in degrees: 10 E / angle^2.
+        self._sun_veil = gain * 10.0 * c.low_sun / WHITE
+        azimuth = sun[0] if c.sun_azimuth is None else c.sun_azimuth
+        elevation = sun[1] if c.sun_elevation is None else c.sun_elevation
+        self._sun = np.array(
+            [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+        )
+        self._dirt = _smudges(rng, spec, c.lens_dirt)[self._rows, :, None] if c.lens_dirt else None
+
+    def apply(self, image: NDArray[np.uint8], axes: _Axes, height: float) -> NDArray[np.uint8]:
+        """Return a rendered image as it reaches the sensor.
+
+        Args:
+            image: (rows, columns, 3) uint8 RGB.
+            axes: optical axes right, down, forward in the road frame, (3, 3).
+            height: of the camera above ground, m.
+        """
+        light = decode(image[self._rows])
+        if self._extinction:
+            clear = np.exp(np.float32(-self._extinction) * self._distances(axes, height))[:, :, None]
+            light -= self._airlight
+            light *= clear
+            light += self._airlight
+        light *= self._scale
+        if self._dirt is not None:
+            light += self._dirt * (np.array(DIRT, np.float32) * self._scale - light)
+        light += self._veil
+        if self._sun_veil:
+            light += self._veil_of_sun(axes)[:, :, None]
+        changed = np.zeros_like(image)
+        changed[self._rows] = encode(light)
+        return changed
+
+    def _distances(self, axes: _Axes, height: float) -> NDArray[np.float32]:
+        """Distance along each ray to the ground, or through the layer of haze, m, (rows, columns)."""
+        descent = (-axes[:, 2].astype(np.float32)) @ self._rays
+        depth = np.where(descent > 0.0, np.float32(height), np.float32(HAZE_TOP))
+        return np.asarray(depth / np.maximum(np.abs(descent), 1e-4), np.float32).reshape(self._shape)
+
+    def _veil_of_sun(self, axes: _Axes) -> NDArray[np.float32]:
+        """Light that the sun scatters over the image, (rows, columns)."""
+        cosine = (axes @ self._sun).astype(np.float32) @ self._rays
+        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return np.asarray(self._sun_veil / np.maximum(angle, SMALLEST_ANGLE) ** 2, np.float32).reshape(self._shape)
+
+
+def _smudges(rng: np.random.Generator, spec: CameraSpec, share: float) -> NDArray[np.float32]:
+    """Opacity of the dirt on the lens, (rows, columns): smudges over a share of it, and more of the same for more."""
+    shape = (spec.height_px, spec.width)
+    noise = np.zeros(shape)
+    for scale in _DIRT_SCALES:
+        layer = np.asarray(cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), scale))
+        noise += layer / layer.std()
+    dirty = np.zeros(noise.size, np.float32)
+    dirty[np.argsort(-noise.ravel(), kind="stable")[: round(share * noise.size)]] = DIRT_OPACITY
+    return np.asarray(cv2.GaussianBlur(dirty.reshape(shape), (0, 0), _DIRT_BLUR), np.float32)

@@ -1,0 +1,78 @@
+"""Reads and writes conditions as `line_contrast=0.4,visibility=40` and as JSON objects of the changed values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
+
+_UNITS = {"deg": ("rad", math.pi / 180.0), "km/h": ("m/s", 1.0 / 3.6)}
+"""Further units that a value may carry -> SI unit, factor."""
+MAX_TEXT = 4096
+"""Characters of a text that is read; chosen: all conditions with full precision take a quarter of that."""
+
+
+def parse_conditions(text: str) -> Conditions:
+    """Read `name=value,name=value`; "" is the default.
+
+    A value is a number in the condition's SI unit; angles may be given as `4deg`, speeds as `20km/h`.
+
+    Raises:
+        ConditionsError: anything else, or conditions that cannot be.
+    """
+    if len(text) > MAX_TEXT:
+        raise ConditionsError(f"conditions of {len(text)} characters, expected at most {MAX_TEXT}")
+    values: dict[str, float] = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, equals, value = (word.strip() for word in part.partition("="))
+        _check_known(name)
+        if not equals or not value:
+            raise ConditionsError(f"{name} has no value, expected {name}=NUMBER: {FIELDS[name].allowed}")
+        if name in values:
+            raise ConditionsError(f"{name} is given twice: give it once")
+        values[name] = _number(name, value)
+    return Conditions(**values)
+
+
+def format_conditions(conditions: Conditions) -> str:
+    """Write conditions as `parse_conditions` reads them, bit for bit; "" for the default."""
+    return ",".join(f"{name}={_plain(value)}" for name, value in conditions.changed.items())
+
+
+def from_json(document: object) -> Conditions:
+    """Read a mapping from names to numbers, as JSON and YAML give it; it holds what differs from the default.
+
+    Raises:
+        ConditionsError: not such a mapping, or conditions that cannot be.
+    """
+    if not isinstance(document, Mapping):
+        raise ConditionsError(f"conditions are a {type(document).__name__}, expected names and numbers")
+    for name in document:
+        _check_known(name)
+    return Conditions(**document)
+
+
+def to_json(conditions: Conditions) -> dict[str, float]:
+    """Return the changed values by name; every one is finite, since only the default visibility is infinite."""
+    return conditions.changed
+
+
+def _plain(value: float) -> str:
+    return repr(int(value)) if value.is_integer() else repr(value)
+
+
+def _number(name: str, text: str) -> float:
+    condition, factor, number = FIELDS[name], 1.0, text
+    for unit, (si, scale) in _UNITS.items():
+        if text.endswith(unit) and condition.unit == si:
+            factor, number = scale, text.removesuffix(unit)
+    try:
+        return float(number) * factor
+    except ValueError:
+        raise ConditionsError(f"{name} is {text[:40]!r}, expected {condition.allowed}") from None
+
+
+def _check_known(name: object) -> None:
+    if name not in FIELDS:
+        raise ConditionsError(f"unknown condition {str(name)[:40]!r}: expected some of {', '.join(FIELDS)}")

@@ -1,0 +1,151 @@
+"""Conditions as a value and as text, and what becomes of commands under them."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from ds_road import Road
+from ds_sim.conditions.actuation import Actuation
+from ds_sim.conditions.loading import load
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
+from ds_sim.conditions.text import format_conditions, from_json, parse_conditions, to_json
+from ds_sim.registry import make_simulator, spec_of
+from ds_sim.run_codec import RunCodecError, decode_run, encode_run
+from ds_sim.session import Session
+from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, SimulatorSpec
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
+
+
+def test_the_default_changes_nothing_and_has_no_text() -> None:
+    assert DEFAULT.is_default and not DEFAULT.changed and format_conditions(DEFAULT) == ""
+    assert parse_conditions("") == parse_conditions("friction=1,exposure=1.0") == DEFAULT
+
+
+def test_text_and_json_keep_every_bit() -> None:
+    given = Conditions(line_contrast=0.1 + 0.2, visibility=40, camera_pitch=math.radians(4), friction=1 / 3)
+    assert parse_conditions(format_conditions(given)) == given
+    assert from_json(json.loads(json.dumps(to_json(given)))) == given
+    assert parse_conditions("camera_pitch=4deg, speed_limit=18km/h") == Conditions(
+        camera_pitch=math.radians(4), speed_limit=5.0
+    )
+    assert repr(Conditions(tyre_pull=-0.0)) == repr(DEFAULT)
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_both_ends_of_a_range_are_allowed_and_nothing_beyond(name: str) -> None:
+    condition, with_it = FIELDS[name], {"shadow_depth": "shadow_density", "line_cover_length": "line_cover"}
+    others: dict[str, float] = {with_it[name]: 0.5} if name in with_it else {}
+    for value in (condition.low, condition.high):
+        assert getattr(Conditions(**others, **{name: value}), name) == value
+    for value in (condition.low - 0.01, condition.high + 0.01, math.nan, -math.inf):
+        if value != math.inf:
+            with pytest.raises(ConditionsError, match=f"^{name} is .*, expected {condition.low:g}"):
+                Conditions(**others, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("fog=3", "unknown condition 'fog': expected some of line_contrast, "),
+        ("visibility", "visibility has no value, expected visibility=NUMBER: 20 or more m"),
+        ("visibility=thick", "visibility is 'thick', expected 20 or more m"),
+        ("friction=4deg", "friction is '4deg', expected 0.1 to 1"),
+        ("friction=1,friction=1", "friction is given twice: give it once"),
+        ("shadow_depth=0.5", "shadow_depth is 0.5 without shadows: give shadow_density too"),
+        ("line_cover_length=5", "line_cover_length is 5 m without line_cover: give line_cover too"),
+        ("a=" * 5000, "conditions of 10000 characters, expected at most 4096"),
+    ],
+)
+def test_bad_text_gets_one_line(text: str, message: str) -> None:
+    with pytest.raises(ConditionsError) as caught:
+        parse_conditions(text)
+    assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("document", [[], "friction", {"friction": "low"}, {"friction": True}, {1: 2.0}])
+def test_bad_json_gets_one_line(document: Any) -> None:
+    with pytest.raises(ConditionsError):
+        from_json(document)
+
+
+def reached(conditions: Conditions, frames: int, *, speed: float = 0.0) -> list[Command]:
+    """What a vehicle with wheels that turn by 0.5 rad executes of a step to full lock and throttle."""
+    actuation = Actuation(conditions, max_steering_angle=0.5)
+    return [actuation.reached(Command(1.0, 1.0), speed) for _ in range(frames)]
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.3, 0.32, 1.0])
+def test_a_delay_takes_its_time(delay: float) -> None:
+    for values in zip(*((c.steering, c.throttle) for c in reached(Conditions(command_delay=delay), 30)), strict=True):
+        assert FRAME_TIME * sum(1.0 - value for value in values) == pytest.approx(delay, abs=1e-6)
+
+
+@pytest.mark.parametrize("lag", [0.05, 0.3, 1.0])
+def test_a_lag_is_the_time_to_63_percent(lag: float) -> None:
+    commands = reached(Conditions(steering_lag=lag), 200)
+    middles = [(k + 0.5) * FRAME_TIME for k in range(200)]
+    for time, command in zip(middles, commands, strict=True):
+        assert command.steering == pytest.approx(1.0 - math.exp(-time / lag), abs=1e-9)
+        assert command.throttle == 1.0
+
+
+def test_a_pull_turns_the_wheels_left() -> None:
+    actuation = Actuation(Conditions(tyre_pull=0.05), max_steering_angle=0.5)
+    assert actuation.reached(Command(0.0, 0.5), 1.0) == Command(-0.1, 0.5)
+
+
+def test_a_speed_limit_cuts_the_throttle_off() -> None:
+    limit = Conditions(speed_limit=5.0)
+    assert [reached(limit, 1, speed=v)[0].throttle for v in (4.0, 4.75, 5.0, 9.0)] == pytest.approx([1.0, 0.5, 0, 0])
+
+
+class Foreign:
+    """Simulator of somebody else, written before there were conditions."""
+
+    spec: SimulatorSpec = spec_of("donkey").__class__(
+        **{
+            **{name: getattr(spec_of("donkey"), name) for name in spec_of("donkey").__dataclass_fields__},
+            "name": "foreign",
+            "conditions": (),
+        }
+    )
+
+    def __init__(self) -> None:
+        self._simulator = make_simulator("donkey")
+
+    def load(self, road: Road, *, seed: int) -> Observation:
+        return self._simulator.load(road, seed=seed)
+
+    def step(self, command: Command) -> Observation:
+        return self._simulator.step(command)
+
+    def close(self) -> None:
+        self._simulator.close()
+
+
+def test_a_simulator_without_conditions_goes_on_working() -> None:
+    foreign: Any = Foreign()
+    session = Session(foreign)
+    assert session.start(STRAIGHT, 1) is not None
+    with pytest.raises(NotApplicableError, match="^foreign cannot realise friction: it realises none$"):
+        session.start(STRAIGHT, 1, Conditions(friction=0.5))
+    assert session.run is not None and session.run.outcome is Outcome.RUNNING  # no run was made of that
+    with pytest.raises(NotApplicableError):
+        load(foreign, STRAIGHT, seed=1, conditions=Conditions(friction=0.5))
+    foreign.close()
+
+
+def test_a_sent_run_is_that_of_its_conditions() -> None:
+    session, conditions = Session(make_simulator("donkey")), Conditions(steering_lag=0.2)
+    session.start(STRAIGHT, 1, conditions)
+    session.advance(Command(0.1, 0.5))
+    assert session.run is not None
+    data = encode_run(session.run)
+    assert decode_run(data, STRAIGHT, 1, conditions).conditions == conditions
+    with pytest.raises(RunCodecError, match="another road, seed or conditions"):
+        decode_run(data, STRAIGHT, 1)
