@@ -97,7 +97,7 @@ def test_as_much_of_a_line_is_bare_as_is_claimed(share: float) -> None:
         line = raster[rows, round((x - left) / size - 0.5), 0]
         assert np.mean(line < least) == pytest.approx(share, abs=0.01)
         edges = np.flatnonzero(np.diff(line < least))
-        assert len(edges) > 10 and np.diff(edges).min() * size > 2.0  # whole pieces, not specks
+        assert len(edges) > 10 and np.diff(edges).min() * size > 1.0  # pieces, not specks
 
 
 @pytest.mark.parametrize("contrast", [0.7, 0.3, 0.0])
@@ -109,8 +109,8 @@ def test_as_much_contrast_of_the_paint_is_left_as_is_claimed(contrast: float) ->
     ]
     left, size = paint_ground(STRAIGHT, look).origin[0], 0.05
     line, pavement = (round((x - left) / size - 0.5) for x in (125.0, 126.5))
-    new, worn = (r[1000:3000, line].mean(axis=0) - r[1000:3000, pavement].mean(axis=0) for r in rasters)
-    assert worn == pytest.approx(contrast * new, abs=0.01)
+    new, worn = ((r[1000:3000, line - 2 : line + 3] - r[1000:3000, [pavement]]).mean(axis=(0, 1)) for r in rasters)
+    assert worn == pytest.approx(contrast * new, abs=0.025)  # worn paint is blotchy
 
 
 @pytest.mark.parametrize("density", [0.2, 0.6])

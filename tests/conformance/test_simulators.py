@@ -9,6 +9,7 @@ import pytest
 
 from ds_driver.control.autopilot import Autopilot
 from ds_road import Road, generate
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import SIMULATORS, UnknownSimulatorError, make_simulator
 from ds_sim.simulator import Command, CommandError, DrawsRows, Observation, Outcome
 from ds_sim.testing import CHECKS, STRAIGHT, SimulatorCheckError, check_simulator, drive, run_check
@@ -34,9 +35,10 @@ class RestlessSimulator(SoftbodySimulator):
         super().__init__()
         self._loads = 0
 
-    def load(self, road: Road, *, seed: int) -> Observation:
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         self._loads += 1
-        return super().load(Road([(x + 0.01 * self._loads, y) for x, y in road.control_points]), seed=seed)
+        shifted = Road([(x + 0.01 * self._loads, y) for x, y in road.control_points])
+        return super().load(shifted, seed=seed, conditions=conditions)
 
 
 def test_broken_promises_are_named_with_what_was_found() -> None:

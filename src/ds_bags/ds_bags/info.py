@@ -60,6 +60,8 @@ def _run_in_words(facts: Mapping[str, str]) -> list[str]:
         edge = f"{margin:.2f} m inside its lane" if margin >= 0.0 else f"{-margin:.2f} m out of its lane"
         lines.append(f"At worst the vehicle was {offset:.2f} m off the lane's centre, {edge}.")
     lines.append(f"Road {facts.get('road_id', '?')}, seed {facts.get('seed', '?')}, level {facts.get('level', '?')}.")
+    if facts.get("conditions"):
+        lines.append(f"Conditions {facts['conditions']}.")
     images, steps = _number(facts, "images"), _number(facts, "steps")
     if images is not None and steps is not None and images <= steps:
         lines.append(f"Only {images:.0f} of {steps + 1:.0f} images arrived.")

@@ -29,6 +29,7 @@ from ds_bags.limits import (
     regular_file,
 )
 from ds_road import Road, RoadError, road_from_fields, road_from_json
+from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import received_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
@@ -242,7 +243,12 @@ def read_run(
     stamps: list[int] = []
     commands: dict[int, Command] = {}
     try:
-        run = RunRecord(road=_road(bag, facts), seed=_seed(facts["seed"]), message=facts.get("message", ""))
+        run = RunRecord(
+            road=_road(bag, facts),
+            seed=_seed(facts["seed"]),
+            conditions=parse_conditions(facts.get("conditions", "")),
+            message=facts.get("message", ""),
+        )
         for connection, _, raw in bag.messages([*states, *drives]):
             message = bag.message(connection, raw)
             stamp = stamp_of(message)

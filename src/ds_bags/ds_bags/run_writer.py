@@ -13,6 +13,7 @@ from ds_bags.message_factory import MessageFactory, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.telemetry import frame_times, serialise_frames
 from ds_road import road_to_json
+from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -45,6 +46,7 @@ def facts_of(simulator: str, run: RunRecord, level: Level) -> dict[str, str]:
         "road": json.dumps(road_to_json(run.road)),
         "road_id": run.road.road_id,
         "seed": str(run.seed),
+        **({} if run.conditions.is_default else {"conditions": format_conditions(run.conditions)}),
         **{f"version.{name}": version for name, version in versions().items()},
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.text import format_conditions
 from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcome
 
 MAGNIFICATION = 3
@@ -25,6 +28,8 @@ _GRASS, _ASPHALT, _WHITE, _TRAJECTORY = (92, 130, 80), (90, 90, 95), (240, 240, 
 _BACKGROUND, _TEXT, _FAINT, _GOOD, _BAD = (24, 26, 30), (235, 235, 235), (110, 115, 120), (90, 200, 120), (240, 80, 70)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
+_LINE = 46
+"""Characters of a line of conditions, which fills the panel."""
 
 
 class VideoError(ValueError):
@@ -44,7 +49,12 @@ def check_path(path: Path) -> None:
 
 
 def write_video(
-    path: Path, title: str, road: Road, observations: Iterable[Observation], commands: list[Command]
+    path: Path,
+    title: str,
+    road: Road,
+    observations: Iterable[Observation],
+    commands: list[Command],
+    conditions: Conditions = DEFAULT,
 ) -> None:
     """Write a run as a video at the speed of simulated time; the last frame is shown for one second.
 
@@ -54,6 +64,7 @@ def write_video(
         road: road that was driven.
         observations: one per frame, with images.
         commands: command k led from frame k to frame k + 1.
+        conditions: operating conditions of the run, named below the gauges.
 
     Raises:
         VideoError: the video cannot be written.
@@ -65,7 +76,7 @@ def write_video(
     if not writer.isOpened():
         raise VideoError(f"{path} cannot be written: check the folder and the disk")
     try:
-        panel = _Panel(title, road)
+        panel = _Panel(title, road, conditions)
         frame: NDArray[np.uint8] | None = None
         for step, observation in enumerate(observations):
             command = commands[step] if step < len(commands) else None
@@ -89,8 +100,11 @@ def compose(observation: Observation, panel: NDArray[np.uint8]) -> NDArray[np.ui
 class _Panel:
     """Panel beside the camera image: a map with the trajectory so far, and gauges."""
 
-    def __init__(self, title: str, road: Road) -> None:
+    def __init__(self, title: str, road: Road, conditions: Conditions) -> None:
         self._title = title
+        # A line breaks between two conditions.
+        words = format_conditions(conditions).replace(",", ", ")
+        self._conditions = textwrap.wrap(words, _LINE, max_lines=2, placeholder=" ...", break_long_words=False)
         surface = np.vstack((road.left_edge, road.right_edge))
         low, high = surface.min(axis=0) - 4.0, surface.max(axis=0) + 4.0
         self._scale = _MAP / float((high - low).max())
@@ -141,6 +155,8 @@ class _Panel:
         steering, throttle = (command.steering, command.throttle) if command else (0.0, 0.0)
         _gauge(panel, row + 66, "steering", steering, 1.0, f"{steering:+.2f}", False)
         _gauge(panel, row + 98, "throttle", throttle, 1.0, f"{throttle:.2f}", False)
+        for line, text in enumerate(self._conditions):
+            _write(panel, text, (left, row + 122 + 15 * line), size=0.36)
         return panel
 
     def _pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -159,5 +175,7 @@ def _gauge(panel: NDArray[np.uint8], row: int, name: str, value: float, limit: f
     _write(panel, text, (222, row + 5))
 
 
-def _write(panel: NDArray[np.uint8], text: str, at: tuple[int, int], ink: tuple[int, int, int] = _TEXT) -> None:
-    cv2.putText(panel, text, at, _FONT, 0.45, ink, 1, cv2.LINE_AA)
+def _write(
+    panel: NDArray[np.uint8], text: str, at: tuple[int, int], ink: tuple[int, int, int] = _TEXT, *, size: float = 0.45
+) -> None:
+    cv2.putText(panel, text, at, _FONT, size, ink, 1, cv2.LINE_AA)

@@ -10,6 +10,7 @@ from ds_driver.control.autopilot import Autopilot
 from ds_driver.networks.pilot import DriverError
 from ds_driver.process_pool import map_in_processes
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
@@ -27,12 +28,14 @@ class Drive:
         driver: `autopilot`, or any name accepted by `ds_driver.networks.network_driver.NetworkDriver`.
         road: road to drive.
         seed: seed of the run.
+        conditions: operating conditions of the run.
     """
 
     simulator: str
     driver: str
     road: Road
     seed: int
+    conditions: Conditions = DEFAULT
 
 
 def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
@@ -55,10 +58,16 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
     return lambda frame: network.command(frame.image, frame.vehicle.speed, crop, frame.step)
 
 
-def drive_road(simulator: Simulator, driver: Driver, road: Road, seed: int) -> RunRecord:
-    """Drive a road until the run ends; failures of simulator or driver end the run as an error."""
+def drive_road(
+    simulator: Simulator, driver: Driver, road: Road, seed: int, conditions: Conditions = DEFAULT
+) -> RunRecord:
+    """Drive a road until the run ends; failures of simulator or driver end the run as an error.
+
+    Raises:
+        ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no run then.
+    """
     session = Session(simulator)
-    observation = session.start(road, seed)
+    observation = session.start(road, seed, conditions)
     while session.driving and observation is not None:
         try:
             command = driver(observation)
@@ -94,4 +103,4 @@ def run_drive(drive: Drive) -> RunRecord:
     # The autopilot keeps its previous error, so every drive gets a new one.
     is_autopilot = drive.driver == AUTOPILOT
     driver = make_driver(AUTOPILOT, simulator.spec) if is_autopilot else _network(drive.driver, drive.simulator)
-    return drive_road(simulator, driver, drive.road, drive.seed)
+    return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions)

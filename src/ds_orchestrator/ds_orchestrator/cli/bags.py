@@ -108,7 +108,8 @@ def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, tr
         driver = Path(bag.facts.get("driver") or "recorded commands").name
     say(f"rendering {video}")
     run = recorded.run
-    write_video(video, f"{simulator}, {driver}", run.road, resimulate(simulator, run), run.commands)
+    frames = resimulate(simulator, run)
+    write_video(video, f"{simulator}, {driver}", run.road, frames, run.commands, run.conditions)
 
 
 def bag_pack(campaign: Path, out: Path, by: By) -> Result:

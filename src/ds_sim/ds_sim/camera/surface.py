@@ -200,9 +200,9 @@ class Surface:
         slant = rng.uniform(-MAX_SLANT, MAX_SLANT)
         offsets = np.arange(-half_width - SHADOW_REACH, half_width + SHADOW_REACH + 0.5, 0.5)
         wobble_rng, cell_rng = rng.spawn(2)
-        waves = wobble_rng.normal(0.0, 1.0, (64, len(offsets)))
-        waves = np.asarray(cv2.GaussianBlur(waves, (0, 0), sigmaX=1.5, sigmaY=0.01))
-        waves *= _WOBBLE / waves.std()
+        noise = wobble_rng.normal(0.0, 1.0, (64, len(offsets)))
+        smooth = np.asarray(cv2.GaussianBlur(noise, (0, 0), sigmaX=1.5, sigmaY=0.01), np.float64)
+        waves = smooth * (_WOBBLE / smooth.std())
         for index, (start, end) in enumerate(pieces(cell_rng, line.regions, SHADOW_LENGTH, c.shadow_density)):
             # Both sides share the unevenness, so that the shadow has the same length everywhere.
             shift = slant * offsets + waves[index % len(waves)]
@@ -250,7 +250,7 @@ def _drawn(
     """
     for box in boxes:
         covered = box.of(mask)
-        columns = covered.any(axis=0).nonzero()[0]
+        columns = np.flatnonzero(covered.max(axis=0))
         if not len(columns):
             continue
         box = Box(box.top, box.left + int(columns[0]), box.bottom, box.left + int(columns[-1]) + 1)

@@ -74,8 +74,8 @@ class Conditions:
 
     line_contrast: float = _of(
         1.0, "", 0.0, 1.0, "low", "lane markings",
-        "luminance contrast of the paint against the pavement that is left, over that of new paint; EN 1436 ranks markings "
-        "by luminance coefficient Qd: Q2, 100 mcd/m2/lx, is 0.26 here on asphalt of reflectance 0.12, Q1 is 0.17",
+        "luminance contrast of the paint against the pavement that is left, over that of new paint; EN 1436 ranks "
+        "markings by luminance coefficient Qd: Q2, 100 mcd/m2/lx, is 0.26 here on asphalt of reflectance 0.12",
     )  # fmt: skip
     line_cover: float = _of(
         0.0, "", 0.0, 1.0, "high", "lane markings",
@@ -153,13 +153,13 @@ class Conditions:
         "time constant of a first-order lag of the steering; chosen: from a steering robot to a slack, heavy steering",
     )  # fmt: skip
     command_delay: float = _of(
-        0.0, "s", 0.0, 1.0, "high", "vehicle", 
+        0.0, "s", 0.0, 1.0, "high", "vehicle",
         "dead time from a command to the vehicle; chosen: up to what makes driving over mobile networks impossible",
     )  # fmt: skip
     friction: float = _of(
         1.0, "", 0.1, 1.0, "low", "road surface",
-        "factor on the tyres' grip on this simulator's dry road; of 0.85 dry, wet asphalt has 0.6 to 0.8, hard snow 0.24, "
-        "ice 0.12 (Wong, table 1.3)",
+        "factor on the tyres' grip on this simulator's dry road; wet asphalt has 0.6 to 0.8 of it, hard snow "
+        "0.24, ice 0.12 (Wong, table 1.3)",
     )  # fmt: skip
     payload: float = _of(
         0.0, "", 0.0, 0.5, "high", "vehicle",
@@ -167,8 +167,8 @@ class Conditions:
     )  # fmt: skip
     tyre_pull: float = _of(
         0.0, "rad", -0.05, 0.05, "both", "vehicle",
-        "angle of the front wheels that has the same effect as a pull to one side, left positive; chosen: from worn tyres "
-        "to a bent track rod",
+        "angle of the front wheels that has the same effect as a pull to one side, left positive; chosen: from worn "
+        "tyres to a bent track rod",
     )  # fmt: skip
     speed_limit: float | None = _of(
         None, "m/s", 3.0, 30.0 / 3.6, "", "vehicle",
@@ -210,8 +210,8 @@ FIELDS.update((f.name, Condition(f.name, **f.metadata)) for f in fields(Conditio
 
 @cache
 def _default(name: str) -> float | None:
-    default: float | None = next(f.default for f in fields(Conditions) if f.name == name)
-    return default
+    default: Any = next(f.default for f in fields(Conditions) if f.name == name)
+    return None if default is None else float(default)
 
 
 DEFAULT = Conditions()
