@@ -32,8 +32,8 @@ MAX_SLANT = 0.8
 """Largest shift of a shadow along the road per distance across it; chosen: nearly 40 degrees."""
 _WOBBLE = 0.3
 """Unevenness of a shadow's sides, m; chosen."""
-PENUMBRA = 2.0
-"""Standard deviation of a shadow's edge, pixels of the ground: the sun's disc of half a degree 10 m away, 0.1 m."""
+PENUMBRA = 1.0
+"""Standard deviation of a shadow's edge, px of the ground: the sun's disc of half a degree, 10 m away, is two wide."""
 PATCH_LENGTH = 3.0
 """Length of a repair patch, m; chosen: half a lane wide, as milling machines leave them."""
 NEW_ASPHALT = 0.05
@@ -209,10 +209,9 @@ class Surface:
             near, far = line.points(start + shift, offsets), line.points(end + shift, offsets)
             cv2.fillPoly(mask, [np.concatenate((near, far[::-1]))], 255, lineType=cv2.LINE_AA, shift=_SHIFT)
         for box in boxes:
-            part = box.of(mask)
-            if part.any():
-                # Blurred within a tile only: its border shows no seam, as a shadow crosses it unchanged nearly always.
-                part[:] = cv2.GaussianBlur(part, (0, 0), PENUMBRA / 2.0, borderType=cv2.BORDER_REPLICATE)
+            edges = box.of(mask)
+            if edges.any():
+                edges[:] = cv2.GaussianBlur(edges, (0, 0), PENUMBRA, borderType=cv2.BORDER_REPLICATE)
         for part, alpha, _ in _drawn(raster, mask, boxes):
             part *= 1.0 - alpha * np.float32(c.shadow_depth)
 
