@@ -91,7 +91,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.sim:
         image = sheet(name, arguments.only)
-        cv2.imwrite(str(arguments.out / f"conditions_{name}.jpg"), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+        cv2.imwrite(str(arguments.out / f"conditions_{name}.jpg"), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 70])
 
 
 if __name__ == "__main__":

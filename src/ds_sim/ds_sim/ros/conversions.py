@@ -209,7 +209,8 @@ def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> G
     response.max_steering_angle = spec.max_steering_angle
     for gain, value in asdict(spec.autopilot).items():
         setattr(response, f"autopilot_{gain}", value)
-    response.parameters = [f"{key}={value}" for key, value in spec.extra.items()]
+    extra = spec.extra | {"conditions": ",".join(spec.conditions)}
+    response.parameters = [f"{key}={value}" for key, value in extra.items()]
     return response
 
 
