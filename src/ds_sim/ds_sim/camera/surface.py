@@ -38,8 +38,12 @@ PATCH_LENGTH = 3.0
 """Length of a repair patch, m; chosen: half a lane wide, as milling machines leave them."""
 NEW_ASPHALT = 0.05
 """Reflectance of new asphalt (American Concrete Pavement Association); patches have at most 0.6 of the road's."""
+GROUP = 6
+"""Pieces in a row of which a share is covered as of all; chosen: shadows then change within 12 m, the view ahead."""
 _GRAIN_BLUR = 1.2
 """Standard deviation of the filter on the noise that makes worn paint blotchy, px of the ground; chosen: 6 cm."""
+_CAP = 0.75
+"""Length beyond half its thickness by which OpenCV's anti-aliased line extends at either end, px, as measured."""
 _SHIFT = 6
 _Points = NDArray[np.float64]
 
@@ -63,7 +67,7 @@ def pieces(
         count = max(1, round((end - start) / length))
         size = (end - start) / count
         wanted = share * count
-        for rank, cell in enumerate(rng.permutation(count).tolist()):
+        for rank, cell in enumerate(_spread(rng, count)):
             part = min(max(wanted - rank, 0.0), 1.0)
             if part > 0.0:
                 found.append((start + cell * size, start + (cell + part) * size))
@@ -74,6 +78,13 @@ def pieces(
         else:
             joined.append((start, end))
     return joined
+
+
+def _spread(rng: np.random.Generator, count: int) -> list[int]:
+    """Random order of some cells in which every neighbourhood takes its turn, so that a share is spread out."""
+    groups = [rng.permutation(range(first, min(first + GROUP, count))).tolist() for first in range(0, count, GROUP)]
+    turns = rng.permutation(len(groups)).tolist()
+    return [groups[turn][place] for place in range(GROUP) for turn in turns if place < len(groups[turn])]
 
 
 def gaps(covered: list[tuple[float, float]], start: float, end: float) -> Iterator[tuple[float, float]]:
@@ -125,7 +136,10 @@ class Surface:
         if self._conditions.pavement_reflectance is None:
             return asphalt
         changed = asphalt.copy()
-        changed[:, :, :3] = encode(decode(asphalt[:, :, :3]) * np.float32(self._brighter))
+        own = light_of(self._look.asphalt)
+        # Concrete is smoother than asphalt: the brighter, the less grain.
+        grain = (decode(asphalt[:, :, :3]) / own) ** np.float32(1.0 / (1.0 + max(math.log2(self._brighter), 0.0)))
+        changed[:, :, :3] = encode(grain * own * np.float32(self._brighter))
         return changed
 
     def draw(
@@ -178,7 +192,7 @@ class Surface:
             (inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line),
         )  # fmt: skip
         for offset, colour in lines:
-            cap = look.line_width / 2.0  # OpenCV draws round ends
+            cap = (thickness / 2.0 + _CAP) * self._resolution
             for start, end in gaps(pieces(rng, line.regions, c.line_cover_length, c.line_cover), 0.0, line.length):
                 low = start + cap if start > 0.0 else start
                 high = end - cap if end < line.length else end
