@@ -1,0 +1,53 @@
+"""A bag keeps the conditions of its run: it re-simulates under them, bit for bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ds_bags.layout import BagError
+from ds_bags.reader import BagReader, read_run
+from ds_bags.run_writer import facts_of, write_bag
+from ds_road import Road
+from ds_sim.conditions.model import Conditions
+from ds_sim.registry import make_simulator
+from ds_sim.resimulation import ResimulationError, resimulate
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import Command
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
+CONDITIONS = Conditions(steering_lag=0.2, friction=1 / 3, visibility=80.0)
+
+
+def driven(conditions: Conditions) -> RunRecord:
+    simulator = make_simulator("donkey")
+    session = Session(simulator)
+    session.start(STRAIGHT, 3, conditions)
+    for _ in range(10):
+        session.advance(Command(0.3, 0.8))
+    simulator.close()
+    assert session.run is not None
+    return session.run
+
+
+def test_a_bag_keeps_the_conditions_of_its_run(tmp_path: Path) -> None:
+    run = driven(CONDITIONS)
+    write_bag(tmp_path / "bag", "/ds1", "donkey", run, {"driver": "constant"}, "compressed")
+    with BagReader(tmp_path / "bag") as bag:
+        found = read_run(bag)
+    assert found.run.conditions == CONDITIONS
+    assert len(list(resimulate("donkey", found.run))) == len(run.observations)
+    found.run.conditions = Conditions()
+    with pytest.raises(ResimulationError):
+        list(resimulate("donkey", found.run))
+
+
+def test_default_conditions_leave_no_trace_in_a_bag() -> None:
+    assert "conditions" not in facts_of("donkey", driven(Conditions()), "telemetry")
+
+
+def test_damaged_conditions_get_one_line(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", "/ds1", "donkey", driven(CONDITIONS), {"conditions": "fog=1"}, "telemetry")
+    with BagReader(tmp_path / "bag") as bag, pytest.raises(BagError, match="unknown condition 'fog'"):
+        read_run(bag)
