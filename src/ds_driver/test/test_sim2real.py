@@ -13,8 +13,13 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from ds_bags.layout import Level
+from ds_bags.run_writer import write_bag
+from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.crops import crops_of
 from ds_driver.data.dataset import decode, drive_path, read_samples, write_drive
+from ds_driver.data.recordings import Reading, open_recording
+from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.sim2real import photographs
 from ds_driver.sim2real.evaluation.checkpoints import HeldOut, assess_checkpoints, flicker, ship
@@ -38,8 +43,8 @@ from ds_driver.sim2real.window import Sim2RealError, Window, prepare
 from ds_road import generate
 from ds_sim.camera.jpeg import encode
 from ds_sim.camera.painted_scene import PaintedScene
-from ds_sim.registry import spec_of
-from ds_sim.simulator import VehicleState
+from ds_sim.registry import make_simulator, spec_of
+from ds_sim.simulator import Command, Observation, VehicleState
 
 TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
 SETTINGS = Sim2RealSettings(
@@ -316,6 +321,45 @@ def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Pa
         translate(data, tmp_path / "x", donkey, lambda i, n, line: None)
     with pytest.raises(Sim2RealError, match="camera images of simulators"):
         translator.translate(np.zeros((120, 160, 3), np.uint8))
+
+
+def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
+    simulator = make_simulator("bullet")
+    driver = make_driver("autopilot", simulator.spec)
+    seen = []
+
+    def record(observation: Observation) -> Command:
+        seen.append(observation)
+        if len(seen) == 3:
+            raise DriverError("enough")
+        return driver(observation)
+
+    run = drive_road(simulator, record, generate(np.random.default_rng(5)), 1)
+    levels: tuple[Level, ...] = ("raw", "compressed")
+    for level in levels:
+        write_bag(tmp_path / level, "/ds1", "bullet", run, {}, level, seen)
+    translator = Translator(tiny_generator(tmp_path / "g.safetensors"))
+    for level in ("raw", "compressed"):
+        out = tmp_path / f"{level}_real"
+        before = list(open_recording(tmp_path / level, Reading()).frames())
+        assert translate(tmp_path / level, out, translator, lambda i, n, line: None) == len(before)
+        recording = open_recording(out, Reading())
+        after = list(recording.frames())
+        assert recording.crop == Crop() and [f.steering for f in after] == [f.steering for f in before]
+        for frame, plain in zip(after, before, strict=True):
+            assert frame.image is not None and plain.image is not None
+            expected = translator.translate(plain.image)
+            if level == "compressed":
+                expected = decode(encode(expected))
+            assert np.array_equal(frame.image, expected)
+        translate(tmp_path / level, tmp_path / level / "again" / out.name, translator, lambda i, n, line: None)
+        copies = [file.read_bytes() for file in sorted(tmp_path.rglob(f"{level}_real.mcap"))]
+        assert len(copies) == 2 and copies[0] == copies[1]
+        with pytest.raises(Sim2RealError, match="translated already"):
+            translate(out, tmp_path / "x", translator, lambda i, n, line: None)
+    donkey = Translator(tiny_generator(tmp_path / "donkey.safetensors", simulator="donkey"))
+    with pytest.raises(Sim2RealError, match="translates images of donkey, these are of bullet"):
+        translate(tmp_path / "raw", tmp_path / "x", donkey, lambda i, n, line: None)
 
 
 def test_generators_that_are_damaged_or_of_another_simulator_are_refused(tmp_path: Path) -> None:

@@ -29,6 +29,8 @@ MAX_IMAGE_FILE = 64 * 2**20
 """Largest image file of a tub, bytes."""
 _PROJECT_BAG = "bag of ours"
 """Kind of a bag of this project; existing data sets store this text."""
+TRANSLATED = "sim2real"
+"""Fact of a bag whose images were translated, and with that cropped already: the digest of the generator."""
 Truth = Literal["recorded", "autopilot"]
 
 
@@ -121,7 +123,7 @@ def open_recording(path: Path, reading: Reading) -> Recording:
             return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
         name = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
         spec = spec_of(name)
-        crop = Crop(spec.crop_top, spec.crop_bottom)
+        crop = Crop() if TRANSLATED in bag.facts else Crop(spec.crop_top, spec.crop_bottom)
         return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=crop, reading=reading)
 
 

@@ -1,41 +1,49 @@
-"""Translates data sets and tubs: the same format out, resumable, byte-deterministic."""
+"""Translates data sets, bags and tubs: the same format out, resumable, byte-deterministic."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
+from ds_bags.message_rewriter import rewrite_bag
+from ds_bags.reader import BagReader
+from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.data.dataset import IMPORTED, decode, keep_import, read_drive, write_drive
-from ds_driver.data.pixels import rgb_of_file
-from ds_driver.data.recordings import MAX_IMAGE_FILE
+from ds_driver.data.pixels import rgb_of, rgb_of_file
+from ds_driver.data.recordings import MAX_IMAGE_FILE, TRANSLATED
 from ds_driver.networks.preprocessing import ImageError
 from ds_driver.sim2real.files import write_whole
+from ds_driver.sim2real.generator_file import check_fits
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.jpeg import encode
 
 Progress = Callable[[int, int, str], None]
-MARK = "sim2real"
-"""Key of the generator in `imported.json`, and stem of the file that marks a translated tub."""
+MARK = TRANSLATED
+"""Key of the generator in `imported.json` and in a bag's facts, and stem of the file that marks a translated tub."""
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 
 def translate(source: Path, out: Path, translator: Translator, progress: Progress) -> int:
-    """Translate a data set or a tub of simulated drives; what is there already is kept, so a stopped one continues.
+    """Translate a data set, bag or tub of simulated drives; what is there already is kept, so a stopped one continues.
 
     Args:
-        source: data set of `ds collect`, or tub.
+        source: data set of `ds collect`, bag of this project, or tub.
         out: folder to write, new or one that the same generator wrote.
         translator: translates.
         progress: called after each drive, or each hundred images of a tub.
 
     Returns:
-        Number of translated drives, or of images of a tub.
+        Number of translated drives, or of images of a bag or tub.
 
     Raises:
         Sim2RealError: there is nothing to translate, or `out` holds translations by another generator.
@@ -44,6 +52,8 @@ def translate(source: Path, out: Path, translator: Translator, progress: Progres
     """
     if source.resolve() == out.resolve():
         raise Sim2RealError(f"{out} is the folder to read from: choose another --out")
+    if (source / "metadata.yaml").exists():
+        return _bag(source, out, translator, progress)
     return (_tub if is_tub(source) else _data_set)(source, out, translator, progress)
 
 
@@ -71,6 +81,54 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
             write_drive(target, rows)
         progress(done, len(files), f"{simulator}: {file.stem}")
     return len(files)
+
+
+def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:
+    """Translate the images of a bag; its camera information, which is that of the whole image, is left out."""
+    with BagReader(folder) as bag:
+        simulator = bag.facts.get("simulator", "")
+        total = sum(c.msgcount for c in bag.connections if c.msgtype in (IMAGE, COMPRESSED))
+        done_before = bag.facts.get(MARK)
+    if not simulator or not total:
+        raise Sim2RealError(f"{folder} is no bag of this project with images: record with --level compressed or raw")
+    if done_before is not None:
+        raise Sim2RealError(f"{folder} is translated already: give the bag that was recorded")
+    check_fits(translator.generator, simulator)
+    if out.exists():
+        with BagReader(out) as bag:
+            found = bag.facts.get(MARK)
+        if found != translator.generator.sha256:
+            raise Sim2RealError(f"{out} is no translation by this generator: choose another --out")
+        return total
+    done = 0
+
+    def translated(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        nonlocal done
+        done += 1
+        if done % 100 == 0 or done == total:
+            progress(done, total, f"{folder.name}: images")
+        return translator.translate(pixels)
+
+    def image(message: Any) -> Any:
+        data = np.frombuffer(message.data, np.uint8)
+        shape = {"height": message.height, "width": message.width, "step": message.step}
+        pixels = translated(rgb_of(data, encoding=message.encoding, **shape))
+        rows, columns = pixels.shape[:2]
+        changes = {
+            "height": rows,
+            "width": columns,
+            "step": 3 * columns,
+            "encoding": "rgb8",
+            "data": pixels.reshape(-1),
+        }
+        return replace(message, **changes)
+
+    def compressed(message: Any) -> Any:
+        pixels = translated(rgb_of_file(np.frombuffer(message.data, np.uint8).tobytes()))
+        return replace(message, format="jpeg", data=np.frombuffer(encode(pixels), np.uint8))
+
+    facts = {MARK: translator.generator.sha256}
+    return rewrite_bag(folder, out, {IMAGE: image, COMPRESSED: compressed}, facts, without=[CAMERA_INFO])
 
 
 def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:

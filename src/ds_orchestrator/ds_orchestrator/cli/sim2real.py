@@ -72,7 +72,7 @@ def show(generator: Path, source: Path, out: Path, count: int) -> Result:
 
 
 def translate(source: Path, out: Path, generator: Path, backend: str) -> Result:
-    """Translate a data set or a tub."""
+    """Translate a data set, bag or tub."""
     from ds_driver.sim2real.generator_file import load_generator
     from ds_driver.sim2real.translation import translate as translate_all
     from ds_driver.sim2real.translator import Translator
@@ -181,11 +181,11 @@ def assess_command(
 
 @sim2real_app.command("translate")
 def translate_command(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set of simulated drives, or a tub.")],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set of simulated drives, bag, or tub.")],
     out: Annotated[Path, typer.Option(help="Folder to write; a translation that was stopped there is resumed.")],
     generator: Annotated[Path, typer.Option(help="Generator, a .safetensors file.")],
     backend: Annotated[str, typer.Option(help="onnx, openvino or openvino-bf16.")] = "onnx",
     as_json: JsonFlag = False,
 ) -> None:
-    """Translate the images of a data set or a tub; the same format out."""
+    """Translate the images of a data set, bag or tub; the same format out."""
     answer(translate(source, out, generator, backend), as_json)
