@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_orchestrator.campaign import runner
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.cli import application, evaluations, main
 from ds_orchestrator.cli.options import SHIPPED_SIMULATORS
@@ -25,7 +27,8 @@ from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road, generate, read_roads, write_roads
-from ds_sim.registry import SIMULATORS
+from ds_sim.conditions.text import parse_conditions
+from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.simulator import Outcome
 
 DS = [sys.executable, "-m", "ds_orchestrator.cli.main"]
@@ -267,6 +270,10 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ),
         ("road 0 is not valid", ("siblings", "compare", "--file", crossing, "--driver", "autopilot")),
         ("--lane", ("drive", "--sim", "donkey", "--lane", "middle")),
+        ("unknown condition 'fog'", ("drive", "--sim", "donkey", "--conditions", "fog=1")),
+        ("expected 20 or more m", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
+        ("panda cannot realise", ("drive", "--sim", "panda", "--driver", "autopilot", "--conditions", "visibility=60")),
+        ("--attach", ("drive", "--sim", "donkey", "--driver", "autopilot", "--attach", "--conditions", "friction=0.5")),
     )
     for named, arguments in cases:
         done = ds(*arguments)
@@ -274,6 +281,21 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         assert done.stdout == "", named
         lines = done.stderr.strip().splitlines()
         assert len(lines) == 1 and (named == "FILE" or named in lines[0]), (named, lines)
+
+
+@pytest.mark.graph
+def test_a_drive_under_conditions_is_that_of_the_library(tmp_path: Path) -> None:
+    points, text = [[125, 40], [125, 65], [128, 90], [131, 115], [131, 140]], "steering_lag=0.3,tyre_pull=0.01"
+    road = tmp_path / "road.json"
+    road.write_text(json.dumps(points))
+    common = ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", road, "--seed", 5, "--json")
+    document = json.loads(in_process(*common, "--conditions", text).stdout)
+    assert document["conditions"] == {"steering_lag": 0.3, "tyre_pull": 0.01}
+    simulator = make_simulator("donkey")
+    driver = make_driver("autopilot", simulator.spec)
+    run = drive_road(simulator, driver, read_roads(road)[0], 5, parse_conditions(text))
+    simulator.close()
+    assert document["trajectory_sha256"] == runner.trajectory_sha256(run)
 
 
 @pytest.mark.graph

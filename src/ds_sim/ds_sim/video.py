@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.conditions.text import format_conditions
 from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcome
 
 MAGNIFICATION = 3
@@ -102,8 +101,7 @@ class _Panel:
 
     def __init__(self, title: str, road: Road, conditions: Conditions) -> None:
         self._title = title
-        # A line breaks between two conditions.
-        words = format_conditions(conditions).replace(",", ", ")
+        words = ", ".join(f"{name}={value:.3g}" for name, value in conditions.changed.items())
         self._conditions = textwrap.wrap(words, _LINE, max_lines=2, placeholder=" ...", break_long_words=False)
         surface = np.vstack((road.left_edge, road.right_edge))
         low, high = surface.min(axis=0) - 4.0, surface.max(axis=0) + 4.0

@@ -53,6 +53,9 @@ def drive_command(
     ] = None,
     max_angle: MaxAngle = 270,
     lane: Lane = None,
+    conditions: Annotated[
+        str, typer.Option(help="Operating conditions, such as line_contrast=0.4,visibility=40; docs/conditions.md.")
+    ] = "",
     bag: Annotated[Path | None, typer.Option(help="Folder of a rosbag2 to write.")] = None,
     level: Annotated[Level, typer.Option(help="What the bag holds.")] = "telemetry",
     video: Annotated[Path | None, typer.Option(help="Video of the drive to write, .mp4.")] = None,
@@ -70,10 +73,12 @@ def drive_command(
     (with --fail-on failure: or the driver failed), 2 bad input.
     """
     from ds_orchestrator.cli.roads import one_road
+    from ds_sim.conditions.text import parse_conditions
 
     chosen = seed if seed is not None else seed_of(road)
     request = DriveRequest(
         sim=sim, driver=driver_named(driver, backend, device), road=one_road(road, chosen, max_angle, lane),
         seed=chosen, bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace, fail_on=fail_on,
+        conditions=parse_conditions(conditions),
     )  # fmt: skip
     end(drive(request), as_json)

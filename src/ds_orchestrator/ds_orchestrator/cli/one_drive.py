@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ds_bags.layout import Level
 from ds_orchestrator.cli.output import Interrupted, Result, duration, say
+from ds_sim.conditions.model import DEFAULT, Conditions
 
 if TYPE_CHECKING:
     from ds_bags.ros.image_recorder import ImageRecorder
@@ -37,6 +38,7 @@ class DriveRequest:
         driver: driver name, with its backend.
         road: to drive.
         seed: of the run.
+        conditions: operating conditions of the run.
         bag: rosbag2 folder to write, or None.
         level: what the bag holds.
         video: .mp4 to write, or None.
@@ -57,6 +59,7 @@ class DriveRequest:
     wait: float
     namespace: str
     fail_on: FailOn
+    conditions: Conditions = DEFAULT
 
 
 def drive(request: DriveRequest) -> Result:
@@ -70,6 +73,7 @@ def drive(request: DriveRequest) -> Result:
         Interrupted: the user stopped it; nothing is written.
     """
     from ds_orchestrator.campaign.runner import trajectory_sha256
+    from ds_sim.conditions.text import to_json
     from ds_sim.resimulation import resimulate
     from ds_sim.video import write_video
 
@@ -84,7 +88,9 @@ def drive(request: DriveRequest) -> Result:
         if request.video is not None:
             say(f"rendering {request.video}")
             # The images went to the driver alone; the same commands show them again.
-            write_video(request.video, f"{sim}, {Path(whose).name}", road, resimulate(sim, run), run.commands)
+            write_video(
+                request.video, f"{sim}, {Path(whose).name}", road, resimulate(sim, run), run.commands, run.conditions
+            )
     except KeyboardInterrupt:
         if request.bag is not None and request.bag.exists():
             raise Interrupted(f"the bag is in {request.bag}") from None
@@ -95,6 +101,7 @@ def drive(request: DriveRequest) -> Result:
         "driver": whose,
         "road_id": road.road_id,
         "seed": request.seed,
+        "conditions": to_json(run.conditions),
         "outcome": run.outcome.name,
         "message": run.message,
         "fitness": run.fitness if run.observations else None,
@@ -140,10 +147,18 @@ def _check(request: DriveRequest) -> None:
     import ds_road
     from ds_bags.layout import BagError
     from ds_orchestrator.graph.process_specs import check_driver
+    from ds_sim.conditions.loading import check_applicable
+    from ds_sim.conditions.model import ConditionsError
     from ds_sim.registry import make_simulator
     from ds_sim.video import check_path
 
-    make_simulator(request.sim).close()
+    simulator = make_simulator(request.sim)
+    try:
+        check_applicable(request.conditions, simulator.spec)
+    finally:
+        simulator.close()
+    if request.attach and not request.conditions.is_default:
+        raise ConditionsError("--conditions and --attach: give the running simulator's node its parameter conditions")
     if not request.attach:
         check_driver(request.driver)
     road = request.road
@@ -169,7 +184,7 @@ def _run(request: DriveRequest) -> tuple[RunRecord, bool]:
         tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
         running_graph(
             {sim: namespace}, request.driver, command_timeout=COMMAND_TIMEOUT, logs=Path(logs), attach=request.attach,
-            wait=request.wait if request.attach else START_WAIT, report=say,
+            wait=request.wait if request.attach else START_WAIT, report=say, conditions=request.conditions,
         ) as executor,
         _recorder(executor, request) as recorder,
         DriveProgress(f"{sim} drives") as progress,
@@ -206,7 +221,7 @@ def _recorder(executor: GraphExecutor, request: DriveRequest) -> Iterator[ImageR
 
     folder = image_spool_path(bag)
     shutil.rmtree(folder.parent, ignore_errors=True)
-    facts = facts_of(sim, RunRecord(road=request.road, seed=request.seed), request.level)
+    facts = facts_of(sim, RunRecord(road=request.road, seed=request.seed, conditions=request.conditions), request.level)
     with ImageRecorder(folder, request.namespace, facts, executor.context) as recorder:
         if not recorder.wait_for_camera():
             raise GraphError(f"{request.namespace} publishes no camera/image_raw to record: choose --level telemetry")

@@ -24,6 +24,7 @@ from std_srvs.srv import Trigger
 from ds_orchestrator.graph.process_specs import DRIVER_PROCESS, closed_loop_process_name, simulator_process_name
 from ds_orchestrator.graph.supervisor import Supervisor
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
@@ -73,7 +74,9 @@ class GraphExecutor:
         command_timeout: float,
         supervisor: Supervisor | None = None,
         report: Callable[[str], None] = lambda _line: None,
+        conditions: Conditions = DEFAULT,
     ) -> None:
+        self._conditions = conditions
         self._namespaces = dict(namespaces)
         self._timeout = command_timeout
         self._supervisor = supervisor
@@ -162,7 +165,7 @@ class GraphExecutor:
         """
         self._simulators[simulator].watch = watch
         while True:
-            record = RunRecord(road=road, seed=seed)
+            record = RunRecord(road=road, seed=seed, conditions=self._conditions)
             self._revive()
             began = time.monotonic()
             record.outcome, record.message = self._execute(simulator, record)

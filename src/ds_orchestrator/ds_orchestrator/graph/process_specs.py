@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_orchestrator.graph.supervisor import ProcessSpec
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.text import format_conditions
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
@@ -30,7 +32,12 @@ def closed_loop_process_name(namespace: str) -> str:
 
 
 def closed_loop_processes(
-    driver: str, namespaces: dict[str, str], command_timeout: float, *, draw: str = "all"
+    driver: str,
+    namespaces: dict[str, str],
+    command_timeout: float,
+    *,
+    draw: str = "all",
+    conditions: Conditions = DEFAULT,
 ) -> list[ProcessSpec]:
     """Specify one process per simulator, with a driver's node beside the simulator's.
 
@@ -39,6 +46,7 @@ def closed_loop_processes(
         namespaces: simulator name -> namespace.
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         draw: `all`, or `seen` for the rows of the images that the driver sees.
+        conditions: operating conditions of all runs.
     """
     return [
         ProcessSpec(
@@ -47,20 +55,27 @@ def closed_loop_processes(
             arguments=("autopilot",) if driver == AUTOPILOT else ("driver",),
             namespace=namespace,
             parameters={"simulator": name, "command_timeout": command_timeout, "draw": draw}
+            | _conditions_parameter(conditions)
             | ({} if driver == AUTOPILOT else {"network": driver}),
         )
         for name, namespace in namespaces.items()
     ]
 
 
-def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
+def _conditions_parameter(conditions: Conditions) -> dict[str, object]:
+    return {} if conditions.is_default else {"conditions": format_conditions(conditions)}
+
+
+def simulator_processes(
+    namespaces: dict[str, str], command_timeout: float, conditions: Conditions = DEFAULT
+) -> list[ProcessSpec]:
     """Specify one process per simulator."""
     return [
         ProcessSpec(
             name=simulator_process_name(namespace),
             module="ds_sim.ros.simulator_node",
             namespace=namespace,
-            parameters={"simulator": name, "command_timeout": command_timeout},
+            parameters={"simulator": name, "command_timeout": command_timeout} | _conditions_parameter(conditions),
         )
         for name, namespace in namespaces.items()
     ]

@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ds_road import Road
+from ds_sim.conditions.loading import check_applicable
 from ds_sim.registry import make_simulator
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.command_monitor import CommandMonitor
@@ -44,7 +45,8 @@ class SimulatorNode(Node):
         super().__init__("simulator")
         parameters = declare_parameters(self, simulator)
         self._sync, self._timeout = parameters.sync, parameters.command_timeout
-        self._session = Session(make_simulator(parameters.simulator))
+        self._session, self._conditions = Session(make_simulator(parameters.simulator)), parameters.conditions
+        check_applicable(self._conditions, self._session.simulator.spec)
         self._frames = FramePublisher(self, self._session.simulator.spec, clock=parameters.publish_clock)
         self.drawn = DrawnRows(self._session.simulator, self._frames)
         self._neighbours, self._loaded = Neighbours(self), LoadedRoad()
@@ -113,7 +115,7 @@ class SimulatorNode(Node):
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
         self.drawn.choose()
-        first = self._session.start(self._loaded.road, self._loaded.seed)  # takes no time from the driver's answer
+        first = self._session.start(self._loaded.road, self._loaded.seed, self._conditions)  # costs the driver no time
         limit = request.command_timeout or self._timeout
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
         self._monitor = CommandMonitor()

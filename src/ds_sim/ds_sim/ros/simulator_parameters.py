@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from rclpy.node import Node
 
+from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.text import parse_conditions
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.refusal import RequestRefused
 from ds_sim.simulator import Reason
@@ -25,12 +27,14 @@ class SimulatorParameters:
         sync: one of `SYNC_MODES`; a goal may override it.
         command_timeout: longest wait for a command by the wall clock, s; a goal may override it.
         publish_clock: publish simulated time on /clock.
+        conditions: operating conditions of all runs.
     """
 
     simulator: str
     sync: str
     command_timeout: float
     publish_clock: bool
+    conditions: Conditions
 
 
 def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
@@ -51,6 +55,9 @@ def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
         ),
         publish_clock=declare(
             node, "publish_clock", False, "Publish simulated time on /clock; one simulator of a graph may."
+        ),
+        conditions=parse_conditions(
+            declare(node, "conditions", "", "Operating conditions of all runs, such as visibility=40,friction=0.6.")
         ),
     )
 
