@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,15 @@ LEAST_ROWS = 6
 LEAST_SHARE = 0.5
 """Share of images that must show a yellow line and a white one to its right; chosen: nine of ten do on the photographed
 tracks, none in pictures of anything else."""
+HEIGHTS = np.linspace(0.4, 0.95, 12)
+"""Heights, as shares of a crop, at which the lines of both domains are compared; chosen: curves are farther up."""
 BOUND = 0.05
-"""Largest difference of lane position, lane width and horizon between the domains, in widths and heights of the crop;
-chosen from trials of ten minutes: lines stayed with 0.05, and moved with 0.10."""
+"""Largest difference of a line's place between the domains, in widths of the crop, in the mean over `HEIGHTS`; chosen
+from trials of ten minutes: lines stayed with 0.05, and moved with 0.10."""
+LEAST_HEIGHTS = 8
+"""Heights at which a line must be known in both domains; chosen: two thirds of them."""
+HIGHEST_TOP, LEAST_HEIGHT = 0.7, 0.25
+"""Lowest top row and least height of a crop, as shares of a photograph's rows; chosen: less shows hardly any road."""
 LEAST_KEPT = 0.6
 """Least share of the simulator's view that is kept without a warning; chosen: both lines and 20 m of road are in it."""
 
@@ -46,11 +52,6 @@ class LanePosition:
         """Return the width of the lane at the bottom."""
         return self.white - self.yellow
 
-    def difference(self, other: LanePosition) -> float:
-        """Return the largest difference in lane position, lane width and horizon."""
-        centre = (self.yellow + self.white - other.yellow - other.white) / 2
-        return max(abs(centre), abs(self.width - other.width), abs(self.horizon - other.horizon))
-
     def __str__(self) -> str:
         return f"yellow line at {self.yellow:.2f}, white at {self.white:.2f}, horizon at {self.horizon:.2f}"
 
@@ -65,6 +66,7 @@ class LaneView:
         share: share of the images that show both.
         rows: rows of the images.
         columns: columns of the images.
+        medians: (rows, 2) columns of both lines without a straight line through them; NaN where they are seldom seen.
     """
 
     yellow: tuple[float, float]
@@ -72,6 +74,7 @@ class LaneView:
     share: float
     rows: int
     columns: int
+    medians: NDArray[np.float64] = field(compare=False, repr=False)
 
     @property
     def horizon(self) -> float:
@@ -93,6 +96,22 @@ class LaneView:
         )
 
 
+def lane_difference(views: tuple[LaneView, LaneView], windows: tuple[Window, Window]) -> float:
+    """Compare where the lines are in two windows: the larger mean difference of the two, in widths; see `BOUND`.
+
+    Medians are compared as they were measured, so that this also judges the straight lines that the windows come from.
+    """
+    places = []
+    for view, window in zip(views, windows, strict=True):
+        rows = window.top + HEIGHTS * (window.bottom - window.top)
+        found = view.medians[rows.astype(int).clip(0, view.rows - 1)]
+        places.append((found - window.left) / (window.right - window.left))
+    apart = np.abs(places[0] - places[1])
+    if not np.isfinite(apart).any(axis=0).all():
+        return 1.0
+    return float(np.nanmean(apart, axis=0).max())
+
+
 def measure_lane(images: NDArray[np.uint8], what: str) -> LaneView:
     """Measure where images show the lane.
 
@@ -112,9 +131,10 @@ def measure_lane(images: NDArray[np.uint8], what: str) -> LaneView:
             f"the {what} show nothing like a lane: a yellow line with a white one to its right is in {share:.0%} of "
             f"them, expected {LEAST_SHARE:.0%}: drive in the right lane, and leave out other pictures"
         )
-    lines = [_fit(borders[:, :, side]) for side in (0, 1)]
+    medians = np.stack([_medians(borders[:, :, side]) for side in (0, 1)], axis=1)
+    lines = [_fit(borders[:, :, side], medians[:, side]) for side in (0, 1)]
     rows, columns = images.shape[1:3]
-    view = LaneView(yellow=lines[0], white=lines[1], share=share, rows=rows, columns=columns)
+    view = LaneView(yellow=lines[0], white=lines[1], share=share, rows=rows, columns=columns, medians=medians)
     yellow, white = view.at(rows)
     if not (white - yellow > 0.1 * columns and view.yellow[0] < view.white[0] and view.horizon < 0.9 * rows):
         raise Sim2RealError(
@@ -124,12 +144,18 @@ def measure_lane(images: NDArray[np.uint8], what: str) -> LaneView:
     return view
 
 
-def _fit(columns: NDArray[np.float64]) -> tuple[float, float]:
-    """Fit a straight line to the medians of (images, rows), once more without its worst fifth."""
+def _medians(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Median column of a line in each row, from (images, rows); NaN in rows that seldom show it."""
     counts = np.isfinite(columns).sum(axis=0)
-    rows = np.flatnonzero(counts >= max(2, 0.4 * counts.max()))
-    medians = np.array([np.nanmedian(columns[:, row]) for row in rows])
-    weights = np.sqrt(counts[rows])
+    often = counts >= max(2, 0.4 * counts.max())
+    return np.array([np.nanmedian(columns[:, row]) if seen else np.nan for row, seen in enumerate(often)])
+
+
+def _fit(columns: NDArray[np.float64], row_medians: NDArray[np.float64]) -> tuple[float, float]:
+    """Fit a straight line to the medians of (images, rows), once more without its worst fifth."""
+    rows = np.flatnonzero(np.isfinite(row_medians))
+    medians = row_medians[rows]
+    weights = np.sqrt(np.isfinite(columns).sum(axis=0)[rows])
     for _ in range(2):
         slope, start = np.polyfit(rows, medians, 1, w=weights) if len(rows) > 1 else (0.0, float(medians[0]))
         errors = np.abs(slope * rows + start - medians)
@@ -147,24 +173,23 @@ class Match:
         real: window in the photographs.
         kept: share of the simulator's view that is left.
         positions: where the lane is, in simulated and real crops.
+        difference: of the measured lines, see `lane_difference`; compare it with `BOUND`.
     """
 
     simulated: Window
     real: Window
     kept: float
     positions: tuple[LanePosition, LanePosition]
-
-    @property
-    def difference(self) -> float:
-        """Return the largest difference between the domains; compare it with `BOUND`."""
-        return self.positions[0].difference(self.positions[1])
+    difference: float
 
 
 def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
     """Find the crops with which photographs show the lane as a simulator does.
 
-    For each bottom row of the photographs, one rectangle shows both lines and the horizon where the simulator's window
-    has them. What of it lies outside the photographs is cut off in both domains. The row that keeps most is used.
+    For each top and bottom row in the photographs, least squares give the left and right border with which both lines
+    are where the simulator's window has them, at all of `HEIGHTS`. What of it lies outside the photographs is cut off
+    in both domains. Of the crops that differ by at most half of `BOUND` the largest is used, or else the one that
+    differs least.
 
     Args:
         simulated: lane in the simulator's images.
@@ -174,41 +199,48 @@ def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
     Raises:
         Sim2RealError: no crop shows the lane alike.
     """
-    wanted = simulated.seen_through(window)
+    rows = window.top + HEIGHTS * (window.bottom - window.top)
+    wanted = simulated.medians[rows.astype(int).clip(0, simulated.rows - 1)]
+    wanted = (wanted - window.left) / (window.right - window.left)
     best: Match | None = None
-    for bottom in range(real.rows, round(0.6 * real.rows), -1):
-        yellow, white = real.at(bottom)
-        width = (white - yellow) / wanted.width
-        left = yellow - wanted.yellow * width
-        top = (real.horizon - wanted.horizon * bottom) / (1.0 - wanted.horizon)
-        height = bottom - top
-        if width <= 0 or height <= 0:
-            continue
-        # What lies within the photographs, as shares of the rectangle.
-        u0, u1 = max(0.0, -left / width), min(1.0, (real.columns - left) / width)
-        v0 = max(0.0, -top / height)
-        kept = (u1 - u0) * (1.0 - v0)
-        if u1 <= u0 or v0 >= 1.0 or (best is not None and kept <= best.kept + 1e-9):
-            continue
-        try:
-            windows = (
-                _part(window.top, window.bottom, window.left, window.right, (u0, u1, v0)),
-                _part(top, bottom, left, left + width, (u0, u1, v0)),
-            )
-        except Sim2RealError:
-            continue
-        positions = (simulated.seen_through(windows[0]), real.seen_through(windows[1]))
-        best = Match(simulated=windows[0], real=windows[1], kept=kept, positions=positions)
+    best_rank = (-np.inf, -np.inf, -np.inf)
+    for top in range(round(HIGHEST_TOP * real.rows)):
+        for bottom in range(top + round(LEAST_HEIGHT * real.rows), real.rows + 1):
+            found = real.medians[(top + HEIGHTS * (bottom - top)).astype(int).clip(0, real.rows - 1)]
+            borders = _borders(wanted, found)
+            if borders is None:
+                continue
+            left, width = borders
+            # What lies within the photographs, as shares of the width.
+            u0, u1 = max(0.0, -left / width), min(1.0, (real.columns - left) / width)
+            columns = (round(left + u0 * width), round(left + u1 * width))
+            view = window.right - window.left
+            inner = (round(window.left + u0 * view), round(window.left + u1 * view))
+            try:
+                windows = (Window(window.top, window.bottom, *inner), Window(top, bottom, *columns))
+            except Sim2RealError:
+                continue
+            difference = lane_difference((simulated, real), windows)
+            kept, area = max(0.0, u1 - u0), (bottom - top) * (columns[1] - columns[0])
+            alike = difference <= BOUND / 2
+            rank = (0.0, round(kept, 2), float(area)) if alike else (-difference, 0.0, 0.0)
+            if rank > best_rank:
+                positions = (simulated.seen_through(windows[0]), real.seen_through(windows[1]))
+                best_rank = rank
+                best = Match(
+                    simulated=windows[0], real=windows[1], kept=kept, positions=positions, difference=difference
+                )
     if best is None:
-        raise Sim2RealError("no crop of the photographs shows the lane as the simulator does: mount the camera lower")
+        raise Sim2RealError("no crop of the photographs shows the lane as the simulator does: mount the camera alike")
     return best
 
 
-def _part(top: float, bottom: float, left: float, right: float, part: tuple[float, float, float]) -> Window:
-    u0, u1, v0 = part
-    return Window(
-        top=round(top + v0 * (bottom - top)),
-        bottom=round(bottom),
-        left=round(left + u0 * (right - left)),
-        right=round(left + u1 * (right - left)),
-    )
+def _borders(wanted: NDArray[np.float64], found: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Left border and width, px, by least squares of found = left + width * wanted; None if too little is known."""
+    both = np.isfinite(wanted) & np.isfinite(found)
+    if (both.sum(axis=0) < LEAST_HEIGHTS).any():
+        return None
+    x, y = wanted[both], found[both]
+    spread = x - x.mean()
+    width = float(spread @ y / (spread @ spread))
+    return (float(y.mean() - width * x.mean()), width) if width > 0.0 else None

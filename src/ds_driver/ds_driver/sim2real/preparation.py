@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +100,7 @@ def prepare_domains(
         window=match.simulated,
         real_window=match.real,
     )
-    match, warnings = _checked(match, small, small_real)
+    warnings = _warnings(match)
     if expected is None:
         _write_card(out / CARD, simulator, source, settings, match, (simulated, real), domains)
     return Prepared(domains=domains, frames=frames, held_out_real=held_out_real, match=match, warnings=warnings)
@@ -142,15 +142,12 @@ def settings_of(card: dict[str, Any]) -> Sim2RealSettings:
         raise Sim2RealError("the settings on the card are damaged: run `ds sim2real train` again") from None
 
 
-def _checked(match: Match, small: NDArray[np.uint8], small_real: NDArray[np.uint8]) -> tuple[Match, tuple[str, ...]]:
-    """Measure both domains once more, as cropped, and say what still differs."""
-    views = (measure_lane(small, "cropped simulated images"), measure_lane(small_real, "cropped photographs"))
-    whole = Window(0, small.shape[1], 0, small.shape[2])
-    match = replace(match, positions=(views[0].seen_through(whole), views[1].seen_through(whole)))
+def _warnings(match: Match) -> tuple[str, ...]:
+    """Say what still differs between the domains."""
     warnings = []
     if match.difference > BOUND:
         warnings.append(
-            f"the lane differs by {match.difference:.2f} of the picture between simulated images "
+            f"lines differ by {match.difference:.2f} of the picture's width between simulated images "
             f"({match.positions[0]}) and photographs ({match.positions[1]}), expected at most {BOUND:g}: the generator "
             "will move lines; take photographs from the right lane, with the camera mounted alike"
         )
@@ -159,7 +156,7 @@ def _checked(match: Match, small: NDArray[np.uint8], small_real: NDArray[np.uint
             f"the photographs show {match.kept:.0%} of what the simulator shows, expected at least {LEAST_KEPT:.0%}: "
             "networks will see little of the road"
         )
-    return match, tuple(warnings)
+    return tuple(warnings)
 
 
 def _write_card(
