@@ -6,6 +6,7 @@ libraries are looked up, not imported, which takes a tenth of a second instead o
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import json
 import os
@@ -27,12 +28,18 @@ SMALLEST_WEIGHTS = 2**20
 _SET_UP = "make setup"
 _INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
 """Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
+_RENDERER = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
 EXTRAS = {
     "openvino": ("openvino", "--backend openvino and openvino-bf16, and for .tflite files"),
     "distributed": ("dask", "--engine dask"),
 }
 """Optional library -> its file in requirements/, and what it is for."""
-_MODULES = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "scikit-learn": "sklearn"}
+_MODULES = {
+    "commonroad-vehicle-models": "vehiclemodels",
+    "opencv-python-headless": "cv2",
+    "pyyaml": "yaml",
+    "scikit-learn": "sklearn",
+}
 """Distributions whose module has another name; a test compares them with the installed metadata."""
 IMPORT_TIME = 120.0
 """Seconds that all imports together may take; chosen: ten times what they take on a busy laptop."""
@@ -97,6 +104,7 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
         *check_ros(root, found),
         *check_libraries(pins, found),
         *check_extras(extras, found),
+        check_renderer(),
         check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
     ]
 
@@ -207,6 +215,17 @@ def check_extras(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) 
             _check(f"{name} (optional)", bool(problem) or version.split("-")[0] == pinned, detail, wrong, fix)
         )
     return checks
+
+
+def check_renderer(load: Callable[[str], object] = ctypes.CDLL) -> Check:
+    """Check for the libraries with which the simulator `panda` renders; everything else works without them."""
+    try:
+        for library in ("libEGL.so.1", "libEGL_mesa.so.0"):
+            load(library)
+    except OSError as error:
+        detail = f"{' '.join(str(error).split())}; optional, for the simulator panda: {_RENDERER}"
+        return Check("renderer (optional)", True, detail, "")
+    return Check("renderer (optional)", True, "Mesa's EGL", "")
 
 
 def check_weights(file: Path) -> Check:

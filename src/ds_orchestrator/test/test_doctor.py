@@ -51,6 +51,14 @@ def test_an_installed_library_that_cannot_be_imported_is_found_by_importing_it(t
     assert "libbroken.so" in doctor.look_up(python, {"broken": "broken"}, imports=True)["broken"][1]
 
 
+def test_a_missing_renderer_is_no_problem_but_named() -> None:
+    def no_library(name: str) -> object:
+        raise OSError(f"{name}: cannot open shared object file")
+
+    found = doctor.check_renderer(no_library)
+    assert found.ok and "libEGL.so.1" in found.detail and "apt-get install -y libegl1" in found.detail
+
+
 def test_a_healthy_environment_passes() -> None:
     """The environment of the tests: every library has its pinned version, and its module the right name."""
     pins = doctor.read_pins(REPOSITORY / "requirements/project.txt")
