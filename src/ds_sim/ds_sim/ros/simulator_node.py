@@ -46,22 +46,20 @@ class SimulatorNode(Node):
         parameters = declare_parameters(self, simulator)
         self._sync, self._timeout = parameters.sync, parameters.command_timeout
         self._session, self._conditions = Session(make_simulator(parameters.simulator)), parameters.conditions
-        check_applicable(self._conditions, self._session.simulator.spec)
-        self._frames = FramePublisher(self, self._session.simulator.spec, clock=parameters.publish_clock)
+        spec = self._session.simulator.spec
+        check_applicable(self._conditions, spec)
+        self._frames = FramePublisher(self, spec, clock=parameters.publish_clock)
         self.drawn = DrawnRows(self._session.simulator, self._frames)
         self._neighbours, self._loaded = Neighbours(self), LoadedRoad()
         self._sync_now, self._handed_over, self._awaited = self._sync, False, Header()
         self._goal: ServerGoalHandle | None = None
         self._last: Observation | None = None
         self._watchdog, self._monitor = CommandWatchdog(self._timeout), CommandMonitor()
-        # Stamps never decrease during the life of the node, as tf, bags and filters expect. They begin above 0, so that
-        # an unset stamp never matches by accident.
+        # Stamps never decrease, as tf, bags and filters expect, and are above 0, so that an unset one never matches.
         self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", with_info(self._on_command), 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
-        self.create_service(
-            GetSimulatorInfo, "get_info", lambda _, info: messages.info_response(self._session.simulator.spec, info)
-        )
+        self.create_service(GetSimulatorInfo, "get_info", lambda _, info: messages.info_response(spec, info))
         self.create_service(Trigger, "reset", self._on_reset)
         self._server = DriveRoadServer(self, self._begin, self._result)
         # Steady clock: the node's own may be simulated time (use_sim_time), which stands still between runs.
