@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from ds_orchestrator.campaign.config import parse_config
+from ds_sim.conditions import DEFAULT, Conditions
 
 pytestmark = pytest.mark.graph
 
@@ -44,9 +45,9 @@ def test_a_campaign_outlives_its_driver(
     )
 
     def separate(
-        _driver: str, namespaces: dict[str, str], limit: float, *, composed: bool, draw: str
+        _driver: str, namespaces: dict[str, str], limit: float, *, composed: bool, draw: str, conditions: Conditions
     ) -> list[ProcessSpec]:
-        assert composed and draw == "seen"
+        assert composed and draw == "seen" and conditions == DEFAULT
         return [*simulator_processes(namespaces, limit), faulty]
 
     monkeypatch.setattr(running, "processes_of", separate)
