@@ -18,6 +18,7 @@ import numpy as np
 
 from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
+from ds_driver.data.dataset import road_ids
 from ds_driver.networks.weights import SHIPPED, load_weights
 from ds_orchestrator.evaluation.open_loop import Answers, predict
 from ds_sim.registry import SIMULATORS
@@ -47,8 +48,8 @@ def main() -> None:
     offline = json.loads((arguments.offline / "manifest.json").read_text())
     training = json.loads((arguments.training / "training.json").read_text())
     roads = roads_both_ways(arguments.roads, arguments.seed)
-    trained_on = _road_ids(arguments.data)
-    overlap = sorted(trained_on & ({road.road_id for road in roads} | _road_ids(arguments.offline)))
+    trained_on = road_ids(arguments.data)
+    overlap = sorted(trained_on & ({road.road_id for road in roads} | road_ids(arguments.offline)))
     if overlap:
         sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
     found = predict(arguments.offline, str(weights), _print_progress)
@@ -118,10 +119,6 @@ def _print_progress(done: int, total: int, line: str) -> None:
 def _gain(answers: Answers) -> float:
     """Slope of the network's steering over the autopilot's, by least squares through the origin; 1 is right."""
     return float((answers.answered * answers.recorded).sum() / (answers.recorded**2).sum())
-
-
-def _road_ids(data: Path) -> set[str]:
-    return {path.name.rpartition("-")[0] for path in data.glob("*/*.parquet")}
 
 
 if __name__ == "__main__":

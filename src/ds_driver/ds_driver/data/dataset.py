@@ -83,6 +83,11 @@ def drive_path(folder: Path, simulator: str, road_id: str, direction: str) -> Pa
     return folder / simulator / f"{road_id}-{direction}.parquet"
 
 
+def road_ids(folder: Path) -> set[str]:
+    """Return the ids of all roads of a data set, from the names of its files."""
+    return {path.name.rpartition("-")[0] for path in folder.glob("*/*.parquet")}
+
+
 def keep_plan(folder: Path, plan: dict[str, object]) -> None:
     """Store the plan of a data set, or compare it with the stored one.
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ds_driver.closed_loop.simulation import AUTOPILOT, make_driver
 from ds_driver.data.collection import roads_both_ways
+from ds_driver.data.dataset import road_ids
 from ds_driver.process_pool import map_in_processes
 from ds_driver.sim2real.files import write_whole
 from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
@@ -70,7 +71,7 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
     roads = sim2real_roads(settings)
     ids = {road.road_id for road in roads}
     for folder in data_sets:
-        known = {path.name.rpartition("-")[0] for path in folder.glob("*/*.parquet")}
+        known = road_ids(folder)
         if ids & known:
             raise Sim2RealError(
                 f"{len(ids & known)} of the roads are in {folder}, too, expected new ones: choose another --seed"
@@ -104,7 +105,7 @@ def simulated_frames(
     roads = sim2real_roads(settings)
     if file.exists():
         return _read(file, identity, roads)
-    first_held_out = 2 * (settings.roads - max(1, round(HELD_OUT * settings.roads)))
+    first_held_out = _first_held_out(roads)
     jobs = [
         _Job(
             simulator=simulator,
@@ -151,10 +152,13 @@ def _frames(
     steps: NDArray[np.int32],
     roads: tuple[Road, ...],
 ) -> SimulatedFrames:
-    first = len(roads) - 2 * max(1, round(HELD_OUT * len(roads) / 2))
-    return SimulatedFrames(
-        images=images, states=states, drives=drives, steps=steps, roads=roads, held_out=drives >= first
-    )
+    held_out = drives >= _first_held_out(roads)
+    return SimulatedFrames(images=images, states=states, drives=drives, steps=steps, roads=roads, held_out=held_out)
+
+
+def _first_held_out(roads: tuple[Road, ...]) -> int:
+    """Index of the first drive that is held out; each road has two drives."""
+    return len(roads) - 2 * max(1, round(HELD_OUT * len(roads) / 2))
 
 
 @dataclass(frozen=True, kw_only=True)
