@@ -33,7 +33,8 @@ class FramePublisher:
         self._base_frame = base_frame(node.get_namespace())
         self._transforms = TransformPublisher(node, spec.camera, self._camera_frame, self._base_frame)
         self._frame = node.create_publisher(Frame, "frame", 5)
-        self._image = node.create_publisher(Image, "camera/image_raw", 5)
+        # As deep as a recorder's queue: with 5, one that stalled for 0.4 s lost images.
+        self._image = node.create_publisher(Image, "camera/image_raw", 50)
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", 5)
         self._state = node.create_publisher(VehicleState, "state", 50)
         self._odom = node.create_publisher(Odometry, "odom", 50)
