@@ -27,19 +27,20 @@ from ds_driver.sim2real.evaluation.choice import broken_bounds, choose
 from ds_driver.sim2real.evaluation.kernel_distance import kernel_distance
 from ds_driver.sim2real.evaluation.lane_kept import lane_kept
 from ds_driver.sim2real.evaluation.line_truth import LineProjector
-from ds_driver.sim2real.files import write_whole
 from ds_driver.sim2real.generator_file import StoredGenerator, check_fits, load_generator, save_generator
 from ds_driver.sim2real.image_pool import ImagePool
 from ds_driver.sim2real.lane_view import BOUND, lane_difference, match_windows, measure_lane
 from ds_driver.sim2real.line_finder import find_lines
-from ds_driver.sim2real.networks import Discriminator, Generator, GeneratorShape, to_batch, to_images
-from ds_driver.sim2real.preparation import prepare_domains, read_card, settings_of
+from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
+from ds_driver.sim2real.preparation import network_window, prepare_domains, read_card, settings_of
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
+from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.simulated_frames import check_roads_are_new, sim2real_roads, simulated_frames
 from ds_driver.sim2real.trainer import CHECKPOINT, EPOCHS, Domains, learning_rate_share, train
 from ds_driver.sim2real.translation import translate
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError, Window, prepare
+from ds_driver.whole_files import write_whole
 from ds_road import generate
 from ds_sim.camera.jpeg import encode
 from ds_sim.camera.painted_scene import PaintedScene
@@ -107,6 +108,15 @@ def test_a_stored_generator_computes_in_onnx_what_pytorch_computes(tmp_path: Pat
     found = Translator(stored).small(image)
     assert found.shape == expected.shape and np.abs(found.astype(int) - expected).max() <= 1
     assert np.ptp(found) > 0
+
+
+def test_images_are_translated_alike_alone_and_in_a_batch() -> None:
+    torch.manual_seed(1)
+    network, images = Generator(TINY), torch.rand(3, 3, *TINY.size) * 2 - 1
+    with torch.inference_mode():
+        alone = torch.cat([network(image[None]) for image in images])
+        assert torch.allclose(network(images), alone, atol=1e-5)
+    assert float(alone.std()) > 0.0
 
 
 def test_a_pool_returns_earlier_images_half_of_the_time() -> None:
@@ -245,6 +255,17 @@ def test_the_truth_about_lines_is_where_the_camera_draws_them(simulator: str) ->
     assert moved.shift == pytest.approx(3.0, abs=0.6)
     dropped = lane_kept([np.full_like(image, 90)], [truth])
     assert dropped.found == 0.0 and dropped.overlap == 0.0
+
+
+def test_the_truth_about_lines_is_where_panda_renders_them() -> None:
+    simulator = make_simulator("panda")
+    spec, road = simulator.spec, generate(np.random.default_rng(5))
+    seen = simulator.load(road, seed=1)
+    simulator.close()
+    window, size = network_window(spec), (80, 160)
+    truth = LineProjector(road, spec.camera, spec.look.line_width).masks(seen.vehicle, window, size)
+    kept = lane_kept([prepare(seen.image, window, size)], [truth])
+    assert kept.shift < 0.6 and kept.found > 0.9 and kept.overlap > 0.3
 
 
 def test_a_distance_is_near_nothing_for_one_distribution_and_grows_with_a_shift() -> None:

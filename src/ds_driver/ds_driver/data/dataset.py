@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ds_driver.data.pixels import rgb_of_file
 from ds_driver.networks.preprocessing import ImageError
+from ds_driver.whole_files import whole_file, write_whole
 
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 MOST_UNEQUAL = 2.0
@@ -97,14 +98,14 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
     if not path.exists():
-        _write_whole(path, text)
+        write_whole(path, text.encode())
     elif path.read_text() != text:
         raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
 
 
 def keep_import(folder: Path, name: str, about: dict[str, object]) -> None:
     """Mark a name as imported recordings, whose images are not cropped."""
-    _write_whole(folder / name / IMPORTED, json.dumps(about, indent=1) + "\n")
+    write_whole(folder / name / IMPORTED, (json.dumps(about, indent=1) + "\n").encode())
 
 
 def imported_names(folder: Path) -> set[str]:
@@ -115,9 +116,8 @@ def imported_names(folder: Path) -> set[str]:
 def write_drive(path: Path, rows: list[dict[str, object]]) -> None:
     """Write one drive; the file appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial, compression="none")
-    partial.replace(path)
+    with whole_file(path) as partial:
+        pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial, compression="none")
 
 
 def read_samples(folder: Path) -> list[Sample]:
@@ -261,11 +261,4 @@ def write_manifest(folder: Path, about: dict[str, object]) -> None:
         histogram = np.histogram(steering, edges)[0]
         histograms[name] = (np.asarray(histograms.get(name, 0)) + histogram).tolist()
     document = {**about, "images": counts, "steering_bins": edges.round(1).tolist(), "steering": histograms}
-    _write_whole(folder / "manifest.json", json.dumps(document, indent=1) + "\n")
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a text file that appears whole or not at all, so that a killed process leaves no truncated one."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text)
-    partial.replace(path)
+    write_whole(folder / "manifest.json", (json.dumps(document, indent=1) + "\n").encode())

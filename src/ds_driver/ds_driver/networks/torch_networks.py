@@ -21,6 +21,7 @@ from ds_driver.networks.architectures import (
     UnknownNetworkError,
 )
 from ds_driver.networks.weights import load_weights
+from ds_driver.whole_files import whole_file
 
 
 class DrivingNetwork(nn.Module):
@@ -112,9 +113,8 @@ def load_network(name_or_path: str) -> nn.Module:
 def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: dict[str, str] | None = None) -> None:
     """Write a network's weights as float16, which halves the file; `load_weights` returns float32."""
     tensors = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
-    partial = path.with_suffix(".partial")
-    save_file(tensors, partial, metadata={"architecture": architecture, **(notes or {})})
-    partial.replace(path)
+    with whole_file(path) as partial:
+        save_file(tensors, partial, metadata={"architecture": architecture, **(notes or {})})
 
 
 def _sequence(layers: Sequence[Layer]) -> nn.Sequential:

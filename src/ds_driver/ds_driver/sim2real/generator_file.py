@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from ds_driver.sim2real.files import write_whole
-from ds_driver.sim2real.networks import GeneratorShape
+from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.window import Sim2RealError, Window
+from ds_driver.whole_files import write_whole
 
 KIND = "sim2real generator 1"
 """Key of the metadata, and format of the file."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import onnx
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto
 
-from ds_driver.networks.onnx_export import OPSET
+from ds_driver.networks.onnx_graph import OnnxGraph
 from ds_driver.sim2real.generator_file import StoredGenerator
-
-EPSILON = 1e-5
-"""Added to the variance of an instance normalisation (PyTorch's default)."""
+from ds_driver.sim2real.shape import EPSILON
 
 
 def generator_to_onnx(generator: StoredGenerator) -> bytes:
@@ -46,40 +43,20 @@ def generator_to_onnx(generator: StoredGenerator) -> bytes:
     value = graph.node("Mul", [graph.node("Add", [value, graph.number(1.0)]), graph.number(127.5)])
     value = graph.node("Clip", [graph.node("Round", [value]), graph.number(0.0), graph.number(255.0)])
     graph.node("Cast", [graph.node("Transpose", [value], perm=[0, 2, 3, 1])], to=TensorProto.UINT8)
-    graph.nodes[-1].output[0] = "translated"
     dimensions = [1, shape.rows, shape.columns, 3]
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            f"sim2real {generator.simulator}"[:100],
-            [helper.make_tensor_value_info("image", TensorProto.UINT8, dimensions)],
-            [helper.make_tensor_value_info("translated", TensorProto.UINT8, dimensions)],
-            graph.constants,
-        ),
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=8,  # belongs to opset 17
+    return graph.file(
+        f"sim2real {generator.simulator}"[:100],
+        ("image", TensorProto.UINT8, dimensions),
+        ("translated", TensorProto.UINT8, dimensions),
     )
-    content: bytes = model.SerializeToString()
-    return content
 
 
-class _Graph:
-    """Collects the nodes and constants of a graph."""
+class _Graph(OnnxGraph):
+    """Graph of layers with the names of a generator's tensors."""
 
     def __init__(self, tensors: dict[str, NDArray[np.float32]]) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
+        super().__init__()
         self._tensors = tensors
-
-    def node(self, kind: str, inputs: list[str], **attributes: Any) -> str:
-        name = f"value_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, inputs, [name], **attributes))
-        return name
-
-    def constant(self, value: NDArray[Any]) -> str:
-        name = f"constant_{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(value, name))
-        return name
 
     def number(self, value: float) -> str:
         return self.constant(np.array(value, np.float32))

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
+
+from ds_driver.sim2real.shape import EPSILON, GeneratorShape
 
 INITIAL_DEVIATION = 0.02
 """Standard deviation of the initial weights (Zhu et al. 2017, section 7.1)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GeneratorShape:
-    """Size of a generator.
+class InstanceNorm(nn.Module):
+    """Normalises each channel of each image; (n, channels, rows, columns).
 
-    Attributes:
-        filters: channels of the first layer (paper: 64).
-        blocks: residual blocks (paper: 9).
-        rows: rows of the image, a multiple of 4.
-        columns: columns of the image, a multiple of 4.
+    With one image that is batch normalisation, which keeps the memory format: a training step takes a fifth less time.
     """
 
-    filters: int
-    blocks: int
-    rows: int
-    columns: int
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Return rows and columns."""
-        return self.rows, self.columns
+    def forward(self, values: Tensor) -> Tensor:
+        """Return values of mean 0 and variance 1."""
+        if len(values) == 1:
+            return functional.batch_norm(values, None, None, training=True, eps=EPSILON)
+        return functional.instance_norm(values, eps=EPSILON)
 
 
 class ResidualBlock(nn.Module):
@@ -41,11 +33,11 @@ class ResidualBlock(nn.Module):
         self.body = nn.Sequential(
             nn.ReflectionPad2d(1),
             nn.Conv2d(channels, channels, 3),
-            nn.InstanceNorm2d(channels),
+            InstanceNorm(),
             nn.ReLU(inplace=True),
             nn.ReflectionPad2d(1),
             nn.Conv2d(channels, channels, 3),
-            nn.InstanceNorm2d(channels),
+            InstanceNorm(),
         )
 
     def forward(self, values: Tensor) -> Tensor:
@@ -60,15 +52,15 @@ class Generator(nn.Module):
         super().__init__()
         filters = shape.filters
         layers: list[nn.Module] = [
-            nn.ReflectionPad2d(3), nn.Conv2d(3, filters, 7), nn.InstanceNorm2d(filters), nn.ReLU(inplace=True),
+            nn.ReflectionPad2d(3), nn.Conv2d(3, filters, 7), InstanceNorm(), nn.ReLU(inplace=True),
         ]  # fmt: skip
         for channels in (filters, 2 * filters):
             down = nn.Conv2d(channels, 2 * channels, 3, stride=2, padding=1)
-            layers += [down, nn.InstanceNorm2d(2 * channels), nn.ReLU(inplace=True)]
+            layers += [down, InstanceNorm(), nn.ReLU(inplace=True)]
         layers += [ResidualBlock(4 * filters) for _ in range(shape.blocks)]
         for channels in (4 * filters, 2 * filters):
             up = nn.ConvTranspose2d(channels, channels // 2, 3, stride=2, padding=1, output_padding=1)
-            layers += [up, nn.InstanceNorm2d(channels // 2), nn.ReLU(inplace=True)]
+            layers += [up, InstanceNorm(), nn.ReLU(inplace=True)]
         layers += [nn.ReflectionPad2d(3), nn.Conv2d(filters, 3, 7), nn.Tanh()]
         self.layers = nn.Sequential(*layers)
         initialise(self)
@@ -88,7 +80,7 @@ class Discriminator(nn.Module):
         for channels, stride in ((filters, 2), (2 * filters, 2), (4 * filters, 1)):
             layers += [
                 nn.Conv2d(channels, 2 * channels, 4, stride=stride, padding=1),
-                nn.InstanceNorm2d(2 * channels),
+                InstanceNorm(),
                 nn.LeakyReLU(0.2, inplace=True),
             ]
         self.layers = nn.Sequential(*layers, nn.Conv2d(8 * filters, 1, 4, padding=1))

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.files import write_whole
 from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
-from ds_driver.sim2real.networks import GeneratorShape
 from ds_driver.sim2real.photographs import read_photographs, split
 from ds_driver.sim2real.settings import Sim2RealSettings
+from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.simulated_frames import SimulatedFrames, check_roads_are_new, simulated_frames
 from ds_driver.sim2real.trainer import SHOWN, Domains
 from ds_driver.sim2real.window import Sim2RealError, Window, prepare
+from ds_driver.whole_files import write_whole
 from ds_sim.registry import spec_of
 from ds_sim.simulator import SimulatorSpec
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ds_driver.sim2real.networks import GeneratorShape
+from ds_driver.sim2real.shape import GeneratorShape
 
 ROAD_SEED = 20_150_715
 """Seed of the simulated roads; chosen: no other verb has it as its default, and `train --unlike` compares the
@@ -60,7 +60,7 @@ PRESETS = {
     "laptop": Sim2RealSettings(
         shape=GeneratorShape(filters=16, blocks=6, rows=80, columns=160),
         discriminator_filters=32,
-        epochs=20,
+        epochs=10,
         steps=1_000,
     ),
     "paper": Sim2RealSettings(
@@ -73,5 +73,6 @@ PRESETS = {
         images=5_000,
     ),
 }
-"""`paper`: 5,000 images per domain, 60 epochs, a checkpoint every 5 (4.1.2), for a GPU. `laptop`: chosen to take at
-most 90 minutes on two cores, at 0.34 s of processor time a step in bfloat16 (0.54 s in float32) on a busy machine."""
+"""`paper`: 5,000 images per domain, 60 epochs, a checkpoint every 5 (4.1.2), for a GPU.
+`laptop`: 10,000 steps, chosen before any result from a budget: at 0.29 s of processor time a step, in bfloat16 on a
+busy machine, they take 50 minutes of one core, and those of four simulators, a process for each, 100 minutes of two."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -16,9 +15,9 @@ from ds_driver.closed_loop.simulation import AUTOPILOT, make_driver
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.process_pool import map_in_processes
-from ds_driver.sim2real.files import write_whole
 from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
 from ds_driver.sim2real.window import Sim2RealError
+from ds_driver.whole_files import whole_file
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome, Simulator, VehicleState
@@ -124,9 +123,8 @@ def simulated_frames(
         progress(done, len(jobs), f"{simulator}: {len(drive[0])} images")
     images, states, steps = (np.concatenate([drive[part] for drive in drives]) for part in range(3))
     numbers = np.concatenate([np.full(len(drive[0]), index, np.int32) for index, drive in enumerate(drives)])
-    content = io.BytesIO()
-    np.savez(content, images=images, states=states, steps=steps, drives=numbers, identity=np.array(identity))
-    write_whole(file, content.getvalue())
+    with whole_file(file) as partial, partial.open("wb") as stream:
+        np.savez(stream, images=images, states=states, steps=steps, drives=numbers, identity=np.array(identity))
     return _frames(images, states, numbers, steps, roads)
 
 

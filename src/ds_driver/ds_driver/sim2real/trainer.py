@@ -7,7 +7,6 @@ import os
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training on a CPU faster
 
 import hashlib
-import io
 import json
 import time
 from collections.abc import Callable
@@ -20,7 +19,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ds_driver.sim2real.files import write_whole
 from ds_driver.sim2real.generator_file import save_generator
 from ds_driver.sim2real.image_pool import ImagePool
 from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
@@ -28,6 +26,7 @@ from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.sheets import sheet
 from ds_driver.sim2real.window import Sim2RealError, Window
 from ds_driver.training.trainer import device_of
+from ds_driver.whole_files import whole_file, write_whole
 from ds_sim.camera.png import png
 
 CHECKPOINT = "checkpoint.pt"
@@ -252,7 +251,6 @@ def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
 
 
 def _save(path: Path, gan: CycleGan, identity: str, history: list[dict[str, float]]) -> None:
-    content = io.BytesIO()
     state = {
         "networks": [network.state_dict() for network in gan.networks()],
         "optimizers": [optimizer.state_dict() for optimizer in gan.optimizers],
@@ -260,8 +258,8 @@ def _save(path: Path, gan: CycleGan, identity: str, history: list[dict[str, floa
         "identity": identity,
         "history": history,
     }
-    torch.save(state, content)
-    write_whole(path, content.getvalue())
+    with whole_file(path) as partial:
+        torch.save(state, partial)
 
 
 def _resume(path: Path, gan: CycleGan, identity: str, device: torch.device) -> list[dict[str, float]]:

@@ -20,10 +20,10 @@ from ds_driver.data.dataset import IMPORTED, decode, keep_import, read_drive, wr
 from ds_driver.data.pixels import rgb_of, rgb_of_file
 from ds_driver.data.recordings import MAX_IMAGE_FILE, TRANSLATED
 from ds_driver.networks.preprocessing import ImageError
-from ds_driver.sim2real.files import write_whole
 from ds_driver.sim2real.generator_file import check_fits
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError
+from ds_driver.whole_files import write_whole
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.jpeg import encode
 

@@ -24,6 +24,7 @@ from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, d
 from ds_driver.networks.preprocessing import Crop, prepare
 from ds_driver.networks.torch_networks import disable_dropout, make_network, save_weights
 from ds_driver.training.augmentation import augment
+from ds_driver.whole_files import whole_file
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 """Options of mallopt(3)."""
@@ -308,15 +309,14 @@ def _stalled(history: list[Epoch], patience: int) -> bool:
 def _save(
     path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, identity: dict[str, object], history: list[Epoch]
 ) -> None:
-    partial = path.with_suffix(".partial")
     state = {
         "network": network.state_dict(),
         "optimizer": optimizer.state_dict(),
         "identity": identity,
         "history": [asdict(e) for e in history],
     }
-    torch.save(state, partial)
-    partial.replace(path)
+    with whole_file(path) as partial:
+        torch.save(state, partial)
 
 
 def _resume(

@@ -57,11 +57,11 @@ def train(simulator: str, real: Path, out: Path, settings: Sim2RealSettings, dat
 
 def show(generator: Path, source: Path, out: Path, count: int) -> Result:
     """Draw frames beside their translations."""
-    from ds_driver.sim2real.files import write_whole
     from ds_driver.sim2real.generator_file import load_generator
     from ds_driver.sim2real.sheets import sheet
     from ds_driver.sim2real.source_images import camera_images
     from ds_driver.sim2real.translator import Translator
+    from ds_driver.whole_files import write_whole
     from ds_sim.camera.png import png
 
     translator = Translator(load_generator(generator))

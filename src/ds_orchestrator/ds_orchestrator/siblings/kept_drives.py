@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from ds_driver.closed_loop.simulation import AUTOPILOT, Drive, drive_all, run_drive
 from ds_driver.networks.network_driver import driver_sha256
 from ds_driver.process_pool import map_in_processes
+from ds_driver.whole_files import write_whole
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_sim.registry import label_of, spec_of
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
@@ -66,7 +66,7 @@ def _check_settings(folder: Path, drives: Sequence[Drive], say: Callable[[str], 
         known = {key: began[key] for key in now}
         known_cars = dict(known["cars"])
     except FileNotFoundError:
-        _write(path, (json.dumps(now, indent=1) + "\n").encode())
+        write_whole(path, (json.dumps(now, indent=1) + "\n").encode())
         return
     except (ValueError, KeyError, TypeError):
         raise KeptDrivesError(f"{path} cannot be read: remove {folder}, or choose another --out") from None
@@ -87,7 +87,9 @@ def _drive_and_keep(folder: Path, drive: Drive) -> RunRecord:
     """Drive in a worker process, which writes the run, so that it is kept whatever happens to the others."""
     run = run_drive(drive)
     if run.outcome.is_verdict:
-        _write(_path(folder, drive), encode_run(run))
+        path = _path(folder, drive)
+        path.parent.mkdir(exist_ok=True)
+        write_whole(path, encode_run(run))
     return run
 
 
@@ -100,11 +102,3 @@ def _read(folder: Path, drive: Drive) -> RunRecord | None:
 
 def _path(folder: Path, drive: Drive) -> Path:
     return folder / label_of(drive.simulator) / f"{drive.road.road_id}-{drive.seed}.run"
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file that is there in whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    part.write_bytes(content)
-    part.replace(path)

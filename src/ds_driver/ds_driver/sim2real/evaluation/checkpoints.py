@@ -18,13 +18,13 @@ from ds_driver.sim2real.evaluation.features import PUBLIC_NETWORK, driving_featu
 from ds_driver.sim2real.evaluation.kernel_distance import kernel_distance
 from ds_driver.sim2real.evaluation.lane_kept import Truth, lane_kept
 from ds_driver.sim2real.evaluation.line_truth import LineProjector
-from ds_driver.sim2real.files import write_whole
 from ds_driver.sim2real.generator_file import StoredGenerator, load_generator
 from ds_driver.sim2real.generator_onnx import generator_to_onnx
 from ds_driver.sim2real.simulated_frames import SimulatedFrames
 from ds_driver.sim2real.trainer import EPOCHS
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError, Window, prepare, resize
+from ds_driver.whole_files import write_whole
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.registry import label_of, spec_of
 
