@@ -273,7 +273,6 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("unknown condition 'fog'", ("drive", "--sim", "donkey", "--conditions", "fog=1")),
         ("expected 20 or more m", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
         ("panda cannot realise", ("drive", "--sim", "panda", "--driver", "autopilot", "--conditions", "visibility=60")),
-        ("--attach", ("drive", "--sim", "donkey", "--driver", "autopilot", "--attach", "--conditions", "friction=0.5")),
     )
     for named, arguments in cases:
         done = ds(*arguments)

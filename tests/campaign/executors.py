@@ -7,6 +7,7 @@ import numpy as np
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.runner import Stopped
 from ds_road import Road
+from ds_sim.conditions import DEFAULT, Conditions
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
@@ -32,17 +33,19 @@ class LocalExecutor:
 
     def stop(self) -> None: ...
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
         if self._left == 0:
             raise Stopped
         if self._errors and len(self.roads) >= self._errors_after:
             self._errors -= 1
-            return RunRecord(road=road, seed=seed, outcome=self.error, message="no command within 1 s")
+            return RunRecord(
+                road=road, seed=seed, conditions=conditions, outcome=self.error, message="no command within 1 s"
+            )
         self._left -= 1
         self.roads.append((simulator, road.road_id))
         made = make_simulator(simulator)
         session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(road, seed)
+        observation = session.start(road, seed, conditions)
         while session.driving and observation is not None and observation.step < 60:
             command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
             observation = session.advance(command)
@@ -56,7 +59,7 @@ class LocalExecutor:
 class MadeUpExecutor(LocalExecutor):
     """Drives nothing: generates an outcome from simulator, road and seed at once."""
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
         if self._left == 0:
             raise Stopped
         self._left -= 1
@@ -65,7 +68,9 @@ class MadeUpExecutor(LocalExecutor):
         lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
         failed = bool(np.abs(lateral).max() > HALF_LANE)
         x, y = road.lane_centre[0].tolist()
-        run = RunRecord(road=road, seed=seed, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED)
+        run = RunRecord(
+            road=road, seed=seed, conditions=conditions, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
+        )
         run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
         run.observations = [
             Observation(

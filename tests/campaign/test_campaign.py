@@ -29,6 +29,7 @@ from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.run import SilentListener
 from ds_orchestrator.store.store import Execution, Store, StoreError, Test
 from ds_road import Road
+from ds_sim.conditions import DEFAULT, Conditions
 from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -180,7 +181,7 @@ def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> Non
         def stop(self) -> None:
             self.stopped.set()
 
-        def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
             if simulator == DONKEYS[1]:
                 raise OSError("no space left")
             assert self.stopped.wait(20.0), "the active run was not stopped"
@@ -327,7 +328,7 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
             self.stopped = False
             self.runs = 0
 
-        def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+        def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
             assert self.busy.acquire(blocking=False), "two runs at once on one simulator of one worker"
             together.wait(timeout=20.0)
             self.runs += 1

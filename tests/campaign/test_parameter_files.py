@@ -15,6 +15,7 @@ from ds_orchestrator.report.build import write_all
 from ds_orchestrator.run import SilentListener, run_campaign
 from ds_orchestrator.store.store import Store
 from ds_road import Road
+from ds_sim.conditions import DEFAULT, Conditions
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Outcome
@@ -57,10 +58,10 @@ class ShortDrives:
 
     def stop(self) -> None: ...
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
         made = make_simulator(simulator)
         session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(road, seed)
+        observation = session.start(road, seed, conditions)
         while session.driving and observation is not None and observation.step < 20:
             observation = session.advance(
                 pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)

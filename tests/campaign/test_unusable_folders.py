@@ -111,8 +111,8 @@ def folder_instead(folder: Path) -> None:
 
 
 SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
-    "older": (lambda f: change(f, "PRAGMA user_version=1"), "an older version of ds (schema 1, expected 2)"),
-    "newer": (lambda f: change(f, "PRAGMA user_version=99"), "a newer version of ds (schema 99, expected 2)"),
+    "older": (lambda f: change(f, "PRAGMA user_version=1"), "an older version of ds (schema 1, expected 2 or 3)"),
+    "newer": (lambda f: change(f, "PRAGMA user_version=99"), "a newer version of ds (schema 99, expected 2 or 3)"),
     "foreign": (foreign, "is not a campaign's store"),
     "a table is missing": (lambda f: change(f, "DROP TABLE given_up"), "is not a campaign's store"),
     "no database": (lambda f: (f / "campaign.sqlite").write_bytes(b"something else " * 1000), "is damaged"),

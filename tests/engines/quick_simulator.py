@@ -22,7 +22,7 @@ class QuickSimulator:
     """Moves along the lane by 1 m a frame, off its centre by what seed and commands make of it."""
 
     def __init__(self) -> None:
-        self.spec = dataclasses.replace(spec_of("donkey"), name="quick")
+        self.spec = dataclasses.replace(spec_of("donkey"), name="quick", conditions=())
 
     def load(self, road: Road, *, seed: int) -> Observation:
         self._road, self._rng, self._step, self._lateral = road, np.random.default_rng(seed), 0, 0.0

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tests.engines.dask_processes import DaskProcesses, drive_workers, wait_until
 
+from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.engines import membership
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect
@@ -56,7 +57,7 @@ def expected(folder: Path, count: int) -> list[bytes]:
     process = WorkerProcess("autopilot", command_timeout=20.0, log=folder / "here.log")
     try:
         with ThreadPoolExecutor(8) as pool:
-            runs = pool.map(lambda seed: process.drive(QUICK, ROADS[seed % 3], seed), range(count))
+            runs = pool.map(lambda seed: process.drive(DriveTask(QUICK, ROADS[seed % 3], seed)), range(count))
             return [encode_run(run) for run in runs]
     finally:
         process.close()

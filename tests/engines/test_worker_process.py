@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from ds_driver.closed_loop import worker_process
+from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
 from ds_road import Road, generate
@@ -50,7 +51,7 @@ def worker(tmp_path: Path) -> Iterator[Processes]:
 
 def drive_all(process: WorkerProcess, drives: list[tuple[str, Road, int]]) -> list[RunRecord]:
     with ThreadPoolExecutor(len(drives)) as pool:
-        return list(pool.map(lambda one: process.drive(*one), drives))
+        return list(pool.map(lambda one: process.drive(DriveTask(*one)), drives))
 
 
 @pytest.mark.parametrize(
@@ -93,18 +94,18 @@ def test_a_killed_process_loses_nothing(worker: Processes) -> None:
 
 def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(worker: Processes) -> None:
     process = worker()
-    crash = process.drive(f"{QUICK}:CrashingSimulator", ROAD, 1)
+    crash = process.drive(DriveTask(f"{QUICK}:CrashingSimulator", ROAD, 1))
     assert crash.outcome is Outcome.SIM_ERROR and "signal 11" in crash.message and "\n" not in crash.message
-    assert process.drive(f"{QUICK}:QuickSimulator", ROAD, 1).outcome.is_verdict
+    assert process.drive(DriveTask(f"{QUICK}:QuickSimulator", ROAD, 1)).outcome.is_verdict
 
 
 def test_a_simulator_that_cannot_be_made_is_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(f"{QUICK}:RaisingSimulator", ROAD, 1)
+    run = worker().drive(DriveTask(f"{QUICK}:RaisingSimulator", ROAD, 1))
     assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "RuntimeError: no licence")
 
 
 def test_numbers_that_are_not_finite_are_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(f"{QUICK}:DivergingSimulator", ROAD, 1)
+    run = worker().drive(DriveTask(f"{QUICK}:DivergingSimulator", ROAD, 1))
     assert run.outcome is Outcome.SIM_ERROR and "finite" in run.message and "\n" not in run.message
 
 
@@ -119,7 +120,7 @@ def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
 
 
 def test_a_driver_that_hangs_is_silent(worker: Processes) -> None:
-    run = worker(f"{QUICK}:HangingDriver", timeout=2.0).drive(f"{QUICK}:QuickSimulator", ROAD, 1)
+    run = worker(f"{QUICK}:HangingDriver", timeout=2.0).drive(DriveTask(f"{QUICK}:QuickSimulator", ROAD, 1))
     assert (run.outcome, run.message) == (Outcome.DRIVER_SILENT, "no command within 2 s")
 
 
@@ -132,7 +133,9 @@ def test_stop_ends_every_drive_at_once(worker: Processes) -> None:
     process = worker()
     process.start()
     found: list[RunRecord] = []
-    thread = threading.Thread(target=lambda: found.append(process.drive(f"{QUICK}:HangingSimulator", ROAD, 1)))
+    thread = threading.Thread(
+        target=lambda: found.append(process.drive(DriveTask(f"{QUICK}:HangingSimulator", ROAD, 1)))
+    )
     thread.start()
     time.sleep(0.5)
     process.stop()

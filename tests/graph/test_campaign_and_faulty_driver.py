@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from ds_orchestrator.campaign.config import parse_config
-from ds_sim.conditions import DEFAULT, Conditions
 
 pytestmark = pytest.mark.graph
 
@@ -45,9 +44,9 @@ def test_a_campaign_outlives_its_driver(
     )
 
     def separate(
-        _driver: str, namespaces: dict[str, str], limit: float, *, composed: bool, draw: str, conditions: Conditions
+        _driver: str, namespaces: dict[str, str], limit: float, *, composed: bool, draw: str
     ) -> list[ProcessSpec]:
-        assert composed and draw == "seen" and conditions == DEFAULT
+        assert composed and draw == "seen"
         return [*simulator_processes(namespaces, limit), faulty]
 
     monkeypatch.setattr(running, "processes_of", separate)

@@ -15,11 +15,14 @@ from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
 from ds_orchestrator.campaign.stage_timer import StageTimer
 from ds_orchestrator.campaign.status import is_driven
 from ds_orchestrator.engines.cluster import ClusterOptions
-from ds_orchestrator.engines.start import check_engine, running_engine
+from ds_orchestrator.engines.start import check_engine, running_engine, running_gate_driver
 from ds_orchestrator.evaluation.campaign_evaluation import read_correlations
 from ds_orchestrator.evaluation.correlation import Correlation
 from ds_orchestrator.report.build import write_all
 from ds_orchestrator.store.store import Execution, Store, Test
+from ds_sim.conditions.loading import check_applicable
+from ds_sim.conditions.model import NotApplicableError
+from ds_sim.gates.gate import Gate
 from ds_sim.software_versions import versions
 
 
@@ -51,7 +54,7 @@ class SilentListener:
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         """See `Listener.expect`."""
 
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
 
 
@@ -87,7 +90,12 @@ def run_campaign(
     check_engine(config, cluster, attach=attach)
     check_driver(config.driver)
     for name in config.simulators:
-        make_simulator(name).close()
+        made = make_simulator(name)
+        made.close()
+        try:
+            check_applicable(config.fixed_conditions, made.spec)
+        except NotApplicableError as error:
+            raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
     prepare_folder(folder)
     with locked(folder), closing(store_of(folder, config)) as store:
         _record_provenance(store, config, folder)
@@ -187,9 +195,9 @@ def _drive(
     namespaces = namespaces_of(config.siblings, config.twin)
     engine = running_engine(config, namespaces, logs=folder / "logs", attach=attach, cluster=cluster, say=say)
     try:
-        with engine as executor:
+        with engine as executor, running_gate_driver(config, executor, logs=folder / "logs" / "gates") as gate_driver:
             timer = StageTimer(listener, store)
-            campaign = Campaign(config, folder, store, executor, timer, namespaces)
+            campaign = Campaign(config, folder, store, executor, timer, namespaces, gate_driver)
             try:
                 campaign.run()
             except BaseException:

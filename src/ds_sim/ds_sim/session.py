@@ -31,6 +31,7 @@ class RunRecord:
         outcome: how the run ended; RUNNING until then.
         message: one line of explanation where the outcome alone is not enough.
         reason: the same for programs.
+        line_contrasts: contrast of the lines in every tenth frame, if it was measured; see `ds_sim.gates`.
     """
 
     road: Road
@@ -41,6 +42,7 @@ class RunRecord:
     outcome: Outcome = Outcome.RUNNING
     message: str = ""
     reason: Reason = Reason.NONE
+    line_contrasts: list[float] = field(default_factory=list)
 
     @property
     def fitness(self) -> float:

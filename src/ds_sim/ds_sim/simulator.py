@@ -50,6 +50,7 @@ class Reason(IntEnum):
     COMMAND_REFUSED = 7
     WRONG_STAMP = 8
     RESET = 9
+    NOT_APPLICABLE = 10
 
 
 class Outcome(IntEnum):

@@ -1,8 +1,8 @@
 """Process that drives roads for `ds_driver.closed_loop.worker_process.WorkerProcess`, without ROS.
 
-Requests and answers are frames of a `multiprocessing.connection.Connection`: a request is one JSON object (key,
-simulator, road, seed); an answer is the key, eight bytes little-endian, and the run of `ds_sim.run_codec`. The first
-answer says whether the driver was loaded. Nothing is pickled.
+Requests and answers are frames of a `multiprocessing.connection.Connection`: a request is one JSON object (the key and
+a `ds_driver.closed_loop.drive_task.DriveTask`); an answer is the key, eight bytes little-endian, and the run of
+`ds_sim.run_codec`. The first answer says whether the driver was loaded. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ import sys
 from multiprocessing.connection import Connection
 from typing import Any
 
+from ds_driver.closed_loop.drive_task import DriveTask, task_from_json, task_to_json
 from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, InterleavedDrives, Phase
 from ds_driver.closed_loop.phase_memory import PhaseMemory
-from ds_road.files import road_from_json, road_to_json
+from ds_sim.conditions.model import NotApplicableError
 from ds_sim.run_codec import RunCodecError, encode_run
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Outcome, Reason
 
 KEY_BYTES = 8
 
 
-def request_of(key: int, simulator: str, road: Any, seed: int) -> bytes:
-    """Encode a request to drive; `road` is a `ds_road.Road`."""
-    return json.dumps({"key": key, "simulator": simulator, "road": road_to_json(road), "seed": seed}).encode()
+def request_of(key: int, task: DriveTask) -> bytes:
+    """Encode a request to drive."""
+    return json.dumps({"key": key, **task_to_json(task)}).encode()
 
 
 def serve(connection: Connection, memory: PhaseMemory, driver: str) -> None:
@@ -50,19 +51,24 @@ def serve(connection: Connection, memory: PhaseMemory, driver: str) -> None:
 
 
 def _begin(connection: Connection, drives: InterleavedDrives, request: dict[str, Any]) -> None:
-    key, road, seed = request["key"], road_from_json(request["road"]), request["seed"]
+    key, task = request["key"], task_from_json(request)
     try:
-        drives.begin(key, request["simulator"], road, seed)
+        drives.begin(key, task)
+    except NotApplicableError as error:
+        _answer(connection, key, task.ended(Outcome.SIM_ERROR, str(error), Reason.NOT_APPLICABLE))
     except Exception as error:  # a simulator of a user may raise anything: an error, never a failure of the driver
         message = f"{type(error).__name__}: {error}".splitlines()[0]
-        _answer(connection, key, RunRecord(road=road, seed=seed, outcome=Outcome.SIM_ERROR, message=message))
+        _answer(connection, key, task.ended(Outcome.SIM_ERROR, message))
 
 
 def _answer(connection: Connection, key: int, run: RunRecord) -> None:
     try:
         encoded = encode_run(run)
     except RunCodecError as error:  # a simulator whose numbers are not finite
-        encoded = encode_run(RunRecord(road=run.road, seed=run.seed, outcome=Outcome.SIM_ERROR, message=str(error)))
+        failed = RunRecord(
+            road=run.road, seed=run.seed, conditions=run.conditions, outcome=Outcome.SIM_ERROR, message=str(error)
+        )
+        encoded = encode_run(failed)
     connection.send_bytes(key.to_bytes(KEY_BYTES, "little") + encoded)
 
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.simulation import AUTOPILOT, Driver, make_driver
 from ds_driver.control.autopilot import ROWS_SEEN
 from ds_driver.networks.pilot import DriverError, Frame
 from ds_driver.networks.preprocessing import Crop, ImageError
-from ds_road import Road
+from ds_sim.conditions.model import NotApplicableError
+from ds_sim.gates.line_contrast import LineProbe
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator
@@ -37,8 +39,8 @@ ALL_DRIVES = -1
 class InterleavedDrives:
     """Advances its drives in step, and removes each when it ends.
 
-    A run depends on road, seed and commands alone, and a network that takes batches answers an image with the same
-    bits in any batch (`NetworkDriver.largest_batch`), so records do not depend on which drives are interleaved.
+    A run depends on road, seed, conditions and commands alone, and a network that takes batches answers an image with
+    the same bits in any batch (`NetworkDriver.largest_batch`), so records do not depend on what is interleaved.
 
     Args:
         driver: `autopilot`, or any name accepted by `NetworkDriver`.
@@ -61,25 +63,41 @@ class InterleavedDrives:
     def __len__(self) -> int:
         return len(self._active)
 
-    def begin(self, key: int, simulator: str, road: Road, seed: int) -> None:
+    def begin(self, key: int, task: DriveTask) -> None:
         """Begin a drive; `step` yields its record when it has ended, also where the simulator cannot load the road.
 
         Args:
             key: identifies the drive.
-            simulator: name known to `ds_sim.registry`.
-            road: road to drive.
-            seed: seed of the run.
+            task: what to drive.
+
+        Raises:
+            ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
         """
         self._note(Phase.LOADING, key)
-        idle = self._idle.get(simulator)
-        made = idle.pop() if idle else make_simulator(simulator)
-        crop = Crop(made.spec.crop_top, made.spec.crop_bottom)
-        rows = ROWS_SEEN if self._network is None else self._network.rows_seen(crop, made.spec.camera.height_px)
+        idle = self._idle.setdefault(task.simulator, [])
+        made = idle.pop() if idle else make_simulator(task.simulator)
+        try:
+            self._active[key] = self._started(made, task)
+        except NotApplicableError:
+            idle.append(made)
+            raise
+
+    def _started(self, made: Simulator, task: DriveTask) -> _Drive:
+        spec = made.spec
+        crop = Crop(spec.crop_top, spec.crop_bottom)
+        rows: tuple[int, int] | None = (0, spec.camera.height_px)
+        if not task.gate:
+            rows = ROWS_SEEN if self._network is None else self._network.rows_seen(crop, spec.camera.height_px)
         if rows is not None and isinstance(made, DrawsRows):
             made.draw_rows(*rows)
         session = Session(made)
-        autopilot = make_driver(AUTOPILOT, made.spec) if self._network is None else None
-        self._active[key] = _Drive(simulator, session, crop, autopilot, session.start(road, seed))
+        autopilot = make_driver(AUTOPILOT, spec) if task.gate or self._network is None else None
+        seen = session.start(task.road, task.seed, task.conditions)
+        assert session.run is not None
+        probe = LineProbe(session.run, spec) if task.gate else None
+        if probe is not None:
+            probe.see(seen)
+        return _Drive(task.simulator, session, crop, autopilot, seen, probe)
 
     def step(self) -> list[tuple[int, RunRecord]]:
         """Advance every drive by one frame.
@@ -98,20 +116,19 @@ class InterleavedDrives:
                 continue
             self._note(Phase.SIMULATING, key)
             drive.seen = drive.session.advance(command)
+            if drive.probe is not None:
+                drive.probe.see(drive.seen)
         ended = [(key, drive) for key, drive in self._active.items() if not drive.session.driving]
         return [(key, self._record_of(key, drive)) for key, drive in ended]
 
     def _commands(self, drives: list[_Drive]) -> list[Command | DriverError]:
+        frames = [drive.frame() for drive in drives if drive.autopilot is None]
         answers: list[Command | DriverError] = []
-        if self._network is None:
-            for drive in drives:
-                assert drive.autopilot is not None and drive.seen is not None
-                answers.append(drive.autopilot(drive.seen))
-            return answers
-        for first in range(0, len(drives), self.largest_batch):
-            frames = [drive.frame() for drive in drives[first : first + self.largest_batch]]
-            answers += _answers(self._network, frames)
-        return answers
+        if self._network is not None:
+            for first in range(0, len(frames), self.largest_batch):
+                answers += _answers(self._network, frames[first : first + self.largest_batch])
+        of_network = iter(answers)
+        return [next(of_network) if drive.autopilot is None else drive.piloted() for drive in drives]
 
     def _record_of(self, key: int, drive: _Drive) -> RunRecord:
         del self._active[key]
@@ -144,6 +161,11 @@ class _Drive:
     crop: Crop
     autopilot: Driver | None
     seen: Observation | None
+    probe: LineProbe | None
+
+    def piloted(self) -> Command:
+        assert self.autopilot is not None and self.seen is not None
+        return self.autopilot(self.seen)
 
     def frame(self) -> Frame:
         assert self.seen is not None

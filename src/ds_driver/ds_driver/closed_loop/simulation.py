@@ -11,6 +11,7 @@ from ds_driver.networks.pilot import DriverError
 from ds_driver.process_pool import map_in_processes
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.gates.line_contrast import LineProbe
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
@@ -59,16 +60,36 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
 
 
 def drive_road(
-    simulator: Simulator, driver: Driver, road: Road, seed: int, conditions: Conditions = DEFAULT
+    simulator: Simulator,
+    driver: Driver,
+    road: Road,
+    seed: int,
+    conditions: Conditions = DEFAULT,
+    *,
+    probed: bool = False,
 ) -> RunRecord:
     """Drive a road until the run ends; failures of simulator or driver end the run as an error.
+
+    Args:
+        simulator: draws whole images if the run is probed.
+        driver: answers every frame.
+        road: road to drive.
+        seed: seed of the run.
+        conditions: operating conditions of the run.
+        probed: measure the contrast of the lines; see `ds_sim.gates`.
 
     Raises:
         ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no run then.
     """
     session = Session(simulator)
     observation = session.start(road, seed, conditions)
-    while session.driving and observation is not None:
+    assert session.run is not None
+    probe = LineProbe(session.run, simulator.spec) if probed else None
+    while observation is not None:
+        if probe is not None:
+            probe.see(observation)
+        if not session.driving:
+            break
         try:
             command = driver(observation)
         except DriverError as error:
@@ -76,7 +97,6 @@ def drive_road(
             session.end(Outcome.DRIVER_SILENT, str(error))
             break
         observation = session.advance(command)
-    assert session.run is not None
     return session.run
 
 

@@ -12,10 +12,10 @@ from multiprocessing import Pipe
 from pathlib import Path
 
 from ds_driver.child_process import ChildProcesses, last_line_of, python_environment
+from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.drive_worker import KEY_BYTES, request_of
 from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, Phase
 from ds_driver.closed_loop.phase_memory import PhaseMemory
-from ds_road import Road
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -77,7 +77,7 @@ class WorkerProcess:
         with self._lock:
             return self._running().largest_batch
 
-    def drive(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def drive(self, task: DriveTask) -> RunRecord:
         """Drive a road; errors, `stop` and a process that dies are outcomes too.
 
         Raises:
@@ -87,18 +87,18 @@ class WorkerProcess:
         while True:
             with self._lock:
                 if self._stopped:
-                    return _error(road, seed, Outcome.CANCELLED, "stopped")
+                    return task.ended(Outcome.CANCELLED, "stopped")
                 process = self._running()
                 self._next += 1
-                answer = process.request(self._next, simulator, road, seed)
+                answer = process.request(self._next, task)
             try:
                 return answer.result()
             except _Lost as lost:
                 deaths += 1
                 if self._stopped:
-                    return _error(road, seed, Outcome.CANCELLED, "stopped")
+                    return task.ended(Outcome.CANCELLED, "stopped")
                 if deaths >= DEATHS:
-                    return _error(road, seed, Outcome.SIM_ERROR, f"its process ended {deaths} times: {lost}")
+                    return task.ended(Outcome.SIM_ERROR, f"its process ended {deaths} times: {lost}")
 
     def stop(self) -> None:
         """End every drive now, as CANCELLED."""
@@ -150,7 +150,7 @@ class _Process:
         theirs.close()
         self.largest_batch = self._greeting()
         self._lock = threading.Lock()
-        self._drives: dict[int, tuple[Road, int, Future[RunRecord]]] = {}
+        self._drives: dict[int, tuple[DriveTask, Future[RunRecord]]] = {}
         self._ended = ""
         self._reader = threading.Thread(target=self._read, name="drives", daemon=True)
         self._reader.start()
@@ -163,16 +163,16 @@ class _Process:
     def alive(self) -> bool:
         return not self._ended and self._child.poll() is None
 
-    def request(self, key: int, simulator: str, road: Road, seed: int) -> Future[RunRecord]:
+    def request(self, key: int, task: DriveTask) -> Future[RunRecord]:
         """Send a drive; its future holds the record, or `_Lost` if the process ends."""
         answer: Future[RunRecord] = Future()
         with self._lock:
             if self._ended:
                 answer.set_exception(_Lost(self._ended))
                 return answer
-            self._drives[key] = (road, seed, answer)
+            self._drives[key] = (task, answer)
         with suppress(OSError):  # it has ended, which the reader sees too
-            self._connection.send_bytes(request_of(key, simulator, road, seed))
+            self._connection.send_bytes(request_of(key, task))
         return answer
 
     def kill(self) -> None:
@@ -230,17 +230,17 @@ class _Process:
         with self._lock:
             self._ended = str(lost)
             drives, self._drives = self._drives, {}
-        for _, _, answer in drives.values():
+        for _, answer in drives.values():
             answer.set_exception(lost)
         self._connection.close()
         self._memory.close()
 
     def _receive(self, message: bytes) -> None:
         key = int.from_bytes(message[:KEY_BYTES], "little")
-        road, seed, answer = self._take(key)
-        answer.set_result(decode_run(message[KEY_BYTES:], road, seed))
+        task, answer = self._take(key)
+        answer.set_result(decode_run(message[KEY_BYTES:], task.road, task.seed, task.conditions))
 
-    def _take(self, key: int) -> tuple[Road, int, Future[RunRecord]]:
+    def _take(self, key: int) -> tuple[DriveTask, Future[RunRecord]]:
         with self._lock:
             return self._drives.pop(key)
 
@@ -253,9 +253,5 @@ class _Process:
             what = "load the road" if phase is Phase.LOADING else "advance by one frame"
             outcome, message = Outcome.SIM_ERROR, f"the simulator took more than {limit:g} s to {what}"
         for guilty in list(self._drives) if key == ALL_DRIVES else [key]:
-            road, seed, answer = self._take(guilty)
-            answer.set_result(_error(road, seed, outcome, message))
-
-
-def _error(road: Road, seed: int, outcome: Outcome, message: str) -> RunRecord:
-    return RunRecord(road=road, seed=seed, outcome=outcome, message=message)
+            task, answer = self._take(guilty)
+            answer.set_result(task.ended(outcome, message))

@@ -11,6 +11,7 @@ from ds_orchestrator.campaign.folder import config_of
 from ds_orchestrator.maps.campaign_maps import cells_of
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.store import Execution, Store, Test
+from ds_sim.gates.gate import Gate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +22,7 @@ class CampaignData:
         config: configuration as run.
         tests: every test, by sibling, run and number.
         executions: every execution, by simulator and test, with its trajectory.
+        gates: test and simulator -> what the gates say; tests that they exclude have no execution there.
         notes: facts such as versions and times.
         errors: attempts that ended in an error: test, simulator, attempt, outcome, message.
         given_up: tests whose search continued without their outcome.
@@ -31,6 +33,7 @@ class CampaignData:
     config: CampaignConfig
     tests: tuple[Test, ...] = ()
     executions: tuple[Execution, ...] = ()
+    gates: Mapping[tuple[str, str], Gate] = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
     errors: tuple[tuple[str, str, int, str, str], ...] = ()
     given_up: frozenset[str] = frozenset()
@@ -41,6 +44,16 @@ class CampaignData:
     def verdicts(self) -> tuple[Execution, ...]:
         """Executions that ended in a verdict on the driver."""
         return tuple(e for e in self.executions if e.outcome.is_verdict)
+
+    @cached_property
+    def excluded(self) -> dict[tuple[str, str], Gate]:
+        """Test and simulator -> why no network can be judged by it there."""
+        return {key: gate for key, gate in self.gates.items() if not gate.is_valid}
+
+    @property
+    def result_count(self) -> int:
+        """Number of executions and gates, from which maps, evaluation and report are made."""
+        return len(self.executions) + len(self.gates)
 
     @cached_property
     def cells(self) -> dict[str, Cell]:
@@ -59,11 +72,12 @@ def read_campaign(store: Store) -> CampaignData:
         ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
     """
     # Executions first: a test is stored before its executions, so none is without its test while a campaign runs.
-    executions = tuple(store.executions())
+    executions, gates = tuple(store.executions()), store.gates()
     return CampaignData(
         config=config_of(store),
         tests=tuple(store.tests()),
         executions=executions,
+        gates=gates,
         notes=store.notes(),
         errors=tuple(store.errors()),
         given_up=frozenset(store.given_up()),

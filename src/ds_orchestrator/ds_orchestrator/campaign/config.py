@@ -16,9 +16,12 @@ from ds_orchestrator.search.base import SearchSettings
 from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, feature_of
 from ds_road import Side
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
+from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.registry import SIMULATORS
 
 Engine = Literal["graph", "local", "dask"]
+Gates = Literal["conditions", "all"]
 Record = Literal["none", "telemetry", "compressed", "raw"]
 MOST_WORKERS = 64
 """Chosen: each worker is four processes or more."""
@@ -122,6 +125,10 @@ class CampaignConfig(_Strict):
         search: search on each sibling.
         maxitwo_compatible: reproduce the five known quirks of the authors' package (docs/method.md).
         lane: lane in which every road is driven, `right` or `left`.
+        conditions: operating conditions of every test, as in `visibility=60,line_contrast=0.4`; `none` for each
+            simulator's own world.
+        gates: tests that the autopilot must complete with visible lines before the driver is judged by them:
+            `conditions` for tests with other than the default conditions, `all` for every test.
         features: axes of the feature maps, two or three; `minimum_radius:20` joins twenty bins into one.
         migration: `all` drives every executed test on the other siblings and the twin, `elites` only the elites of
             each search run.
@@ -143,6 +150,8 @@ class CampaignConfig(_Strict):
     search: SearchConfig = SearchConfig()
     maxitwo_compatible: bool = False
     lane: Side = "right"
+    conditions: str = ""
+    gates: Gates = "conditions"
     features: list[str] = list(DEFAULT_FEATURES)
     migration: Literal["all", "elites"] = "all"
     operators: OperatorsConfig = OperatorsConfig()
@@ -172,6 +181,13 @@ class CampaignConfig(_Strict):
             raise ValueError("sim-to-real translation is not available yet: expected false")
         return value
 
+    @field_validator("conditions", mode="before")
+    @classmethod
+    def _known_conditions(cls, value: object) -> object:
+        if value in (None, "none"):
+            return ""
+        return format_conditions(parse_conditions(value)) if isinstance(value, str) else value
+
     @field_validator("features")
     @classmethod
     def _known_features(cls, value: list[str]) -> list[str]:
@@ -195,6 +211,16 @@ class CampaignConfig(_Strict):
     def simulators(self) -> list[str]:
         """Siblings, then the twin if there is one."""
         return [*self.siblings, *([self.twin] if self.twin else [])]
+
+    @property
+    def fixed_conditions(self) -> Conditions:
+        """Operating conditions of every test."""
+        return parse_conditions(self.conditions)
+
+    @property
+    def has_gates(self) -> bool:
+        """Whether tests may have conditions or gates."""
+        return bool(self.conditions) or self.gates == "all"
 
     @property
     def elites_only(self) -> bool:
@@ -227,9 +253,12 @@ class CampaignConfig(_Strict):
     def identity(self) -> str:
         """JSON text of every key that affects results; a campaign resumes only with an equal one.
 
-        The right lane is left out: campaigns of versions that knew no other have the same text.
+        Defaults of later keys are left out: campaigns of versions that knew no others have the same text.
         """
-        return self.model_dump_json(exclude={"engine", "workers"} | ({"lane"} if self.lane == "right" else set()))
+        later = {"lane": "right", "conditions": "", "gates": "conditions"}
+        return self.model_dump_json(
+            exclude={"engine", "workers"} | {key for key, default in later.items() if getattr(self, key) == default}
+        )
 
 
 def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:

@@ -101,7 +101,9 @@ def store_of(folder: Path, config: CampaignConfig) -> Store:
     Raises:
         StoreError: the folder holds a campaign with another configuration, or cannot be used.
     """
-    store = Store(folder / "campaign.sqlite", config=config.identity(), present=_with_present_keys)
+    store = Store(
+        folder / "campaign.sqlite", config=config.identity(), present=_with_present_keys, conditions=config.has_gates
+    )
     try:
         _check(store, config)
     except StoreError:

@@ -21,14 +21,18 @@ from numpy.typing import NDArray
 
 from ds_bags.run_writer import write_bag
 from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.gatekeeper import GateDriver, GateError, Gatekeeper
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import cell_of
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.gates.gate import Gate
 from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
+from ds_sim.simulator import Reason
 
 PATIENCE = 5
 """A simulator counts as broken after this many consecutive tests without an outcome, retries included; chosen: two or
@@ -43,7 +47,7 @@ class Executor(Protocol):
         """Drives at a time, on whatever simulators; None where each simulator takes `config.workers` at a time."""
         ...
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
         """Drive to an outcome; errors are outcomes too. Called from one thread per simulator and worker."""
         ...
 
@@ -71,13 +75,13 @@ class Listener(Protocol):
         """Handle the expected executions: per stage, simulator -> their number, finished ones included."""
         ...
 
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """Handle the end of an execution.
 
         Args:
             test: test that was driven.
             simulator: name of the simulator.
-            execution: outcome, or None if every attempt ended in an error.
+            execution: outcome; why the test is excluded there; or None if every attempt ended in an error.
             fresh: False if the execution was read from the store.
         """
         ...
@@ -96,6 +100,7 @@ class Campaign:
         executor: drives the roads.
         listener: receives progress.
         namespaces: simulator name -> ROS namespace, for the bags' topics.
+        gate_driver: drives the autopilot for the gates; None for a campaign without gates.
     """
 
     def __init__(
@@ -106,6 +111,7 @@ class Campaign:
         executor: Executor,
         listener: Listener,
         namespaces: dict[str, str],
+        gate_driver: GateDriver | None = None,
     ) -> None:
         self._config = config
         self._folder = folder
@@ -113,6 +119,7 @@ class Campaign:
         self._executor = executor
         self._listener = listener
         self._namespaces = namespaces
+        self._gatekeeper = Gatekeeper(config, store, gate_driver)
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._unlucky: dict[str, int] = dict.fromkeys(config.simulators, 0)
@@ -183,6 +190,7 @@ class Campaign:
             except BaseException:
                 self._stop.set()
                 self._executor.stop()
+                self._gatekeeper.stop()
                 raise
 
     @staticmethod
@@ -208,29 +216,52 @@ class Campaign:
             test_id = f"{label_of(sibling)}-{run}-{number:04d}"
             road = search.ask()
             test_seed = _seed(config.seed, "test", test_id)
-            test = Test(test_id=test_id, sibling=sibling, run=run, number=number, road=road, seed=test_seed)
+            test = Test(
+                test_id=test_id,
+                sibling=sibling,
+                run=run,
+                number=number,
+                road=road,
+                seed=test_seed,
+                conditions=config.fixed_conditions,
+            )
             self._store.add_test(test)
             execution = self._execute(test, sibling)
             if execution is None:
                 self._store.give_up(test_id)
-            if execution is None or test_id in self._given_up:
+            if not isinstance(execution, Execution) or test_id in self._given_up:
                 search.tell(None)
             else:
                 cell = cell_of(road, execution, features=config.features, maxitwo_compatible=config.maxitwo_compatible)
                 search.tell(execution.fitness, failed=execution.outcome.is_failure, cell=cell)
 
-    def _execute(self, test: Test, simulator: str) -> Execution | None:
-        """Return a test's execution on one simulator from the store, or drive it, repeating errors `retries` times."""
+    def _check_stop(self) -> None:
         if self._stop.is_set():
             raise Stopped
-        known = self._store.execution(test.test_id, simulator)
-        if known is not None:
+
+    def _execute(self, test: Test, simulator: str) -> Execution | Gate | None:
+        """Return a test's execution on one simulator from the store, or drive it, repeating errors `retries` times.
+
+        A test by which no network can be judged there is not driven: its gate is returned.
+        """
+        self._check_stop()
+        known = self._store.execution(test.test_id, simulator) or self._store.gate(test.test_id, simulator)
+        if isinstance(known, Execution) or (known is not None and not known.is_valid):
             self._listener.finished(test, simulator, known, fresh=False)
             return known
+        try:
+            gate = self._gatekeeper.judge(test, simulator, check_stop=self._check_stop)
+        except GateError as error:
+            self._count_unlucky(test, simulator, error.run)
+            self._listener.finished(test, simulator, None, fresh=True)
+            return None
+        if gate is not None and not gate.is_valid:
+            return self._excluded(test, simulator, gate)
         for attempt in range(self._config.retries + 1):
-            if self._stop.is_set():
-                raise Stopped
-            run = self._executor.execute(simulator, test.road, test.seed)
+            self._check_stop()
+            run = self._executor.execute(simulator, test.road, test.seed, test.conditions)
+            if run.reason is Reason.NOT_APPLICABLE:
+                return self._excluded(test, simulator, self._gatekeeper.refused(test, simulator, run.message))
             if run.outcome.is_error and self._stop.is_set():
                 raise Stopped
             if run.outcome.is_verdict:
@@ -243,6 +274,12 @@ class Campaign:
         self._count_unlucky(test, simulator, run)
         self._listener.finished(test, simulator, None, fresh=True)
         return None
+
+    def _excluded(self, test: Test, simulator: str, gate: Gate) -> Gate:
+        with self._lock:
+            self._unlucky[simulator] = 0
+        self._listener.finished(test, simulator, gate, fresh=True)
+        return gate
 
     def _count_unlucky(self, test: Test, simulator: str, run: RunRecord) -> None:
         """Count a test without an outcome; raise CampaignError after `PATIENCE` of them in a row."""
@@ -261,6 +298,7 @@ class Campaign:
     def _take_back(self, sibling: str) -> None:
         """Forget the trailing tests of each search run that have no outcome, so that they are tried again."""
         done = {e.test_id for e in self._store.executions() if e.simulator == sibling}
+        done |= {i for (i, name), gate in self._store.gates().items() if name == sibling and not gate.is_valid}
         runs: dict[int, list[str]] = {}
         for test in self._store.tests():
             if test.sibling == sibling:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ds_orchestrator.campaign.runner import Listener
 from ds_orchestrator.store.store import Execution, Store, Test
+from ds_sim.gates.gate import Gate
 
 _PREFIX = "seconds "
 
@@ -43,7 +44,7 @@ class StageTimer:
         """See `Listener.expect`."""
         self._listener.expect(stages)
 
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
         self._listener.finished(test, simulator, execution, fresh)
 

@@ -38,7 +38,7 @@ class DriveRequest:
         driver: driver name, with its backend.
         road: to drive.
         seed: of the run.
-        conditions: operating conditions of the run.
+        conditions: operating conditions of the run; the default leaves them to a running node.
         bag: rosbag2 folder to write, or None.
         level: what the bag holds.
         video: .mp4 to write, or None.
@@ -148,7 +148,6 @@ def _check(request: DriveRequest) -> None:
     from ds_bags.layout import BagError
     from ds_orchestrator.graph.process_specs import check_driver
     from ds_sim.conditions.loading import check_applicable
-    from ds_sim.conditions.model import ConditionsError
     from ds_sim.registry import make_simulator
     from ds_sim.video import check_path
 
@@ -157,8 +156,6 @@ def _check(request: DriveRequest) -> None:
         check_applicable(request.conditions, simulator.spec)
     finally:
         simulator.close()
-    if request.attach and not request.conditions.is_default:
-        raise ConditionsError("--conditions and --attach: give the running simulator's node its parameter conditions")
     if not request.attach:
         check_driver(request.driver)
     road = request.road
@@ -184,12 +181,14 @@ def _run(request: DriveRequest) -> tuple[RunRecord, bool]:
         tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
         running_graph(
             {sim: namespace}, request.driver, command_timeout=COMMAND_TIMEOUT, logs=Path(logs), attach=request.attach,
-            wait=request.wait if request.attach else START_WAIT, report=say, conditions=request.conditions,
+            wait=request.wait if request.attach else START_WAIT, report=say,
         ) as executor,
         _recorder(executor, request) as recorder,
         DriveProgress(f"{sim} drives") as progress,
     ):  # fmt: skip
-        run = executor.execute(sim, request.road, request.seed, progress.update)
+        own = request.attach and request.conditions.is_default  # those of the running node
+        conditions = None if own else request.conditions
+        run = executor.execute(sim, request.road, request.seed, conditions, watch=progress.update)
         if recorder is not None and not recorder.wait_for_images(len(run.observations)):
             say(f"only {recorder.images} of {len(run.observations)} images arrived")
         return run, recorder is not None

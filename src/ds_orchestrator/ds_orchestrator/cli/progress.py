@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ds_orchestrator.cli.output import duration, say
 from ds_orchestrator.store.store import Execution, Test
+from ds_sim.gates.gate import Gate
 
 EVERY = 5.0
 """Seconds between two lines about a drive where there is no terminal; chosen."""
@@ -112,20 +113,26 @@ class ScreenListener:
             self._total = sum(sum(stage.values()) for stage in stages)
         self._progress.update(self._task, total=self._total)
 
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """Count an execution; one that was in the store took no time, so it does not count for the time left."""
         with self._lock:
             self.done += 1
             # A test is driven on its own sibling by the search, elsewhere by the stage after that.
             self._left.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
-            self._failures += execution is not None and execution.outcome.is_failure
+            self._failures += isinstance(execution, Execution) and execution.outcome.is_failure
             seconds = self._left.seconds()
             left = "" if seconds is None else f"about {duration(seconds)} left"
             self._progress.update(self._task, completed=self.done, failures=self._failures, left=left)
             if not self._console.is_terminal and fresh:
-                outcome = execution.outcome.name.lower() if execution else "error"
+                outcome = _outcome(execution)
                 line = f"{self.done}/{self._total} {test.test_id} on {simulator}: {outcome}"
                 print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
+
+
+def _outcome(execution: Execution | Gate | None) -> str:
+    if isinstance(execution, Gate):
+        return f"{execution.state.value}, {execution.message}"
+    return execution.outcome.name.lower() if execution else "error"
 
 
 class DriveProgress:

@@ -1,8 +1,8 @@
 """Engine `dask`: the same worker processes on any number of machines, behind a Dask scheduler.
 
 A task is a batch of drives, pinned to one worker. Which worker takes which batch, and how often a batch is handed out
-because a worker died, changes no byte of a result: a drive depends on its simulator, driver, road and seed alone, and
-only the first answer to it counts.
+because a worker died, changes no byte of a result: a drive depends on its simulator, driver, road, seed and conditions
+alone, and only the first answer to it counts.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ds_driver.closed_loop.drive_task import DriveTask, task_to_json
 from ds_orchestrator.engines import dask_worker
 from ds_orchestrator.engines.cluster import ClusterOptions, connect, own_cluster
 from ds_orchestrator.engines.local import DRIVES_PER_WORKER
 from ds_orchestrator.engines.membership import Membership, RemoteWorker
 from ds_orchestrator.engines.parcel import Parcel, parcel_of
 from ds_road import Road
-from ds_road.files import road_to_json
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -44,18 +45,13 @@ class EngineError(RuntimeError):
 class _Job:
     """One drive."""
 
-    simulator: str
-    road: Road
-    seed: int
+    task: DriveTask
     losses: int = 0
     answer: Future[RunRecord] = field(default_factory=Future)
 
-    def request(self) -> dict[str, Any]:
-        return {"simulator": self.simulator, "road": road_to_json(self.road), "seed": self.seed}
-
     def end(self, outcome: Outcome, message: str) -> None:
         if not self.answer.done():
-            self.answer.set_result(RunRecord(road=self.road, seed=self.seed, outcome=outcome, message=message))
+            self.answer.set_result(self.task.ended(outcome, message))
 
 
 @dataclass(eq=False)
@@ -126,13 +122,20 @@ class DaskExecutor:
         """Wait until a worker is ready; see `Membership.wait_for_worker`."""
         self._membership.wait_for_worker()
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
         """Drive a road on some worker; waits for one that is free.
 
         Raises:
             EngineError: the scheduler or all workers are gone for too long.
         """
-        job = _Job(simulator, road, seed)
+        return self._drive(DriveTask(simulator, road, seed, conditions))
+
+    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
+        """Drive the autopilot; see `ds_orchestrator.campaign.gatekeeper.GateDriver`."""
+        return self._drive(DriveTask(simulator, road, seed, conditions, gate=True))
+
+    def _drive(self, task: DriveTask) -> RunRecord:
+        job = _Job(task)
         with self._changed:
             if self._failure:
                 raise EngineError(self._failure)
@@ -218,7 +221,7 @@ class DaskExecutor:
                     dask_worker.drive,
                     self._sha256,
                     self._timeout,
-                    [job.request() for job in batch.jobs],
+                    [task_to_json(job.task) for job in batch.jobs],
                     key=name,
                     workers=[seat.worker.address],
                     allow_other_workers=False,
@@ -242,7 +245,10 @@ class DaskExecutor:
         try:
             if answers is None:
                 raise RunCodecError("the worker was restarted under its address")
-            runs = [decode_run(answer, job.road, job.seed) for answer, job in zip(answers, batch.jobs, strict=True)]
+            runs = [
+                decode_run(answer, job.task.road, job.task.seed, job.task.conditions)
+                for answer, job in zip(answers, batch.jobs, strict=True)
+            ]
         except ValueError as error:
             self._queue_again(seat, batch, str(error))
             self._membership.forget(seat.worker.address)  # it prepares itself again

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ds_driver.closed_loop.drive_task import task_from_json
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.engines.fingerprint import fingerprint
 from ds_orchestrator.engines.parcel import Parcel
-from ds_road.files import road_from_json
 from ds_sim.run_codec import encode_run
 
 
@@ -72,7 +72,7 @@ def drive(sha256: str, command_timeout: float, drives: list[dict[str, Any]]) -> 
     Args:
         sha256: digest of the parcel.
         command_timeout: wall-clock time for one answer of the driver, s.
-        drives: simulator (its name where the campaign runs), road (as JSON value) and seed of each.
+        drives: tasks as JSON values, with the simulators' names where the campaign runs.
 
     Returns:
         The runs, encoded by `ds_sim.run_codec`, in order; None if this worker does not have the parcel.
@@ -83,8 +83,9 @@ def drive(sha256: str, command_timeout: float, drives: list[dict[str, Any]]) -> 
     process = _taken(unpacked, command_timeout)
 
     def run(one: dict[str, Any]) -> bytes:
-        name = unpacked.parcel.name_there(one["simulator"], unpacked.folder)
-        return encode_run(process.drive(name, road_from_json(one["road"]), one["seed"]))
+        task = task_from_json(one)
+        name = unpacked.parcel.name_there(task.simulator, unpacked.folder)
+        return encode_run(process.drive(replace(task, simulator=name)))
 
     try:
         with ThreadPoolExecutor(len(drives)) as pool:

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.session import RunRecord
 
 DRIVES_PER_WORKER = 4
@@ -33,18 +35,25 @@ class LocalExecutor:
         """Drives at a time."""
         return len(self._busy) * self._drives_each
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
         """Drive a road as soon as a process has room.
 
         Raises:
             ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
         """
+        return self._drive(DriveTask(simulator, road, seed, conditions))
+
+    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
+        """Drive the autopilot; see `ds_orchestrator.campaign.gatekeeper.GateDriver`."""
+        return self._drive(DriveTask(simulator, road, seed, conditions, gate=True))
+
+    def _drive(self, task: DriveTask) -> RunRecord:
         with self._changed:
             self._changed.wait_for(lambda: min(self._busy.values()) < self._drives_each)
             worker = min(self._busy, key=lambda one: self._busy[one])
             self._busy[worker] += 1
         try:
-            return worker.drive(simulator, road, seed)
+            return worker.drive(task)
         finally:
             with self._changed:
                 self._busy[worker] -= 1

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
+from ds_orchestrator.campaign.gatekeeper import GateDriver
 from ds_orchestrator.campaign.runner import Executor
 from ds_orchestrator.engines.cluster import ClusterOptions
 
@@ -69,3 +71,24 @@ def running_engine(
     if config.workers > 1:
         return running_workers(config.workers, namespaces, driver, command_timeout=timeout, logs=logs)
     return running_graph(namespaces, driver, command_timeout=timeout, logs=logs, attach=attach, draw="seen")
+
+
+def running_gate_driver(
+    config: CampaignConfig, executor: Executor, *, logs: Path
+) -> AbstractContextManager[GateDriver | None]:
+    """Context manager that yields what drives the autopilot for the gates, if the campaign has any.
+
+    Engines without ROS drive it beside the driver; beside a graph, worker processes do, whose drives are the same.
+
+    Args:
+        config: configuration of the campaign.
+        executor: executor of the engine.
+        logs: folder for the logs of further processes.
+    """
+    if not config.has_gates:
+        return nullcontext()
+    if isinstance(executor, GateDriver):
+        return nullcontext(executor)
+    from ds_orchestrator.engines.local import running_local
+
+    return running_local(AUTOPILOT, workers=config.workers, command_timeout=config.command_timeout, logs=logs)

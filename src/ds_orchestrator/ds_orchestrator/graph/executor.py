@@ -74,9 +74,7 @@ class GraphExecutor:
         command_timeout: float,
         supervisor: Supervisor | None = None,
         report: Callable[[str], None] = lambda _line: None,
-        conditions: Conditions = DEFAULT,
     ) -> None:
-        self._conditions = conditions
         self._namespaces = dict(namespaces)
         self._timeout = command_timeout
         self._supervisor = supervisor
@@ -154,21 +152,31 @@ class GraphExecutor:
             raise GraphError(f"{simulator} does not answer get_info within {SERVICE_TIME:.0f} s: is its node alive?")
         return response
 
-    def execute(self, simulator: str, road: Road, seed: int, watch: Watch | None = None) -> RunRecord:
+    def execute(
+        self,
+        simulator: str,
+        road: Road,
+        seed: int,
+        conditions: Conditions | None = DEFAULT,
+        *,
+        watch: Watch | None = None,
+    ) -> RunRecord:
         """Drive a road on a simulator; always returns, and never raises for an error in another process.
 
         Args:
             simulator: name of the simulator.
             road: road to drive.
             seed: seed of the run.
+            conditions: operating conditions of the run; None for those of the simulator's node.
             watch: called from another thread with the simulator's feedback.
         """
         self._simulators[simulator].watch = watch
         while True:
-            record = RunRecord(road=road, seed=seed, conditions=self._conditions)
+            record = RunRecord(road=road, seed=seed, conditions=conditions or DEFAULT)
+            goal = self._goal(record, explicit=conditions is not None)
             self._revive()
             began = time.monotonic()
-            record.outcome, record.message = self._execute(simulator, record)
+            record.outcome, record.message = self._execute(simulator, record, goal)
             driver = self._driver_of(simulator)
             if record.commands and self._renewed.get(driver, -math.inf) < began:
                 self._starting -= self._processes(simulator)
@@ -254,7 +262,16 @@ class GraphExecutor:
             if self._renewed.get(driver, -math.inf) < began:
                 self._renew(driver)
 
-    def _execute(self, name: str, record: RunRecord) -> tuple[Outcome, str]:
+    def _goal(self, record: RunRecord, *, explicit: bool) -> DriveRoad.Goal:
+        """Make the goal of a run; it carries the whole test, so that another client's load_road cannot interfere."""
+        return DriveRoad.Goal(
+            road=messages.road_to_message(record.road),
+            seed=record.seed,
+            conditions=messages.conditions_to_messages(record.conditions, explicit=explicit),
+            command_timeout=self._timeout,
+        )
+
+    def _execute(self, name: str, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
         began = time.monotonic()
         try:
@@ -266,7 +283,7 @@ class GraphExecutor:
         if self._ask(simulator.info, GetSimulatorInfo.Request(), limit) is None:
             self._restart(name)
             return Outcome.SIM_ERROR, f"get_info was not answered within {limit:.0f} s"
-        result = self._drive(name, record)
+        result = self._drive(name, goal)
         if isinstance(result, str):
             return Outcome.SIM_ERROR, result
         try:
@@ -277,7 +294,7 @@ class GraphExecutor:
             self._renew_driver(name, began, record)
         return Outcome(result.outcome.value), result.message
 
-    def _drive(self, name: str, record: RunRecord) -> DriveRoad.Result | str:
+    def _drive(self, name: str, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         """Send a goal and return its result, or one line on the error.
 
         Waits for a simulator that drives for another client, and ends a run that lost its client.
@@ -285,7 +302,7 @@ class GraphExecutor:
         simulator = self._simulators[name]
         deadline, reported = time.monotonic() + BUSY_TIME, False
         while True:
-            result = self._drive_once(name, record)
+            result = self._drive_once(name, goal)
             if isinstance(result, str) or result.reason.value != Reason.BUSY:
                 return result
             others = simulator.other_clients()
@@ -297,13 +314,9 @@ class GraphExecutor:
             if time.monotonic() > deadline or self._stopped.wait(0.5 if others else 0.2):
                 return result
 
-    def _drive_once(self, name: str, record: RunRecord) -> DriveRoad.Result | str:
+    def _drive_once(self, name: str, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         simulator = self._simulators[name]
         simulator.alive = time.monotonic()
-        # The goal carries road and seed, so that another client's load_road cannot interfere.
-        goal = DriveRoad.Goal(
-            road=messages.road_to_message(record.road), seed=record.seed, command_timeout=self._timeout
-        )
         handle = self._call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
         if handle is None:
             self._restart(name)
@@ -433,3 +446,5 @@ def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
     record.reason = Reason(result.reason.value)
     record.observations = messages.observations_of(result.trajectory)
     record.commands = messages.commands_of(result.trajectory)
+    if record.observations:
+        record.conditions = messages.conditions_from_messages(result.conditions)

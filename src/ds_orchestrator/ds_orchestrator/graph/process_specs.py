@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_orchestrator.graph.supervisor import ProcessSpec
-from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.conditions.text import format_conditions
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
@@ -32,12 +30,7 @@ def closed_loop_process_name(namespace: str) -> str:
 
 
 def closed_loop_processes(
-    driver: str,
-    namespaces: dict[str, str],
-    command_timeout: float,
-    *,
-    draw: str = "all",
-    conditions: Conditions = DEFAULT,
+    driver: str, namespaces: dict[str, str], command_timeout: float, *, draw: str = "all"
 ) -> list[ProcessSpec]:
     """Specify one process per simulator, with a driver's node beside the simulator's.
 
@@ -46,7 +39,6 @@ def closed_loop_processes(
         namespaces: simulator name -> namespace.
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         draw: `all`, or `seen` for the rows of the images that the driver sees.
-        conditions: operating conditions of all runs.
     """
     return [
         ProcessSpec(
@@ -55,27 +47,20 @@ def closed_loop_processes(
             arguments=("autopilot",) if driver == AUTOPILOT else ("driver",),
             namespace=namespace,
             parameters={"simulator": name, "command_timeout": command_timeout, "draw": draw}
-            | _conditions_parameter(conditions)
             | ({} if driver == AUTOPILOT else {"network": driver}),
         )
         for name, namespace in namespaces.items()
     ]
 
 
-def _conditions_parameter(conditions: Conditions) -> dict[str, object]:
-    return {} if conditions.is_default else {"conditions": format_conditions(conditions)}
-
-
-def simulator_processes(
-    namespaces: dict[str, str], command_timeout: float, conditions: Conditions = DEFAULT
-) -> list[ProcessSpec]:
+def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
     """Specify one process per simulator."""
     return [
         ProcessSpec(
             name=simulator_process_name(namespace),
             module="ds_sim.ros.simulator_node",
             namespace=namespace,
-            parameters={"simulator": name, "command_timeout": command_timeout} | _conditions_parameter(conditions),
+            parameters={"simulator": name, "command_timeout": command_timeout},
         )
         for name, namespace in namespaces.items()
     ]

@@ -13,22 +13,15 @@ from ds_orchestrator.graph.shared_memory import remove_leftovers
 from ds_orchestrator.graph.signals import IgnoreSignals
 from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 from ds_orchestrator.graph.worker_pool import WorkerPool
-from ds_sim.conditions.model import DEFAULT, Conditions
 
 
 def processes_of(
-    driver: str,
-    namespaces: dict[str, str],
-    command_timeout: float,
-    *,
-    composed: bool,
-    draw: str,
-    conditions: Conditions = DEFAULT,
+    driver: str, namespaces: dict[str, str], command_timeout: float, *, composed: bool, draw: str
 ) -> list[ProcessSpec]:
     """Specify the processes of a graph; see `running_graph`."""
     if composed:
-        return closed_loop_processes(driver, namespaces, command_timeout, draw=draw, conditions=conditions)
-    return [*simulator_processes(namespaces, command_timeout, conditions), driver_process(driver, namespaces)]
+        return closed_loop_processes(driver, namespaces, command_timeout, draw=draw)
+    return [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
 
 
 @contextmanager
@@ -41,7 +34,6 @@ def running_graph(
     attach: bool = False,
     composed: bool = True,
     draw: str = "all",
-    conditions: Conditions = DEFAULT,
     wait: float = START_TIME,
     report: Callable[[str], None] = lambda line: None,
 ) -> Iterator[GraphExecutor]:
@@ -56,7 +48,6 @@ def running_graph(
         composed: each simulator shares its process with a driver of its own; otherwise every node has a process, and
             one driver drives all.
         draw: `all`, or `seen` to draw, in a composed graph, only rows of the images that somebody looks at.
-        conditions: operating conditions of all runs of nodes that are started here.
         wait: limit for the start of the nodes, s.
         report: called with one line when a run has to wait for another client.
 
@@ -74,9 +65,7 @@ def running_graph(
             reserved = RosDomain()
             stack.callback(reserved.close)
             domain = reserved.number
-            specs = processes_of(
-                driver, namespaces, command_timeout, composed=composed, draw=draw, conditions=conditions
-            )
+            specs = processes_of(driver, namespaces, command_timeout, composed=composed, draw=draw)
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
         executor = GraphExecutor(
@@ -85,7 +74,6 @@ def running_graph(
             command_timeout=command_timeout,
             supervisor=supervisor,
             report=report,
-            conditions=conditions,
         )
         stack.callback(executor.close)
         stack.callback(signals_ignored.__enter__)

@@ -7,14 +7,15 @@ from queue import SimpleQueue
 
 from ds_orchestrator.campaign.runner import Executor
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.session import RunRecord
 
 
 class WorkerPool:
     """Gives each run to a worker with a free simulator of that name.
 
-    Satisfies `ds_orchestrator.campaign.runner.Executor`. A run depends on road, seed and commands alone, so any worker
-    may drive it.
+    Satisfies `ds_orchestrator.campaign.runner.Executor`. A run depends on road, seed, conditions and commands
+    alone, so any worker may drive it.
 
     Args:
         workers: executors, each with every simulator.
@@ -33,11 +34,11 @@ class WorkerPool:
         """None: each simulator takes as many drives as there are workers."""
         return None
 
-    def execute(self, simulator: str, road: Road, seed: int) -> RunRecord:
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
         """Drive a road as soon as a worker is free."""
         worker = self._free[simulator].get()
         try:
-            return worker.execute(simulator, road, seed)
+            return worker.execute(simulator, road, seed, conditions)
         finally:
             self._free[simulator].put(worker)
 

@@ -69,7 +69,7 @@ def write_all(
     from ds_orchestrator.report.sibling_section import sibling_section
 
     report = folder / "report.html"
-    count, made = store.count_executions(), store.results()
+    count, made = store.count_results(), store.results()
     if not again and all(made.get(stage) == count for stage in STAGES) and report.exists():
         return report
     refuse_foreign_files(folder)

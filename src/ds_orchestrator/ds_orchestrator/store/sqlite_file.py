@@ -32,11 +32,24 @@ CREATE TABLE searches (
     PRIMARY KEY (sibling, run));
 CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL);
 """
+CONDITIONS_VERSION = 3
+"""Version of the stores of campaigns whose tests have conditions or gates; all others stay as they were."""
+CONDITIONS_SCHEMA = f"""{SCHEMA}
+CREATE TABLE conditions (test_id TEXT PRIMARY KEY REFERENCES tests, conditions TEXT NOT NULL);
+CREATE TABLE gates (
+    test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, state TEXT NOT NULL, message TEXT NOT NULL,
+    outcome TEXT NOT NULL, line_contrast REAL NOT NULL, hidden_share REAL NOT NULL,
+    PRIMARY KEY (test_id, simulator));
+"""
+SCHEMAS = {SCHEMA_VERSION: SCHEMA, CONDITIONS_VERSION: CONDITIONS_SCHEMA}
 LARGEST_FILE = 4 * 2**30
 """Bytes; chosen: 200,000 executions and more."""
 LARGEST_VALUE = 64 * 2**20
 """Bytes of one value or row; chosen: a run of `rows.MOST_STEPS` frames fits."""
-_TABLES = {" ".join(statement.split()) for statement in SCHEMA.split(";") if statement.strip()}
+_TABLES = {
+    version: {" ".join(statement.split()) for statement in schema.split(";") if statement.strip()}
+    for version, schema in SCHEMAS.items()
+}
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 """Ends a rollback journal that names a super-journal, which SQLite would delete (SQLite file format, 3)."""
 Row = tuple[Any, ...]
@@ -49,19 +62,23 @@ class StoreError(ValueError):
 class SqliteFile:
     """Runs statements on one file, from any thread; a file that is not a campaign's stays unchanged.
 
-    The file may be received from a third party: its tables must be exactly those of `SCHEMA`, so that no view, trigger
+    The file may be received from a third party: its tables must be exactly those of `SCHEMAS`, so that no view, trigger
     or virtual table takes part in a statement, and the sizes of the file and of every value are bounded.
 
     Args:
         path: path of the file.
         begin: facts with which to create a new campaign if there is none; None to open an existing one.
+        version: one of `SCHEMAS`, of a new campaign.
+
+    Attributes:
+        version: one of `SCHEMAS`, of the file.
 
     Raises:
         StoreError: there is no campaign, or it has another version, is damaged, or cannot be written.
     """
 
-    def __init__(self, path: Path, begin: Mapping[str, str] | None = None) -> None:
-        self.path = path
+    def __init__(self, path: Path, begin: Mapping[str, str] | None = None, *, version: int = SCHEMA_VERSION) -> None:
+        self.path, self.version = path, version
         self._lock = threading.Lock()
         folder = path.parent
         if begin is None and not path.exists():
@@ -74,21 +91,23 @@ class SqliteFile:
             for setting in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0", "synchronous=NORMAL"):
                 self.ask(f"PRAGMA {setting}")
             tables = self._tables()
-            version = self.ask("PRAGMA user_version")[0][0]
-            if not tables and version == 0:  # new, or its process was killed before it created the tables
+            found = self.ask("PRAGMA user_version")[0][0]
+            if not tables and found == 0:  # new, or its process was killed before it created the tables
                 if begin is None:
                     raise StoreError(f"no campaign in {folder}: it was stopped before it started, run it again")
                 self._begin(begin)
-            elif version == 0 or (version == SCHEMA_VERSION and tables != _TABLES):
+            elif found == 0 or (found in SCHEMAS and tables != _TABLES[found]):
                 raise StoreError(f"{path} is not a campaign's store: choose another --out")
-            elif version != SCHEMA_VERSION:
-                age = "an older" if version < SCHEMA_VERSION else "a newer"
+            elif found not in SCHEMAS:
+                age = "an older" if found < SCHEMA_VERSION else "a newer"
                 raise StoreError(
-                    f"{path} was written by {age} version of ds (schema {version}, expected {SCHEMA_VERSION}): "
-                    "use that version, or choose another --out"
+                    f"{path} was written by {age} version of ds (schema {found}, expected {SCHEMA_VERSION} or "
+                    f"{CONDITIONS_VERSION}): use that version, or choose another --out"
                 )
-            elif begin is not None:
-                self._check_whole()
+            else:
+                self.version = found
+                if begin is not None:
+                    self._check_whole()
         except BaseException:
             self._db.close()
             raise
@@ -141,8 +160,8 @@ class SqliteFile:
     def _begin(self, facts: Mapping[str, str]) -> None:
         """Write tables, version and facts, all or nothing."""
         self.ask("PRAGMA journal_mode=WAL")
-        statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMA.split(";") if s.strip()]
-        statements.append((f"PRAGMA user_version={SCHEMA_VERSION}", ()))
+        statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMAS[self.version].split(";") if s.strip()]
+        statements.append((f"PRAGMA user_version={self.version}", ()))
         self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
 
     def _check_whole(self) -> None:

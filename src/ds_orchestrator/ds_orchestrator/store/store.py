@@ -14,8 +14,17 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.store import rows as check
 from ds_orchestrator.store.rows import pack_numbers
-from ds_orchestrator.store.sqlite_file import Row, SqliteFile, StoreError
+from ds_orchestrator.store.sqlite_file import (
+    CONDITIONS_VERSION,
+    SCHEMA_VERSION,
+    Row,
+    SqliteFile,
+    StoreError,
+)
 from ds_road import Road, Side
+from ds_sim.conditions.model import DEFAULT, Conditions, ConditionsError
+from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 MOST_TRAJECTORY_STEPS = 100_000_000
@@ -30,7 +39,7 @@ __all__ = ["Execution", "Store", "StoreError", "Test"]
 
 @dataclass(frozen=True, kw_only=True)
 class Test:
-    """Road that the search generated on one sibling.
+    """Road, with operating conditions, that the search generated on one sibling.
 
     Attributes:
         test_id: `<sibling>-<run>-<number>`.
@@ -39,6 +48,7 @@ class Test:
         number: index of the test within the run, from 0.
         road: road to drive.
         seed: seed of every execution of this test.
+        conditions: operating conditions of every execution of this test.
     """
 
     __test__ = False  # not a test case for pytest
@@ -49,6 +59,7 @@ class Test:
     number: int
     road: Road
     seed: int
+    conditions: Conditions = DEFAULT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,15 +106,22 @@ class Store:
         config: configuration of the campaign as JSON text, written once and compared afterwards; None to open an
             existing campaign.
         present: converts the text of a configuration that an earlier version wrote to the present form.
+        conditions: tests of a new campaign may have conditions and gates.
 
     Raises:
         StoreError: the file belongs to another campaign or version, is damaged, or cannot be written.
     """
 
     def __init__(
-        self, path: Path, *, config: str | None = None, present: Callable[[str], str] = lambda known: known
+        self,
+        path: Path,
+        *,
+        config: str | None = None,
+        present: Callable[[str], str] = lambda known: known,
+        conditions: bool = False,
     ) -> None:
-        self._file = SqliteFile(path, None if config is None else {"config": config})
+        version = CONDITIONS_VERSION if conditions else SCHEMA_VERSION
+        self._file = SqliteFile(path, None if config is None else {"config": config}, version=version)
         if config is not None and (known := self.config) != config and present(known) == config:
             self._file.ask("UPDATE about SET value=? WHERE key='config'", (config,))
         if config is not None and self.config != config:
@@ -158,20 +176,74 @@ class Store:
         """Store a test unless it is known.
 
         Raises:
-            StoreError: a test with this id is known with another road.
+            StoreError: a test with this id is known with another road or other conditions.
         """
-        road = test.road
+        road, conditions = test.road, format_conditions(test.conditions)
+        if conditions and not self.keeps_conditions:
+            raise StoreError(f"{self._file.path} keeps no conditions: choose another --out")
         row = (
             test.test_id, test.sibling, test.run, test.number, road.road_id, json.dumps(road.control_points),
             road.turns_count, road.curvature_bin, road.curvature, test.seed, road.maxitwo_compatible,
         )  # fmt: skip
-        self._file.ask("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
+        if conditions:
+            self._file.change(
+                ("INSERT OR IGNORE INTO conditions SELECT ?, ? WHERE ? NOT IN (SELECT test_id FROM tests)",
+                 (test.test_id, conditions, test.test_id)),
+                ("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row),
+            )  # fmt: skip
+        else:
+            self._file.ask("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
         known = self._file.ask("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,))[0][0]
-        if known != road.road_id:
+        if known != road.road_id or self._conditions_text(test.test_id) != conditions:
             raise StoreError(
-                f"test {test.test_id} has another road than when this campaign started: resume with the version of ds "
-                "that started it, or choose another --out"
+                f"test {test.test_id} has another road or other conditions than when this campaign started: resume "
+                "with the version of ds that started it, or choose another --out"
             )
+
+    @property
+    def keeps_conditions(self) -> bool:
+        """Whether tests may have conditions and gates."""
+        return self._file.version >= CONDITIONS_VERSION
+
+    def _conditions_text(self, test_id: str) -> str:
+        if not self.keeps_conditions:
+            return ""
+        found = self._file.ask("SELECT conditions FROM conditions WHERE test_id=?", (test_id,))
+        return str(found[0][0]) if found else ""
+
+    def add_gate(self, test_id: str, simulator: str, gate: Gate) -> None:
+        """Store what the gates say of a test on one simulator; known ones stay."""
+        outcome = "" if gate.outcome is None else gate.outcome.name
+        row = (test_id, simulator, gate.state.value, gate.message, outcome, gate.line_contrast, gate.hidden_share)
+        self._file.ask("INSERT OR IGNORE INTO gates VALUES (?,?,?,?,?,?,?)", row)
+
+    def gate(self, test_id: str, simulator: str) -> Gate | None:
+        """What the gates say of a test on one simulator, or None if that is not known."""
+        return self._gates("WHERE test_id=? AND simulator=?", (test_id, simulator)).get((test_id, simulator))
+
+    def gates(self) -> dict[tuple[str, str], Gate]:
+        """What the gates say of every test and simulator for which that is known, ordered by simulator and test."""
+        return self._gates()
+
+    def _gates(self, where: str = "", values: tuple[str, ...] = ()) -> dict[tuple[str, str], Gate]:
+        if not self.keeps_conditions:
+            return {}
+        found = self._checked(
+            "SELECT test_id, simulator, state, message, outcome, line_contrast, hidden_share FROM gates "
+            f"{where} ORDER BY simulator, test_id",
+            check.text, check.text, partial(check.one_of, known=tuple(GateState)), check.text,
+            partial(check.one_of, known=("", *_VERDICTS)), check.real, check.real, values=values,
+        )  # fmt: skip
+        return {
+            (test_id, simulator): Gate(
+                state=GateState(state),
+                message=message,
+                outcome=Outcome[outcome] if outcome else None,
+                line_contrast=contrast,
+                hidden_share=hidden,
+            )
+            for test_id, simulator, state, message, outcome, contrast, hidden in found
+        }
 
     def add_execution(self, execution: Execution) -> None:
         """Store an execution; call it after its bag is written, so that a stored execution is complete."""
@@ -192,7 +264,11 @@ class Store:
         """Delete tests without an outcome except the first, which is tried again."""
         self._file.change(
             *(("DELETE FROM given_up WHERE test_id=?", (test_id,)) for test_id in test_ids),
-            *(("DELETE FROM tests WHERE test_id=?", (test_id,)) for test_id in test_ids[1:]),
+            *(
+                (f"DELETE FROM {table} WHERE test_id=?", (test_id,))
+                for table in (*(("gates", "conditions") if self.keeps_conditions else ()), "tests")
+                for test_id in test_ids[1:]
+            ),
         )
 
     def give_up(self, test_id: str) -> None:
@@ -231,9 +307,9 @@ class Store:
         )  # fmt: skip
         return [(test, simulator, attempt, outcome, message) for test, simulator, attempt, outcome, message in found]
 
-    def _checked(self, statement: str, *checks: Callable[..., object]) -> list[Row]:
+    def _checked(self, statement: str, *checks: Callable[..., object], values: Sequence[object] = ()) -> list[Row]:
         """Run a SELECT and check every value with the function of its column."""
-        found = self._file.ask(statement)
+        found = self._file.ask(statement, values)
         columns = [name.strip() for name in statement.removeprefix("SELECT ").partition(" FROM ")[0].split(",")]
         for row in found:
             for checked, value, column in zip(checks, row, columns, strict=True):
@@ -250,8 +326,18 @@ class Store:
             "SELECT test_id, sibling, run, number, control_points, seed, published, road_id FROM tests"
             " ORDER BY sibling, run, number"
         )
-        lane = self._lane()
-        return [self._test_of(row, lane) for row in rows]
+        lane, conditions = self._lane(), self._conditions()
+        return [self._test_of(row, lane, conditions.get(str(row[0]), DEFAULT)) for row in rows]
+
+    def _conditions(self) -> dict[str, Conditions]:
+        """Test -> conditions, of tests with other than the default ones."""
+        if not self.keeps_conditions:
+            return {}
+        statement = "SELECT test_id, conditions FROM conditions ORDER BY test_id"
+        try:
+            return {i: parse_conditions(text) for i, text in self._checked(statement, check.text, check.text)}
+        except ConditionsError as error:
+            raise self._file.damaged(f"a row of conditions: {error}") from None
 
     def _lane(self) -> Side:
         """Lane in which all roads of the campaign are driven, from its configuration."""
@@ -261,7 +347,7 @@ class Store:
         except (ValueError, RecursionError, AttributeError):
             raise self._file.damaged("its configuration has no lane, expected right or left") from None
 
-    def _test_of(self, row: Row, lane: Side) -> Test:
+    def _test_of(self, row: Row, lane: Side, conditions: Conditions) -> Test:
         test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id = row
         try:
             sibling = check.text(sibling, "sibling")
@@ -273,7 +359,13 @@ class Store:
             if road.road_id != road_id:
                 raise check.RowError("road_id does not match the control points")
             return Test(
-                test_id=test_id, sibling=sibling, run=run, number=number, road=road, seed=check.whole(seed, "seed")
+                test_id=test_id,
+                sibling=sibling,
+                run=run,
+                number=number,
+                road=road,
+                seed=check.whole(seed, "seed"),
+                conditions=conditions,
             )
         except ValueError as error:
             raise self._file.damaged(f"the test {test_id!r:.60}: {error}") from None
@@ -293,17 +385,24 @@ class Store:
             StoreError: a row has another simulator, a run or number out of range, an execution without its test, or
                 an impossible value in one of the smaller tables.
         """
-        for read in (self.notes, self.errors, self.searches, self.results, self.given_up):
+        for read in (self.notes, self.errors, self.searches, self.results, self.given_up, self.gates, self._conditions):
             read()
-        for table, column, known in (("tests", "sibling", siblings), ("executions", "simulator", simulators)):
+        named = [("tests", "sibling", siblings), ("executions", "simulator", simulators)]
+        named += [("gates", "simulator", simulators)] if self.keeps_conditions else []
+        for table, column, known in named:
             for (name,) in self._file.ask(f"SELECT DISTINCT {column} FROM {table}"):
                 if name not in known:
                     raise self._file.damaged(f"{table} of {name!r:.60}, a simulator that is not in its configuration")
         if self._file.ask("SELECT 1 FROM tests WHERE run >= ? OR number >= ? LIMIT 1", (runs, budget)):
             raise self._file.damaged("tests with a run or number beyond its configuration")
-        lost = self._file.ask("SELECT test_id FROM executions WHERE test_id NOT IN (SELECT test_id FROM tests) LIMIT 1")
-        if lost:
-            raise self._file.damaged(f"an execution of {lost[0][0]!r:.60}, a test that does not exist")
+        of_tests = {"executions": "an execution"}
+        of_tests |= {"conditions": "conditions", "gates": "a gate"} if self.keeps_conditions else {}
+        for table, what in of_tests.items():
+            lost = self._file.ask(
+                f"SELECT test_id FROM {table} WHERE test_id NOT IN (SELECT test_id FROM tests) LIMIT 1"
+            )
+            if lost:
+                raise self._file.damaged(f"{what} of {lost[0][0]!r:.60}, a test that does not exist")
 
     def execution(self, test_id: str, simulator: str) -> Execution | None:
         """The execution of a test on one simulator, or None if there is none yet."""
@@ -317,6 +416,11 @@ class Store:
     def count_executions(self) -> int:
         """Number of executions."""
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
+
+    def count_results(self) -> int:
+        """Number of executions and gates, from which maps, evaluation and report are made."""
+        gates = int(self._file.ask("SELECT count(*) FROM gates")[0][0]) if self.keeps_conditions else 0
+        return self.count_executions() + gates
 
     def _executions(self, where: str, values: tuple[str, ...]) -> list[Execution]:
         if (

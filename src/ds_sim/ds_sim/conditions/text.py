@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
 
@@ -29,8 +29,7 @@ def parse_conditions(text: str) -> Conditions:
         _check_known(name)
         if not equals or not value:
             raise ConditionsError(f"{name} has no value, expected {name}=NUMBER: {FIELDS[name].allowed}")
-        if name in values:
-            raise ConditionsError(f"{name} is given twice: give it once")
+        _check_new(name, values)
         values[name] = _number(name, value)
     return Conditions(**values)
 
@@ -53,6 +52,20 @@ def from_json(document: object) -> Conditions:
     return Conditions(**document)
 
 
+def from_pairs(pairs: Iterable[tuple[str, float]]) -> Conditions:
+    """Make conditions of names and values, as messages carry them; what is not named has its default.
+
+    Raises:
+        ConditionsError: a name is unknown or given twice, or conditions that cannot be.
+    """
+    values: dict[str, float] = {}
+    for name, value in pairs:
+        _check_known(name)
+        _check_new(name, values)
+        values[name] = value
+    return Conditions(**values)
+
+
 def to_json(conditions: Conditions) -> dict[str, float]:
     """Return the changed values by name; every one is finite, since only the default visibility is infinite."""
     return conditions.changed
@@ -71,6 +84,11 @@ def _number(name: str, text: str) -> float:
         return float(number) * factor
     except ValueError:
         raise ConditionsError(f"{name} is {text[:40]!r}, expected {condition.allowed}") from None
+
+
+def _check_new(name: str, values: Mapping[str, float]) -> None:
+    if name in values:
+        raise ConditionsError(f"{name} is given twice: give it once")
 
 
 def _check_known(name: object) -> None:

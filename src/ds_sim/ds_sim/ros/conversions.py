@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from operator import attrgetter
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from ds_interfaces.action import DriveRoad
+from ds_interfaces.msg import Condition as ConditionMsg
 from ds_interfaces.msg import DriveCommand, Frame, Trajectory, VehicleState
 from ds_interfaces.msg import Outcome as OutcomeMsg
 from ds_interfaces.msg import Reason as ReasonMsg
@@ -26,6 +28,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ds_road import Road, road_from_fields
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.text import from_pairs
 from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import (
@@ -80,6 +84,26 @@ def road_to_message(road: Road) -> RoadMsg:
         maxitwo_compatible=road.maxitwo_compatible,
         left_lane=road.lane == "left",
     )
+
+
+def conditions_from_messages(messages: Sequence[ConditionMsg]) -> Conditions:
+    """Convert messages to conditions; what they do not name has its default.
+
+    Raises:
+        ds_sim.conditions.ConditionsError: one is unknown, named twice or out of range, or they contradict each other.
+    """
+    return from_pairs((message.name, message.value) for message in messages)
+
+
+def conditions_to_messages(conditions: Conditions, *, explicit: bool = False) -> list[ConditionMsg]:
+    """Convert conditions to messages from which `conditions_from_messages` makes equal ones.
+
+    Args:
+        conditions: what differs from the default is named.
+        explicit: name one with its default value where nothing differs, so that a node's parameter does not count.
+    """
+    named = conditions.changed or ({"line_contrast": conditions.line_contrast} if explicit else {})
+    return [ConditionMsg(name=name, value=value) for name, value in named.items()]
 
 
 def command_to_message(command: Command, header: Header) -> DriveCommand:
@@ -239,6 +263,7 @@ def drive_result(run: RunRecord) -> DriveRoad.Result:
         steps=run.steps,
         simulated_seconds=run.simulated_seconds,
         trajectory=trajectory_of(run),
+        conditions=conditions_to_messages(run.conditions),
     )
     if run.observations:
         last = run.observations[-1]

@@ -1,27 +1,42 @@
-"""Holds the road that a simulator's node drives next."""
+"""Holds the test that a simulator's node drives next: a road, a seed and conditions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from ds_interfaces.msg import Condition as ConditionMsg
 from ds_interfaces.msg import Road as RoadMsg
 
 from ds_road import Road, RoadError
-from ds_sim.ros.conversions import road_from_message
+from ds_sim.conditions.loading import check_applicable
+from ds_sim.conditions.model import Conditions, ConditionsError, NotApplicableError
+from ds_sim.ros.conversions import conditions_from_messages, road_from_message
 from ds_sim.ros.refusal import RequestRefused
-from ds_sim.simulator import Reason
+from ds_sim.simulator import Reason, SimulatorSpec
 
 
 class LoadedRoad:
-    """Stores the road and seed that were loaded last."""
+    """Stores the road, seed and conditions that were loaded last.
 
-    def __init__(self) -> None:
+    Args:
+        spec: description of the simulator.
+        default: conditions of tests that bring none.
+
+    Raises:
+        ds_sim.conditions.NotApplicableError: the simulator cannot realise the default.
+    """
+
+    def __init__(self, spec: SimulatorSpec, default: Conditions) -> None:
+        check_applicable(default, spec)
+        self._spec, self._default = spec, default
         self.road: Road | None = None
-        self.seed = 0
+        self.seed, self.conditions = 0, default
 
-    def load(self, message: RoadMsg, seed: int) -> Road:
-        """Check and store a road; a refused road does not replace the stored one.
+    def load(self, message: RoadMsg, seed: int, conditions: Sequence[ConditionMsg]) -> Road:
+        """Check and store a test; a refused one does not replace the stored one.
 
         Raises:
-            RequestRefused: BAD_ROAD.
+            RequestRefused: BAD_ROAD; BAD_GOAL for conditions that cannot be; NOT_APPLICABLE.
         """
         try:
             road = road_from_message(message)
@@ -29,5 +44,12 @@ class LoadedRoad:
             raise RequestRefused(Reason.BAD_ROAD, str(error)) from None
         if not road.validity.valid:
             raise RequestRefused(Reason.BAD_ROAD, f"the road is not valid: {road.validity.reason}")
-        self.road, self.seed = road, seed
+        try:
+            found = conditions_from_messages(conditions) if conditions else self._default
+            check_applicable(found, self._spec)
+        except ConditionsError as error:
+            raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
+        except NotApplicableError as error:
+            raise RequestRefused(Reason.NOT_APPLICABLE, str(error)) from None
+        self.road, self.seed, self.conditions = road, seed, found
         return road

@@ -7,7 +7,6 @@ from typing import Any
 
 from ds_interfaces.action import DriveRoad
 from ds_interfaces.msg import DriveCommand
-from ds_interfaces.msg import Road as RoadMsg
 from ds_interfaces.srv import GetSimulatorInfo, LoadRoad
 from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
@@ -16,7 +15,6 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ds_road import Road
-from ds_sim.conditions.loading import check_applicable
 from ds_sim.registry import make_simulator
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.command_monitor import CommandMonitor
@@ -45,12 +43,11 @@ class SimulatorNode(Node):
         super().__init__("simulator")
         parameters = declare_parameters(self, simulator)
         self._sync, self._timeout = parameters.sync, parameters.command_timeout
-        self._session, self._conditions = Session(make_simulator(parameters.simulator)), parameters.conditions
+        self._session = Session(make_simulator(parameters.simulator))
         spec = self._session.simulator.spec
-        check_applicable(self._conditions, spec)
         self._frames = FramePublisher(self, spec, clock=parameters.publish_clock)
         self.drawn = DrawnRows(self._session.simulator, self._frames)
-        self._neighbours, self._loaded = Neighbours(self), LoadedRoad()
+        self._neighbours, self._loaded = Neighbours(self), LoadedRoad(spec, parameters.conditions)
         self._sync_now, self._handed_over, self._awaited = self._sync, False, Header()
         self._goal: ServerGoalHandle | None = None
         self._last: Observation | None = None
@@ -75,7 +72,7 @@ class SimulatorNode(Node):
 
     def _on_load_road(self, request: LoadRoad.Request, response: LoadRoad.Response) -> LoadRoad.Response:
         try:
-            road = self._load(request.road, request.seed)
+            road = self._load(request)
         except RequestRefused as refused:
             response.reason.value, response.message = int(refused.reason), str(refused)
             self.get_logger().warning(f"road refused: {refused}")
@@ -90,9 +87,9 @@ class SimulatorNode(Node):
         self._finish(Outcome.CANCELLED, "reset was called", Reason.RESET)
         return response
 
-    def _load(self, message: RoadMsg, seed: int) -> Road:
+    def _load(self, request: LoadRoad.Request | DriveRoad.Goal) -> Road:
         self._check_idle()
-        road = self._loaded.load(message, seed)
+        road = self._loaded.load(request.road, request.seed, request.conditions)
         self._frames.publish_road(road, self._run_start)
         return road
 
@@ -107,13 +104,14 @@ class SimulatorNode(Node):
         self._check_idle()
         self._neighbours.check_alone()
         if request.road.control_points:
-            self._load(request.road, request.seed)
+            self._load(request)
         if self._loaded.road is None:
             raise no_road()
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
         self.drawn.choose()
-        first = self._session.start(self._loaded.road, self._loaded.seed, self._conditions)  # costs the driver no time
+        loaded = self._loaded
+        first = self._session.start(loaded.road, loaded.seed, loaded.conditions)  # costs the driver no time
         limit = request.command_timeout or self._timeout
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
         self._monitor = CommandMonitor()

@@ -27,7 +27,7 @@ class SimulatorParameters:
         sync: one of `SYNC_MODES`; a goal may override it.
         command_timeout: longest wait for a command by the wall clock, s; a goal may override it.
         publish_clock: publish simulated time on /clock.
-        conditions: operating conditions of all runs.
+        conditions: operating conditions of runs that bring none.
     """
 
     simulator: str
@@ -57,7 +57,12 @@ def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
             node, "publish_clock", False, "Publish simulated time on /clock; one simulator of a graph may."
         ),
         conditions=parse_conditions(
-            declare(node, "conditions", "", "Operating conditions of all runs, such as visibility=40,friction=0.6.")
+            declare(
+                node,
+                "conditions",
+                "",
+                "Conditions of runs that bring none, such as visibility=40,friction=0.6.",
+            )
         ),
     )
 

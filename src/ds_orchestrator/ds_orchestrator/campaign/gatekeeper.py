@@ -1,0 +1,98 @@
+"""Decides, before a network drives a test on a simulator, whether it can be judged by it; see `ds_sim.gates`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.store.store import Store, Test
+from ds_road import Road
+from ds_sim.conditions.loading import check_applicable
+from ds_sim.conditions.model import Conditions, NotApplicableError
+from ds_sim.gates.gate import Gate, gate_of, not_applicable
+from ds_sim.registry import spec_of
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Reason
+
+
+@runtime_checkable
+class GateDriver(Protocol):
+    """Drives the autopilot on simulators, and measures the contrast of the lines."""
+
+    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
+        """Drive the autopilot to an outcome; the record has `line_contrasts`. Called from several threads."""
+        ...
+
+    def stop(self) -> None:
+        """Cancel all active runs immediately."""
+        ...
+
+
+class GateError(RuntimeError):
+    """The autopilot's run ended in an error on every attempt, which says nothing about the test.
+
+    Attributes:
+        run: last attempt.
+    """
+
+    def __init__(self, run: RunRecord) -> None:
+        super().__init__(f"{run.outcome.name}: {run.message}")
+        self.run = run
+
+
+class Gatekeeper:
+    """Judges each test once on each simulator, and keeps the result in the store.
+
+    Args:
+        config: configuration of the campaign.
+        store: store of the campaign.
+        driver: drives the autopilot; None for a campaign without gates.
+    """
+
+    def __init__(self, config: CampaignConfig, store: Store, driver: GateDriver | None) -> None:
+        self._config, self._store, self._driver = config, store, driver
+
+    def judge(self, test: Test, simulator: str, *, check_stop: Callable[[], None]) -> Gate | None:
+        """Judge a test on a simulator; None if it has no gate.
+
+        Args:
+            test: test to judge.
+            simulator: name of the simulator.
+            check_stop: called before every attempt and after every failed one; may raise.
+
+        Raises:
+            GateError: every attempt ended in an error.
+        """
+        if self._driver is None or (test.conditions.is_default and self._config.gates != "all"):
+            return None
+        known = self._store.gate(test.test_id, simulator)
+        if known is not None:
+            return known
+        try:
+            check_applicable(test.conditions, spec_of(simulator))
+        except NotApplicableError as error:
+            return self.refused(test, simulator, str(error))
+        for attempt in range(self._config.retries + 1):
+            check_stop()
+            run = self._driver.gate(simulator, test.road, test.seed, test.conditions)
+            if run.outcome.is_verdict:
+                gate = gate_of(run)
+                self._store.add_gate(test.test_id, simulator, gate)
+                return gate
+            if run.reason is Reason.NOT_APPLICABLE:
+                return self.refused(test, simulator, run.message)
+            check_stop()
+            self._store.add_error(test.test_id, simulator, attempt, run.outcome, f"autopilot: {run.message}")
+        raise GateError(run)
+
+    def refused(self, test: Test, simulator: str, message: str) -> Gate:
+        """Keep that a simulator cannot realise a test."""
+        gate = not_applicable(message)
+        self._store.add_gate(test.test_id, simulator, gate)
+        return gate
+
+    def stop(self) -> None:
+        """Cancel all active runs of the autopilot."""
+        if self._driver is not None:
+            self._driver.stop()

@@ -1,0 +1,183 @@
+"""Gates of a campaign: a test that nobody can pass, or whose lines nobody can see, says nothing about the network."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.campaign.executors import MadeUpExecutor
+from tests.campaign.test_campaign import CONFIG, DONKEYS, SPACES, maps_text
+
+from ds_orchestrator.campaign.campaign_data import read_campaign
+from ds_orchestrator.campaign.config import ConfigError, parse_config
+from ds_orchestrator.campaign.folder import store_of
+from ds_orchestrator.campaign.runner import Campaign, Stopped
+from ds_orchestrator.campaign.status import stages_of
+from ds_orchestrator.evaluation.campaign_evaluation import maps_of
+from ds_orchestrator.run import SilentListener, run_campaign
+from ds_orchestrator.store.store import Store, StoreError
+from ds_road import Road
+from ds_sim.conditions import Conditions, parse_conditions
+from ds_sim.gates import GateState
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome, Reason
+
+FOGGY = CONFIG.model_copy(update={"conditions": "visibility=60"})
+SEEN, UNSEEN = 0.5, 0.01
+
+
+class GatedExecutor(MadeUpExecutor):
+    """Made-up drives, and an autopilot whose runs end as the seed has it: one in three invalid by each gate."""
+
+    def __init__(self, *, gate_errors: int = 0, **options: Any) -> None:
+        super().__init__(**options)
+        self.gated: list[tuple[str, str]] = []
+        self.conditions: set[Conditions] = set()
+        self._gate_errors = gate_errors
+
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = Conditions()) -> RunRecord:  # noqa: B008
+        self.conditions.add(conditions)
+        return super().execute(simulator, road, seed, conditions)
+
+    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
+        self.gated.append((simulator, road.road_id))
+        run = MadeUpExecutor().execute(simulator, road, seed, conditions)
+        if self._gate_errors:
+            self._gate_errors -= 1
+            return replace(run, outcome=Outcome.SIM_ERROR, message="no luck")
+        kind = (seed + len(simulator)) % 3
+        return replace(
+            run,
+            outcome=Outcome.OUT_OF_BOUNDS if kind == 0 else Outcome.COMPLETED,
+            line_contrasts=[UNSEEN if kind == 1 else SEEN],
+        )
+
+
+def run(folder: Path, executor: GatedExecutor, config: Any = FOGGY) -> tuple[Campaign, Store]:
+    folder.mkdir(exist_ok=True)
+    store = store_of(folder, config)
+    campaign = Campaign(config, folder, store, executor, SilentListener(), SPACES, executor)
+    with suppress(Stopped):
+        campaign.run()
+    return campaign, store
+
+
+def test_only_valid_tests_are_driven_and_the_others_enter_no_map(tmp_path: Path) -> None:
+    executor = GatedExecutor()
+    campaign, store = run(tmp_path / "a", executor)
+    data = read_campaign(store)
+    assert len(data.gates) == len(executor.gated) == len(set(executor.gated)) == 16
+    states = {key: gate.state for key, gate in data.gates.items()}
+    assert set(states.values()) == {GateState.VALID, GateState.INFEASIBLE, GateState.OUT_OF_ODD}
+    # The states are those that the made-up autopilot's runs were given.
+    seeds = {test.test_id: test.seed for test in data.tests}
+    expected = (GateState.INFEASIBLE, GateState.OUT_OF_ODD, GateState.VALID)
+    assert all(state is expected[(seeds[i] + len(name)) % 3] for (i, name), state in states.items())
+    valid = {key for key, state in states.items() if state is GateState.VALID}
+    assert {(e.test_id, e.simulator) for e in data.executions} == valid
+    assert executor.conditions == {Conditions(visibility=60)} == {test.conditions for test in data.tests}
+    assert campaign.failed_executions == 0 and not data.given_up and not data.errors
+    for map_id, feature_map in maps_of(data).items():
+        if map_id.kind == "union":
+            assert sum(c.tests for c in feature_map.cells.values()) == sum(n == map_id.simulator for _, n in valid)
+    driving = [stage for stage in stages_of(data) if stage.failures is not None]
+    assert all(stage.state == "done" for stage in driving)
+    assert sum(stage.excluded for stage in driving) == 16 - len(valid)
+
+
+@pytest.mark.parametrize("stop_after", [0, 2])
+def test_a_stopped_campaign_goes_on_and_gates_nothing_twice(tmp_path: Path, stop_after: int) -> None:
+    _, undisturbed = run(tmp_path / "whole", GatedExecutor())
+    first, second = GatedExecutor(runs=stop_after), GatedExecutor()
+    run(tmp_path / "parts", first)[1].close()
+    _, store = run(tmp_path / "parts", second)
+    assert maps_text(store) == maps_text(undisturbed) and store.gates() == undisturbed.gates()
+    assert len(first.gated) + len(second.gated) == 16 and not set(first.gated) & set(second.gated)
+
+
+def test_an_error_of_the_autopilot_is_repeated_and_excludes_nothing(tmp_path: Path) -> None:
+    config = FOGGY.model_copy(update={"siblings": [DONKEYS[1]]})
+    executor = GatedExecutor(gate_errors=1)
+    _, store = run(tmp_path / "a", executor, config)
+    assert [error[3:] for error in store.errors()] == [("SIM_ERROR", "autopilot: no luck")]
+    _, undisturbed = run(tmp_path / "b", GatedExecutor(), config)
+    assert store.gates() == undisturbed.gates()
+
+
+def test_a_simulator_that_refuses_a_condition_excludes_the_test_there(tmp_path: Path) -> None:
+    class Refusing(GatedExecutor):
+        def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
+            run = RunRecord(
+                road=road, seed=seed, outcome=Outcome.SIM_ERROR, message="cannot", reason=Reason.NOT_APPLICABLE
+            )
+            return run if simulator == DONKEYS[0] else super().gate(simulator, road, seed, conditions)
+
+    _, store = run(tmp_path / "a", Refusing())
+    of_first = {gate.state for (_, name), gate in store.gates().items() if name == DONKEYS[0]}
+    assert of_first == {GateState.NOT_APPLICABLE} and not store.errors()
+    assert {e.simulator for e in store.executions()} <= {DONKEYS[1]}
+
+
+def test_without_conditions_the_store_is_that_of_before(tmp_path: Path) -> None:
+    executor = GatedExecutor()
+    _, store = run(tmp_path / "a", executor, CONFIG)
+    assert not executor.gated and not store.gates() and "conditions" not in CONFIG.identity()
+    store.close()
+    database = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
+    assert database.execute("PRAGMA user_version").fetchone() == (2,)
+    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type='table'")}
+    assert not {"gates", "conditions"} & tables
+
+
+def test_every_test_is_gated_where_that_is_asked_for(tmp_path: Path) -> None:
+    executor = GatedExecutor()
+    _, store = run(tmp_path / "a", executor, CONFIG.model_copy(update={"gates": "all"}))
+    assert len(store.gates()) == 16 and executor.conditions == {Conditions()}
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ("UPDATE conditions SET conditions='fog=1'", "unknown condition 'fog'"),
+        ("UPDATE gates SET state='fine'", "state is 'fine'"),
+        ("UPDATE gates SET outcome='SIM_ERROR'", "outcome is 'SIM_ERROR'"),
+        ("UPDATE gates SET simulator='nonsense' WHERE simulator='donkey'", "gates of 'nonsense'"),
+        ("INSERT INTO conditions VALUES ('donkey-0-9999', 'friction=0.5')", "conditions of 'donkey-0-9999'"),
+    ],
+)
+def test_damaged_rows_get_one_line(tmp_path: Path, change: str, named: str) -> None:
+    run(tmp_path / "a", GatedExecutor())[1].close()
+    database = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
+    database.execute(change)
+    database.commit()
+    database.close()
+    with pytest.raises(StoreError, match=named) as refused:
+        read_campaign(Store(tmp_path / "a" / "campaign.sqlite"))
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [("fog=1", "unknown condition 'fog'"), ("visibility=3", "expected 20 or more m"), (3, "conditions: 3")],
+)
+def test_bad_conditions_are_refused_in_one_line(text: object, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        parse_config({"conditions": text}, "test.yaml")
+
+
+def test_conditions_that_a_simulator_cannot_realise_are_refused_before_anything_starts(tmp_path: Path) -> None:
+    quick = "tests.engines.quick_simulator:QuickSimulator"
+    config = CONFIG.model_copy(update={"siblings": [quick], "conditions": "friction=0.5", "engine": "local"})
+    with pytest.raises(ConfigError, match="quick cannot realise friction"):
+        run_campaign(config, tmp_path / "a")
+    assert not (tmp_path / "a").exists()
+
+
+def test_conditions_have_one_text(tmp_path: Path) -> None:
+    config = parse_config({"conditions": "visibility = 60.0, camera_pitch=0deg"}, "test.yaml")
+    assert config.conditions == "visibility=60" and config.fixed_conditions == parse_conditions("visibility=60")
+    assert parse_config({"conditions": "none"}, "test.yaml").identity() == parse_config({}, "test.yaml").identity()
