@@ -264,6 +264,7 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("did you mean 'maps'", ("map",)),
         ("completion", ("completion", "tcsh")),
         ("at least two", ("siblings", "compare", "--sims", "donkey")),
+        ("condition 'rain' is unknown", ("sensitivity", "--sims", "donkey", "--conditions", "rain,visibility")),
         (
             "not among",
             ("siblings", "compare", "--sims", "donkey,softbody", "--twin", "bullet", "--driver", "autopilot"),

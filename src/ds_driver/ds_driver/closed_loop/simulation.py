@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
-from ds_driver.control.autopilot import Autopilot
+from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.networks.pilot import DriverError
+from ds_driver.networks.preprocessing import Crop
 from ds_driver.process_pool import map_in_processes
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.line_contrast import LineProbe
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
+from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec
+
+if TYPE_CHECKING:
+    from ds_driver.networks.network_driver import NetworkDriver
 
 AUTOPILOT = "autopilot"
 Driver = Callable[[Observation], Command]
@@ -53,9 +58,11 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
         autopilot = Autopilot(spec.autopilot)
         return lambda frame: autopilot.command(frame.lane.preview_lateral_position, frame.vehicle.speed)
     from ds_driver.networks.network_driver import NetworkDriver
-    from ds_driver.networks.preprocessing import Crop
 
-    network, crop = NetworkDriver(driver), Crop(spec.crop_top, spec.crop_bottom)
+    return _steered_by(NetworkDriver(driver), Crop(spec.crop_top, spec.crop_bottom))
+
+
+def _steered_by(network: NetworkDriver, crop: Crop) -> Driver:
     return lambda frame: network.command(frame.image, frame.vehicle.speed, crop, frame.step)
 
 
@@ -112,15 +119,23 @@ def _simulator(name: str) -> Simulator:
 
 
 @cache
-def _network(driver: str, simulator: str) -> Driver:
+def _network(driver: str) -> NetworkDriver:
     """Network of this worker; it is reset when a run starts."""
-    return make_driver(driver, _simulator(simulator).spec)
+    from ds_driver.networks.network_driver import NetworkDriver
+
+    return NetworkDriver(driver)
 
 
 def run_drive(drive: Drive) -> RunRecord:
-    """Drive in this process, which keeps simulator and network for the next drive."""
+    """Drive in this process, which keeps simulator and network for the next drive; draws what the driver sees."""
     simulator = _simulator(drive.simulator)
-    # The autopilot keeps its previous error, so every drive gets a new one.
-    is_autopilot = drive.driver == AUTOPILOT
-    driver = make_driver(AUTOPILOT, simulator.spec) if is_autopilot else _network(drive.driver, drive.simulator)
+    camera = simulator.spec.camera
+    if drive.driver == AUTOPILOT:
+        # The autopilot keeps its previous error, so every drive gets a new one.
+        driver, rows = make_driver(AUTOPILOT, simulator.spec), ROWS_SEEN
+    else:
+        network, crop = _network(drive.driver), Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
+        driver, rows = _steered_by(network, crop), network.rows_seen(crop, camera.height_px) or (0, camera.height_px)
+    if isinstance(simulator, DrawsRows):
+        simulator.draw_rows(*rows)
     return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions)

@@ -1,15 +1,17 @@
-"""`ds drive`: one road, one driver, one simulator."""
+"""`ds drive` and `ds sensitivity`: a drive under conditions, and the strength at which they make a driver fail."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ds_bags.layout import Level
 from ds_orchestrator.cli.one_drive import START_WAIT, DriveRequest, FailOn, drive
 from ds_orchestrator.cli.options import (
+    ALL,
     AttachFlag,
     Backend,
     Device,
@@ -17,11 +19,18 @@ from ds_orchestrator.cli.options import (
     JsonFlag,
     Lane,
     MaxAngle,
+    Seed,
     Simulator,
+    Simulators,
     Wait,
+    Workers,
     driver_named,
+    every_or_named,
 )
-from ds_orchestrator.cli.output import end
+from ds_orchestrator.cli.output import Interrupted, Result, countdown, end, say
+
+if TYPE_CHECKING:
+    from ds_orchestrator.sensitivity import Sensitivity
 
 app = typer.Typer()
 
@@ -82,3 +91,106 @@ def drive_command(
         conditions=parse_conditions(conditions),
     )  # fmt: skip
     end(drive(request), as_json)
+
+
+def sensitivity(
+    driver: str,
+    simulators: list[str],
+    conditions: list[str] | None,
+    *,
+    roads: int,
+    segments: int,
+    seed: int,
+    workers: int | None,
+    out: Path | None,
+) -> Result:
+    """Find the strength of each condition at which a driver first fails.
+
+    Args:
+        driver: driver name, with its backend.
+        simulators: names of the simulators.
+        conditions: names of the conditions; None for all that have a harder end.
+        roads: number of roads on each simulator.
+        segments: length of each road, in segments of 25 m.
+        seed: of the roads.
+        workers: processes that drive; None for one per processor.
+        out: folder to write to and to go on from, or None.
+
+    Raises:
+        ds_sim.conditions.ConditionsError: a condition is unknown, or has no harder end.
+        ds_orchestrator.siblings.kept_drives.KeptDrivesError: the folder holds drives of another driver.
+        Interrupted: the user stopped it.
+    """
+    from rich.console import Console
+
+    from ds_orchestrator.graph.process_specs import check_driver
+    from ds_orchestrator.sensitivity import all_factors, analyse_sensitivity, factors_named
+
+    factors = all_factors() if conditions is None else factors_named(conditions)
+    check_driver(driver)
+    folder = None if out is None else out / "drives"
+    try:
+        found = analyse_sensitivity(
+            driver, simulators, factors, roads=roads, segments=segments, seed=seed, workers=workers, folder=folder,
+            progress=countdown(), say=say,
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        again = "" if folder is None else f"finished drives are in {folder}: the same command goes on"
+        raise Interrupted(again) from None
+    document = {"seed": seed, "segments": segments, **found.document()}
+    if out is not None:
+        _write_sensitivity(out, document, found)
+
+    def show() -> None:
+        found.table().show(Console())
+        for line in found.errors:
+            print(f"error: {line}")
+        if out is not None:
+            print(out / "sensitivity.png")
+
+    return Result(document=document, show=show, error=bool(found.errors))
+
+
+def _write_sensitivity(out: Path, document: dict[str, Any], found: Sensitivity) -> None:
+    from ds_orchestrator.evaluation.table import write_tables
+    from ds_orchestrator.sensitivity.picture import draw_sensitivity
+    from ds_sim.camera.png import png
+
+    (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_tables([found.table(), found.long_table()], out)
+    (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
+
+
+@app.command("sensitivity")
+def sensitivity_command(
+    driver: DriverName = "dave2",
+    backend: Backend = "auto",
+    sims: Simulators = ALL,
+    conditions: Annotated[
+        str | None,
+        typer.Option(help="Names of conditions, separated by commas; all of docs/conditions.md if left out."),
+    ] = None,
+    roads: Annotated[
+        int, typer.Option(min=1, max=100, help="Short roads on each simulator that the driver completes by default.")
+    ] = 5,
+    segments: Annotated[
+        int, typer.Option(min=2, max=6, help="Length of the roads in segments of 25 m; 6 are the roads of a campaign.")
+    ] = 4,
+    seed: Seed = 1,
+    workers: Workers = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis goes on there.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Find how strong each operating condition must be for a driver to fail.
+
+    One condition at a time, for every simulator: the value at which the driver first fails on the median road, by bisection, as
+    far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable there.
+    """
+    names = None if conditions is None else [name.strip() for name in conditions.split(",")]
+    result = sensitivity(
+        driver_named(driver, backend, "cpu"), every_or_named(sims), names, roads=roads, segments=segments, seed=seed,
+        workers=workers, out=out,
+    )  # fmt: skip
+    end(result, as_json)

@@ -10,6 +10,9 @@ import typer
 SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey")
 """Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
 
+ALL = "all"
+"""Name that stands for every shipped simulator."""
+
 
 def _complete_simulator(incomplete: str) -> list[str]:
     return [name for name in SHIPPED_SIMULATORS if name.startswith(incomplete)]
@@ -43,6 +46,10 @@ Simulator = Annotated[
         help="Simulator: bullet, softbody, panda, donkey, donkey@FILE (fitted parameters), or module:Class.",
         autocompletion=_complete_simulator,
     ),
+]
+
+Workers = Annotated[
+    int | None, typer.Option(min=1, max=64, help="Processes that drive; one for each processor if left out.")
 ]
 
 DriverName = Annotated[
@@ -103,6 +110,11 @@ def simulators_of(text: str) -> list[str]:
     for name in names:
         make_simulator(name).close()
     return names
+
+
+def every_or_named(text: str) -> list[str]:
+    """Parse simulator names as `simulators_of` does; `all` stands for every shipped simulator."""
+    return simulators_of(",".join(SHIPPED_SIMULATORS) if text == ALL else text)
 
 
 def driver_named(driver: str, backend: str, device: str) -> str:

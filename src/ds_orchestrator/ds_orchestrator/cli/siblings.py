@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_orchestrator.cli.options import (
+    ALL,
     Backend,
     DriverName,
     JsonFlag,
@@ -20,8 +21,9 @@ from ds_orchestrator.cli.options import (
     MaxAngle,
     Seed,
     Simulators,
+    Workers,
     driver_named,
-    simulators_of,
+    every_or_named,
 )
 from ds_orchestrator.cli.output import Interrupted, Result, countdown, end, number, say
 
@@ -37,8 +39,6 @@ PICTURED = 6
 """Roads that a comparison draws; chosen: a minute's look."""
 TWIN = "donkey"
 """Simulator whose failures the others are to predict, where it is among them and no other is named."""
-ALL = "all"
-"""Name that stands for every shipped simulator."""
 
 app = typer.Typer()
 siblings_app = typer.Typer(help="Compare how the simulators behave.", no_args_is_help=True)
@@ -291,9 +291,7 @@ def siblings_compare_command(
             help="Simulator whose failures the others are to predict; donkey if it is among them, else each in turn."
         ),
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, max=64, help="Processes that drive; one for each processor if left out.")
-    ] = None,
+    workers: Workers = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -308,13 +306,8 @@ def siblings_compare_command(
     alone predict its failures. For every sibling: the information that it adds about the twin beyond these features and
     the siblings before it. docs/evaluation.md says how each number is computed.
     """
-    from ds_sim.registry import SIMULATORS
-
-    names = list(SIMULATORS) if sims == ALL else simulators_of(sims)
-    if sims == ALL:
-        simulators_of(",".join(names))
     request = ComparisonRequest(
-        driver=driver_named(driver, backend, "cpu"), simulators=names, twin=twin, roads=roads, file=file, seed=seed,
-        max_angle=max_angle, lane=lane, workers=workers, out=out,
+        driver=driver_named(driver, backend, "cpu"), simulators=every_or_named(sims), twin=twin, roads=roads, file=file,
+        seed=seed, max_angle=max_angle, lane=lane, workers=workers, out=out,
     )  # fmt: skip
     end(compare_siblings(request), as_json)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from ds_driver.networks.network_driver import driver_sha256
 from ds_driver.process_pool import map_in_processes
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.engines.fingerprint import code_sha256
+from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import label_of, spec_of
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
 from ds_sim.session import RunRecord
@@ -45,7 +47,7 @@ def drive_kept(
     if folder is None:
         yield from ((run, True) for run in drive_all(drives, workers=workers))
         return
-    _check_settings(folder, drives, say)
+    check_settings(folder, drives[0].driver, {drive.simulator for drive in drives}, say)
     kept = [_read(folder, drive) for drive in drives]
     missing = [drive for drive, run in zip(drives, kept, strict=True) if run is None]
     fresh = map_in_processes(partial(_drive_and_keep, folder), missing, workers=workers) if missing else iter(())
@@ -53,9 +55,18 @@ def drive_kept(
         yield (next(fresh), True) if run is None else (run, False)
 
 
-def _check_settings(folder: Path, drives: Sequence[Drive], say: Callable[[str], None]) -> None:
-    """Write what the runs depend on besides road and seed, or compare it with what the folder began with."""
-    driver, names = drives[0].driver, {drive.simulator for drive in drives}
+def check_settings(folder: Path, driver: str, names: Collection[str], say: Callable[[str], None]) -> None:
+    """Write what the runs depend on besides road, seed and conditions, or compare it with what the folder began with.
+
+    Args:
+        folder: of the kept runs, created if missing.
+        driver: name of the driver.
+        names: names of the simulators.
+        say: called with one line if the code has changed since the folder began.
+
+    Raises:
+        KeptDrivesError: the folder's runs are those of another driver, or of another car.
+    """
     cars = {name: str(spec_of(name).extra.get("car", "")) for name in names if "@" in name}
     sha256 = "" if driver == AUTOPILOT else driver_sha256(driver)
     now = {"driver": driver, "sha256": sha256, "cars": cars, "code": code_sha256()}
@@ -83,6 +94,12 @@ def _check_settings(folder: Path, drives: Sequence[Drive], say: Callable[[str], 
         say(f"the code has changed since {folder} began: its drives are kept; choose another --out to drive them again")
 
 
+def run_kept(folder: Path, drive: Drive) -> RunRecord:
+    """Read the run of a drive from a folder, or drive in this process and write it."""
+    run = _read(folder, drive)
+    return _drive_and_keep(folder, drive) if run is None else run
+
+
 def _drive_and_keep(folder: Path, drive: Drive) -> RunRecord:
     """Drive in a worker process, which writes the run, so that it is kept whatever happens to the others."""
     run = run_drive(drive)
@@ -95,10 +112,12 @@ def _drive_and_keep(folder: Path, drive: Drive) -> RunRecord:
 
 def _read(folder: Path, drive: Drive) -> RunRecord | None:
     try:
-        return decode_run(_path(folder, drive).read_bytes(), drive.road, drive.seed)
+        return decode_run(_path(folder, drive).read_bytes(), drive.road, drive.seed, drive.conditions)
     except (FileNotFoundError, RunCodecError):
         return None  # not driven yet, or a damaged file: drive
 
 
 def _path(folder: Path, drive: Drive) -> Path:
-    return folder / label_of(drive.simulator) / f"{drive.road.road_id}-{drive.seed}.run"
+    conditions = format_conditions(drive.conditions)
+    digest = f"-{hashlib.sha256(conditions.encode()).hexdigest()[:16]}" if conditions else ""
+    return folder / label_of(drive.simulator) / f"{drive.road.road_id}-{drive.seed}{digest}.run"

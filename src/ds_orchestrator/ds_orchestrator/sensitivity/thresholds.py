@@ -1,0 +1,135 @@
+"""Strength at which a driver first fails, over roads: the median road, with an interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from ds_orchestrator.sensitivity.factors import LEVELS, Factor
+from ds_orchestrator.sensitivity.measurement import RoadResult
+
+Verdict = Literal["fails", "completes", "infeasible", "not applicable", "fails by default", "error"]
+"""fails: on the median road; completes: it does not, up to the hardest value; infeasible: it does not as far as the
+autopilot completes, which is not up to there; not applicable: the simulator cannot realise the condition; fails by
+default: too few roads are completed without any condition; error: a drive ended in an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threshold:
+    """Where a driver first fails, for one factor on one simulator. Levels are as in `Factor`; None is beyond the range.
+
+    Attributes:
+        simulator: name of the simulator.
+        factor: what is varied.
+        verdict: what was found.
+        roads: results of the roads.
+        message: one line about an error; else "".
+    """
+
+    simulator: str
+    factor: Factor
+    verdict: Verdict
+    roads: Sequence[RoadResult] = ()
+    message: str = ""
+
+    @property
+    def fails(self) -> int | None:
+        """Lowest level at which at least half of the roads fail."""
+        return _median([road.fails for road in self.roads])
+
+    @property
+    def interval(self) -> tuple[int | None, int | None]:
+        """Levels at which the first and the last road fail."""
+        levels = sorted((road.fails for road in self.roads), key=_beyond_last)
+        return (levels[0], levels[-1]) if levels else (None, None)
+
+    @property
+    def infeasible(self) -> int | None:
+        """Lowest level at which the autopilot fails on at least half of the roads; the driver is not tested there."""
+        return _median([None if road.feasible == LEVELS else road.feasible + 1 for road in self.roads])
+
+    @property
+    def withstood(self) -> float | None:
+        """Share of the range up to the failure of the median road, or as far as it was tested; None without roads."""
+        if not self.roads:
+            return None
+        return (self.fails or self.infeasible or LEVELS) / LEVELS
+
+    @property
+    def text(self) -> str:
+        """What was found, in a few words: the value at which the driver first fails, and the values of all roads."""
+        if self.verdict == "fails" and self.fails:
+            values = [_plain(self.factor.value(level)) if level else "never" for level in self.interval]
+            return f"{_plain(self.factor.value(self.fails))} ({' to '.join(dict.fromkeys(values))})"
+        if self.verdict == "completes":
+            return "no failure"
+        if self.verdict == "infeasible" and self.infeasible:
+            return f"infeasible from {_plain(self.factor.value(self.infeasible))}"
+        return self.verdict
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values; a value beyond the range is None."""
+        first, last = self.interval
+        return {
+            "condition": self.factor.name,
+            "unit": self.factor.unit,
+            "start": _finite(self.factor.start),
+            "end": self.factor.end,
+            "simulator": self.simulator,
+            "verdict": self.verdict,
+            "first_fails": self._value(self.fails),
+            "interval": [self._value(first), self._value(last)],
+            "completes": None if not self.fails else self._value(self.fails - 1),
+            "autopilot_fails": self._value(self.infeasible),
+            "share_of_range": self.withstood,
+            "message": self.message,
+            "roads": [
+                {
+                    "completes": self._value(road.completes),
+                    "fails": self._value(road.fails),
+                    "autopilot_fails": None if road.feasible == LEVELS else self._value(road.feasible + 1),
+                }
+                for road in self.roads
+            ],
+        }
+
+    def _value(self, level: int | None) -> float | None:
+        return None if level is None else _finite(self.factor.value(level))
+
+
+def threshold_of(simulator: str, factor: Factor, roads: Sequence[RoadResult], error: str = "") -> Threshold:
+    """Judge the results of the roads of one factor on one simulator."""
+    found = Threshold(simulator=simulator, factor=factor, verdict="completes", roads=roads, message=error)
+    if error:
+        return replace(found, verdict="error")
+    if found.fails is not None:
+        return replace(found, verdict="fails")
+    return found if found.infeasible is None else replace(found, verdict="infeasible")
+
+
+def coverage(roads: int) -> float:
+    """Probability that the median of all roads lies between the first and the last of some roads (order statistics)."""
+    return 1.0 - 2.0 ** (1 - roads)
+
+
+def _median(levels: Sequence[int | None]) -> int | None:
+    """Lowest level that at least half of the levels do not exceed; None is above all."""
+    return sorted(levels, key=_beyond_last)[(len(levels) - 1) // 2] if levels else None
+
+
+def _beyond_last(level: int | None) -> int:
+    return LEVELS + 1 if level is None else level
+
+
+def _plain(value: float) -> str:
+    """Three digits, without an exponent."""
+    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
+
+
+def _finite(value: float) -> float | None:
+    """A value for JSON; the visibility of clear air is infinite, which is None."""
+    return value if math.isfinite(value) else None

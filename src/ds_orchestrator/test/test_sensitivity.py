@@ -1,0 +1,211 @@
+"""The strength at which a driver first fails, against made-up drivers whose thresholds are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ds_driver.closed_loop.simulation import AUTOPILOT, Drive, run_drive
+from ds_orchestrator.sensitivity import analysis, measurement
+from ds_orchestrator.sensitivity.bisection import Bracket, first_failure
+from ds_orchestrator.sensitivity.factors import LEVELS, Factor, all_factors, factors_named
+from ds_orchestrator.sensitivity.measurement import (
+    MOST_SEGMENTS,
+    TESTED,
+    RoadResult,
+    candidate_roads,
+    choose_roads,
+    measure,
+)
+from ds_orchestrator.sensitivity.picture import draw_sensitivity
+from ds_orchestrator.sensitivity.thresholds import coverage, threshold_of
+from ds_orchestrator.siblings import kept_drives
+from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
+
+LAG = next(factor for factor in all_factors() if factor.name == "steering_lag")
+
+
+def step(threshold: float, driven: list[int] | None = None) -> Callable[[int], bool]:
+    """A road that fails from a level on; counts what is driven."""
+
+    def fails(level: int) -> bool:
+        if driven is not None:
+            driven.append(level)
+        return level >= threshold
+
+    return fails
+
+
+@pytest.mark.parametrize("highest", [1, 5, 16])
+def test_bisection_finds_every_threshold(highest: int) -> None:
+    for threshold in range(1, highest + 2):
+        expected = Bracket(threshold - 1, threshold) if threshold <= highest else Bracket(highest, None)
+        assert first_failure(step(threshold), highest) == expected
+        for near in range(1, 20):  # a wrong guess costs drives, never the result
+            assert first_failure(step(threshold), highest, Bracket(near - 1, near)) == expected
+    driven: list[int] = []
+    first_failure(step(7, driven), 16)
+    assert len(driven) == 5 and driven[0] == 16
+    driven.clear()
+    first_failure(step(7, driven), 16, Bracket(6, 7))
+    assert driven == [7, 6]
+    assert first_failure(step(1), 0) == Bracket(0, None)
+
+
+def test_on_a_road_that_is_not_monotone_failing_begins_at_the_result() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        fails = rng.random(17) < 0.5
+        found = first_failure(lambda level, fails=fails: bool(fails[level]), 16)  # type: ignore[misc]
+        if found.fails is None:
+            assert not fails[16]
+        else:
+            assert found.completes == found.fails - 1 and fails[found.fails]
+            assert found.completes == 0 or not fails[found.completes]
+
+
+def made_up(driver: list[float], autopilot: float = math.inf) -> measurement.Fails:
+    """Drivers that fail from a steering lag on, the tested one from another lag on each road."""
+    return lambda who, road, conditions: conditions.steering_lag >= (autopilot if who == AUTOPILOT else driver[road])
+
+
+def test_the_median_road_decides_and_the_roads_span_the_interval() -> None:
+    found = threshold_of("bullet", LAG, measure(LAG, 5, made_up([0.31, 0.74, 0.49, 2.0, 0.55])))
+    assert (found.verdict, found.fails, found.interval) == ("fails", 9, (5, None))
+    document = found.document()
+    assert (document["first_fails"], document["completes"], document["interval"]) == (0.5625, 0.5, [0.3125, None])
+    assert found.text == "0.562 (0.312 to never)" and found.withstood == 0.5625
+    noisy = np.random.default_rng(5).normal(0.5, 0.1, (2000, 5))
+    medians = [threshold_of("x", LAG, measure(LAG, 5, made_up(list(row)))) for row in noisy[:200]]
+    covered = [one.interval[0] <= 8.5 <= (one.interval[1] or 99) for one in medians if one.interval[0]]
+    assert abs(np.mean(covered) - coverage(5)) < 0.06 and coverage(5) == 0.9375
+
+
+def test_never_always_and_infeasible_are_told_apart() -> None:
+    never = threshold_of("bullet", LAG, measure(LAG, 3, made_up([9.0] * 3)))
+    assert (never.verdict, never.text, never.withstood, never.fails) == ("completes", "no failure", 1.0, None)
+    always = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.001] * 3)))
+    assert (always.verdict, always.fails, always.document()["completes"]) == ("fails", 1, 0.0)
+    # The driver would fail from 0.9 s on, but from 0.5 s on the autopilot fails, too.
+    bound = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.9] * 3, autopilot=0.5)))
+    assert (bound.verdict, bound.text, bound.fails) == ("infeasible", "infeasible from 0.5", None)
+    assert [road.feasible for road in bound.roads] == [7, 7, 7]
+    below = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.3] * 3, autopilot=0.5)))
+    assert (below.verdict, below.fails, below.infeasible) == ("fails", 5, 8)
+    assert threshold_of("bullet", LAG, (), "sim_error: diverged").verdict == "error"
+
+
+def test_the_autopilot_drives_only_where_the_vehicle_changes() -> None:
+    asked: list[str] = []
+
+    def fails(who: str, _road: int, _conditions: Conditions) -> bool:
+        asked.append(who)
+        return False
+
+    (contrast,) = factors_named(["line_contrast"])
+    measure(contrast, 2, fails)
+    assert asked == [TESTED] * 2
+    measure(LAG, 1, fails)
+    assert asked[2:] == [AUTOPILOT, TESTED]
+    assert choose_roads(9, 2, lambda who, road, _: road == 0 or (who == TESTED and road == 1)) == (2, 3)
+
+
+def test_every_factor_goes_from_the_own_world_to_the_hardest_value() -> None:
+    factors = all_factors()
+    assert {f.name for f in factors} == {name for name, field in FIELDS.items() if field.stronger}
+    for factor in factors:
+        values = [factor.value(level) for level in range(LEVELS + 1)]
+        steps = np.diff([1.0 / value if factor.name == "visibility" else value for value in values])
+        assert (steps > 0).all() or (steps < 0).all()
+        assert values[-1] == factor.end and factor.conditions(0) == DEFAULT
+        assert getattr(factor.conditions(LEVELS), factor.name) == factor.end
+    (fog,) = factors_named(["visibility"])
+    assert fog.value(8) == pytest.approx(40.0)  # half the extinction of 20 m
+    pitches = factors_named(["camera_pitch"])
+    assert [pitch.end for pitch in pitches] == [-0.15, 0.15]
+    for bad in (["rain"], ["sun_azimuth"], ["line_cover", "line_cover"]):
+        with pytest.raises(ConditionsError, match="expected some of|name each once"):
+            factors_named(bad)
+
+
+def test_roads_need_steering_and_fewer_roads_are_the_first_ones() -> None:
+    roads = candidate_roads(2, seed=1)
+    assert roads[:3] == candidate_roads(1, seed=1) and len({road.road_id for road, _ in roads}) == 6
+    for road, _ in roads:
+        assert road.validity.valid and 90.0 < road.length < 110.0
+        assert np.abs(road.lane_centre[:, 0] - road.lane_centre[0, 0]).max() > 2.0  # it starts northwards
+    assert len(candidate_roads(1, seed=1, segments=MOST_SEGMENTS)[0][0].control_points) == 9
+
+
+def test_an_analysis_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driven: list[Drive] = []
+
+    def make_up(drive: Drive) -> RunRecord:
+        driven.append(drive)
+        if drive.driver == AUTOPILOT:
+            outcome = Outcome.COMPLETED
+        elif drive.simulator == "softbody" and drive.conditions.steering_lag > 0.9:
+            outcome = Outcome.SIM_ERROR
+        else:
+            outcome = Outcome.OUT_OF_BOUNDS if drive.conditions.steering_lag > 0.3 else Outcome.COMPLETED
+        return RunRecord(road=drive.road, seed=drive.seed, conditions=drive.conditions, outcome=outcome)
+
+    monkeypatch.setattr(kept_drives, "run_drive", make_up)
+    monkeypatch.setattr(kept_drives, "driver_sha256", lambda driver: "0")
+    monkeypatch.setattr(analysis, "map_in_processes", lambda work, jobs, workers: map(work, jobs))
+    realised = {"bullet": tuple(FIELDS), "softbody": tuple(FIELDS), "plain": ("steering_lag",)}
+    for module in (analysis, measurement):
+        monkeypatch.setattr(module, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
+    factors = factors_named(["line_contrast", "steering_lag"])
+
+    def once() -> analysis.Sensitivity:
+        return analysis.analyse_sensitivity(
+            "dave2", ["bullet", "softbody", "plain"], factors, roads=3, seed=1, folder=tmp_path
+        )
+
+    found = once()
+    first = len(driven)
+    assert found.thresholds[1, "bullet"].document()["first_fails"] == 0.3125
+    assert found.thresholds[0, "bullet"].verdict == "completes"
+    assert found.thresholds[0, "plain"].verdict == "not applicable"
+    assert found.thresholds[1, "softbody"].verdict == "error" and len(found.errors) == 1
+    assert [factors[position].name for position in found.order] == ["steering_lag", "line_contrast"]
+    again = once()
+    assert [one.simulator for one in driven[first:]] == ["softbody"]  # the drive that ended in an error
+    assert again.document() == found.document() and again.long_table().csv() == found.long_table().csv()
+    image = draw_sensitivity(found)
+    assert image.ndim == 3 and len(np.unique(image.reshape(-1, 3), axis=0)) > 3
+
+
+def test_too_few_roads_say_nothing_about_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(analysis, "map_in_processes", lambda work, jobs, workers: map(work, jobs))
+    monkeypatch.setattr(
+        measurement,
+        "run_drive",
+        lambda drive: RunRecord(road=drive.road, seed=0, outcome=Outcome.OUT_OF_BOUNDS),
+    )
+    found = analysis.analyse_sensitivity("dave2", ["bullet"], [LAG], roads=1, seed=1)
+    assert found.thresholds[0, "bullet"].text == "fails by default"
+    assert "completes 0 of 1 roads without any condition" in found.table().notes[1]
+
+
+def test_a_picture_changes_nothing_for_the_autopilot() -> None:
+    """Why the autopilot need not drive again where a factor changes pictures alone."""
+    road = Road([(125, 25 * i) for i in range(4)])
+    (fog,) = factors_named(["visibility"])
+    clear, foggy = (run_drive(Drive("bullet", AUTOPILOT, road, 1, fog.conditions(level))) for level in (0, LEVELS))
+    assert clear.observations == foggy.observations and clear.commands == foggy.commands
+
+
+def test_results_name_values_that_json_can_hold() -> None:
+    factor = Factor(name="visibility", start=math.inf, end=20.0)
+    document = threshold_of("bullet", factor, [RoadResult(feasible=LEVELS, completes=0, fails=1)]).document()
+    assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0
