@@ -185,8 +185,8 @@ def sensitivity_command(
 ) -> None:
     """Find how strong each operating condition must be for a driver to fail.
 
-    One condition at a time, for every simulator: the value at which the driver first fails on the median road, by bisection, as
-    far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable there.
+    One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
+    as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
     """
     names = None if conditions is None else [name.strip() for name in conditions.split(",")]
     result = sensitivity(
