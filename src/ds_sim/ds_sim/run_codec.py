@@ -1,10 +1,10 @@
 """Encodes a run as bytes, to send it from one process or machine to another; every number keeps its bits.
 
-Layout, little-endian: a header (magic, version, outcome, reason, number of frames, of commands, of contrasts of the
-lines and of bytes of the message, CRC-32); one column after the other of float64 (time, vehicle, lane), of uint32
-(step) and of uint8 (outcome) over the frames, and of float64 over the commands (steering, throttle); the contrasts as
-float64; the message as UTF-8. The road, the seed and the conditions are not sent, since the receiver has asked for
-them, but the CRC-32 covers them.
+Layout, little-endian: a header (magic, version, outcome, reason, number of frames, of commands and of bytes of the
+message, CRC-32); one column after the other of float64 (time, vehicle, lane), of uint32 (step) and of uint8 (outcome)
+over the frames, and of float64 over the commands (steering, throttle); the message as UTF-8. Version 2, of runs whose
+lines were measured, has before the message the number of contrasts, uint32, and the contrasts, float64. The road, the
+seed and the conditions are not sent, since the receiver has asked for them, but the CRC-32 covers them.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from ds_sim.conditions.text import format_conditions
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
 
-VERSION = 2
-"""Version of the layout; another one is refused."""
+VERSION, MEASURED_VERSION = 1, 2
+"""Versions of the layout, without and with contrasts of the lines; another one is refused."""
 MAX_FRAMES = 1_000_000
 """Frames of one run; chosen: 500 times the limit of the built-in oracle, as the store has it."""
 MAX_MESSAGE = 64 * 1024
 """Bytes of a run's message; chosen: far above the longest line that a simulator has given."""
 _MAGIC = b"DSRN"
-_HEADER = struct.Struct("<4sHBBIIIII")
+_HEADER = struct.Struct("<4sHBBIIII")
+_COUNT = struct.Struct("<I")
 _CHECKSUM_SIZE = 4
 _VEHICLE = tuple(field.name for field in fields(VehicleState))
 _LANE = tuple(field.name for field in fields(LaneState))
@@ -54,7 +55,7 @@ def encode_run(run: RunRecord) -> bytes:
     frames, commands = len(run.observations), len(run.commands)
     try:
         message = run.message.encode()
-        _check_counts(frames, commands, contrasts := len(run.line_contrasts), len(message))
+        _check_counts(frames, commands, len(message))
         floats = _table(map(attrgetter(*_FLOATS), run.observations), _FLOATS, frames)
         driven = _table(map(attrgetter(*_COMMAND), run.commands), _COMMAND, commands)
         body = b"".join(
@@ -63,11 +64,12 @@ def encode_run(run: RunRecord) -> bytes:
                 np.array([seen.step for seen in run.observations], "<u4").tobytes(),
                 bytes(seen.outcome for seen in run.observations),
                 driven.tobytes(),
-                _table(((c,) for c in run.line_contrasts), ("line_contrast",), contrasts).tobytes(),
+                _measured(run),
                 message,
             )
         )
-        head = (_MAGIC, VERSION, run.outcome, run.reason, frames, commands, contrasts, len(message))
+        version = MEASURED_VERSION if run.line_contrasts else VERSION
+        head = (_MAGIC, version, run.outcome, run.reason, frames, commands, len(message))
         start = _HEADER.pack(*head, 0)[:-_CHECKSUM_SIZE]
     except RunCodecError:
         raise
@@ -90,13 +92,20 @@ def decode_run(data: bytes, road: Road, seed: int, conditions: Conditions = DEFA
     """
     if len(data) < _HEADER.size:
         raise RunCodecError(f"a run of {len(data)} bytes, expected {_HEADER.size} or more: it was cut off")
-    magic, version, outcome, reason, frames, commands, contrasts, length, checksum = _HEADER.unpack_from(data)
+    magic, version, outcome, reason, frames, commands, length, checksum = _HEADER.unpack_from(data)
     if magic != _MAGIC:
         raise RunCodecError(f"a run starts with {bytes(magic)!r}, expected {_MAGIC!r}: this is something else")
-    if version != VERSION:
-        raise RunCodecError(f"a run of version {version}, expected {VERSION}: install the same version on both sides")
-    _check_counts(frames, commands, contrasts, length)
-    size = _HEADER.size + _FRAME_SIZE * frames + _COMMAND_SIZE * commands + 8 * contrasts + length
+    if version not in (VERSION, MEASURED_VERSION):
+        raise RunCodecError(
+            f"a run of version {version}, expected {VERSION} or {MEASURED_VERSION}: install the same version on both "
+            "sides"
+        )
+    _check_counts(frames, commands, length)
+    driven = _HEADER.size + _FRAME_SIZE * frames + _COMMAND_SIZE * commands
+    size = driven + length
+    if version == MEASURED_VERSION:
+        contrasts = _COUNT.unpack_from(data, driven)[0] if len(data) >= driven + _COUNT.size else 0
+        size += _COUNT.size + 8 * contrasts
     if len(data) != size:
         raise RunCodecError(f"a run of {len(data)} bytes, expected {size}: it was cut off, or something follows it")
     start, body = data[: _HEADER.size - _CHECKSUM_SIZE], data[_HEADER.size :]
@@ -106,14 +115,14 @@ def decode_run(data: bytes, road: Road, seed: int, conditions: Conditions = DEFA
         )
     try:
         run = RunRecord(road=road, seed=seed, conditions=conditions, outcome=Outcome(outcome))
-        return _record(body, frames, commands, contrasts, run, reason)
+        return _record(body, frames, commands, run, reason, measured=version == MEASURED_VERSION)
     except RunCodecError:
         raise
     except ValueError as error:  # an outcome, reason or command that does not exist, or text that is not UTF-8
         raise RunCodecError(f"a run makes no sense ({error}): install the same version on both sides") from None
 
 
-def _record(body: bytes, frames: int, commands: int, contrasts: int, run: RunRecord, reason: int) -> RunRecord:
+def _record(body: bytes, frames: int, commands: int, run: RunRecord, reason: int, *, measured: bool) -> RunRecord:
     floats = np.frombuffer(body, "<f8", frames * len(_FLOATS)).reshape(len(_FLOATS), frames)
     at = floats.nbytes
     steps = np.frombuffer(body, "<u4", frames, at)
@@ -122,11 +131,12 @@ def _record(body: bytes, frames: int, commands: int, contrasts: int, run: RunRec
     at += frames
     driven = np.frombuffer(body, "<f8", commands * len(_COMMAND), at).reshape(len(_COMMAND), commands)
     at += driven.nbytes
-    measured = np.frombuffer(body, "<f8", contrasts, at)
-    at += measured.nbytes
     _check_finite(floats, _FLOATS)
-    _check_finite(measured[None], ("line_contrast",))
-    run.line_contrasts.extend(measured.tolist())
+    if measured:
+        contrasts = np.frombuffer(body, "<f8", *_COUNT.unpack_from(body, at), at + _COUNT.size)
+        _check_finite(contrasts[None], ("line_contrast",))
+        run.line_contrasts.extend(contrasts.tolist())
+        at += _COUNT.size + contrasts.nbytes
     pose = len(_VEHICLE)
     for step, outcome, (time, *values) in zip(
         steps.tolist(), outcomes, zip(*floats.tolist(), strict=True), strict=True
@@ -142,14 +152,20 @@ def _record(body: bytes, frames: int, commands: int, contrasts: int, run: RunRec
     return run
 
 
-def _check_counts(frames: int, commands: int, contrasts: int, message: int) -> None:
+def _measured(run: RunRecord) -> bytes:
+    """Contrasts of the lines with their number; nothing if they were not measured."""
+    if not run.line_contrasts:
+        return b""
+    contrasts = _table(((contrast,) for contrast in run.line_contrasts), ("line_contrast",), len(run.line_contrasts))
+    return _COUNT.pack(len(run.line_contrasts)) + contrasts.tobytes()
+
+
+def _check_counts(frames: int, commands: int, message: int) -> None:
     if frames > MAX_FRAMES or message > MAX_MESSAGE:
         raise RunCodecError(
             f"a run has {frames} frames and a message of {message} bytes, "
             f"expected at most {MAX_FRAMES} and {MAX_MESSAGE}"
         )
-    if contrasts > frames:
-        raise RunCodecError(f"a run has {frames} frames and {contrasts} contrasts, expected at most one in each")
     if commands != max(0, frames - 1):
         raise RunCodecError(f"a run has {frames} frames and {commands} commands, expected one command between two")
 

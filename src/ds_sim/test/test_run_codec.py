@@ -107,30 +107,45 @@ def forged(at: int, value: bytes) -> bytes:
     """An encoded run with other bytes at a place and a checksum that fits them, as another version might send it."""
     whole = bytearray(encode_run(a_run()))
     whole[at : at + len(value)] = value
-    content = f"{ROAD.road_id} 7".encode() + bytes(whole[:24]) + bytes(whole[28:])
-    whole[24:28] = struct.pack("<I", zlib.crc32(content))
+    content = f"{ROAD.road_id} 7".encode() + bytes(whole[:20]) + bytes(whole[24:])
+    whole[20:24] = struct.pack("<I", zlib.crc32(content))
     return bytes(whole)
 
 
 @pytest.mark.parametrize(
     ("at", "value", "line"),
     [
-        (4, struct.pack("<H", 1), "version 1, expected 2"),
+        (4, struct.pack("<H", 3), "version 3, expected 1 or 2"),
+        (4, struct.pack("<H", 2), "cut off, or something follows"),
         (6, bytes([99]), "99 is not a valid Outcome"),
         (7, bytes([99]), "99 is not a valid Reason"),
         (8, struct.pack("<I", 2**32 - 1), "at most 1000000"),
         (12, struct.pack("<I", 9), "2 frames and 9 commands"),
-        (16, struct.pack("<I", 9), "2 frames and 9 contrasts"),
-        (28 + 16, struct.pack("<d", math.nan), "vehicle.x is nan in frame 0"),
-        (28 + 2 * 15 * 8 - 8, struct.pack("<d", math.inf), "lane.arc_length is inf in frame 1"),
-        (28 + 2 * 15 * 8 + 8, bytes([99]), "99 is not a valid Outcome"),
-        (28 + 2 * 15 * 8 + 10, struct.pack("<d", 1.5), "steering is 1.5"),
-        (28 + 2 * 15 * 8 + 26, b"\xff\xff", "utf-8"),
+        (24 + 16, struct.pack("<d", math.nan), "vehicle.x is nan in frame 0"),
+        (24 + 2 * 15 * 8 - 8, struct.pack("<d", math.inf), "lane.arc_length is inf in frame 1"),
+        (24 + 2 * 15 * 8 + 8, bytes([99]), "99 is not a valid Outcome"),
+        (24 + 2 * 15 * 8 + 10, struct.pack("<d", 1.5), "steering is 1.5"),
+        (24 + 2 * 15 * 8 + 26, b"\xff\xff", "utf-8"),
     ],
 )
 def test_content_that_makes_no_sense_is_refused_by_name(at: int, value: bytes, line: str) -> None:
     with pytest.raises(RunCodecError, match=line):
         decode_run(forged(at, value), ROAD, 7)
+
+
+def test_contrasts_of_lines_arrive_and_cost_nothing_where_there_are_none() -> None:
+    plain, measured = a_run(), a_run()
+    measured.line_contrasts = [0.5, 0.0, 1 / 3]
+    found = decode_run(encode_run(measured), ROAD, 7)
+    assert found.line_contrasts == measured.line_contrasts and found.message == measured.message
+    assert encode_run(plain) == encode_run(decode_run(encode_run(plain), ROAD, 7))
+    assert len(encode_run(measured)) == len(encode_run(plain)) + 4 + 3 * 8
+    for damaged in (encode_run(measured)[:-5], encode_run(measured)[:24]):
+        with pytest.raises(RunCodecError, match="cut off"):
+            decode_run(damaged, ROAD, 7)
+    measured.line_contrasts = [math.nan]
+    with pytest.raises(RunCodecError, match="line_contrast is nan"):
+        encode_run(measured)
 
 
 def test_what_nobody_could_read_is_not_sent() -> None:

@@ -255,10 +255,16 @@ class CampaignConfig(_Strict):
 
         Defaults of later keys are left out: campaigns of versions that knew no others have the same text.
         """
-        later = {"lane": "right", "conditions": "", "gates": "conditions"}
-        return self.model_dump_json(
-            exclude={"engine", "workers"} | {key for key, default in later.items() if getattr(self, key) == default}
-        )
+        lane = {"lane"} if self.lane == "right" else set()
+        return self.model_dump_json(exclude={"engine", "workers"} | lane | self._unset())
+
+    def shown(self) -> dict[str, Any]:
+        """Every key as a report shows it; conditions and gates only where they are set."""
+        return self.model_dump(exclude=self._unset())
+
+    def _unset(self) -> set[str]:
+        later = {"conditions": "", "gates": "conditions"}
+        return {key for key, default in later.items() if getattr(self, key) == default}
 
 
 def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:

@@ -12,6 +12,7 @@ from ds_orchestrator.campaign.folder import config_of, open_store
 from ds_orchestrator.maps.campaign_maps import cells_of
 from ds_orchestrator.search.features import Cell, Feature, feature_of
 from ds_road import road_to_json
+from ds_sim.conditions.text import format_conditions
 
 
 def roads_of(
@@ -34,13 +35,14 @@ def roads_of(
 
     Returns:
         Roads as `ds_road.road_from_json` takes them, with `test_id`, `seed`, `cell` (bin by feature) and `outcomes`
-        (outcome by simulator) beside the control points, in the order of the store.
+        (outcome by simulator) beside the control points, in the order of the store; with `conditions` as text where
+        they are not the default, and `excluded` (state by simulator) where no network can be judged by the test.
 
     Raises:
         ConfigError: the campaign has no such simulator, cell or test.
     """
     with closing(open_store(folder)) as store:
-        config, tests, executions = config_of(store), store.tests(), store.executions()
+        config, tests, executions, gates = config_of(store), store.tests(), store.executions(), store.gates()
     if simulator is not None and simulator not in config.simulators:
         raise ConfigError(f"{folder} has no simulator {simulator!r}: expected one of {', '.join(config.simulators)}")
     if test is not None and test not in {t.test_id for t in tests}:
@@ -55,6 +57,10 @@ def roads_of(
         outcomes.setdefault(execution.test_id, {})[execution.simulator] = execution.outcome.name
         if execution.outcome.is_failure:
             failures.add((execution.test_id, execution.simulator))
+    excluded: dict[str, dict[str, str]] = {}
+    for (test_id, name), gate in gates.items():
+        if not gate.is_valid:
+            excluded.setdefault(test_id, {})[name] = gate.state.value
     found = []
     for one in tests:
         driven = outcomes[one.test_id]
@@ -74,6 +80,8 @@ def roads_of(
                 "seed": one.seed,
                 "cell": dict(zip(config.features, cells[one.test_id], strict=True)) if one.test_id in cells else None,
                 "outcomes": dict(sorted(driven.items())),
+                **({} if one.conditions.is_default else {"conditions": format_conditions(one.conditions)}),
+                **({"excluded": excluded[one.test_id]} if one.test_id in excluded else {}),
             }
         )
     return found

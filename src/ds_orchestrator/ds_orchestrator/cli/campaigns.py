@@ -135,6 +135,7 @@ def _status(folder: Path, store: Store) -> Result:
     from ds_orchestrator.campaign.bag_groups import missing_bags, missing_line
     from ds_orchestrator.campaign.campaign_data import read_campaign
     from ds_orchestrator.campaign.status import stages_of
+    from ds_orchestrator.evaluation.exclusions import exclusion_counts, exclusion_lines
 
     data = read_campaign(store)
     config, executions = data.config, data.executions
@@ -152,6 +153,7 @@ def _status(folder: Path, store: Store) -> Result:
         "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
         "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in data.searches],
         "outcomes": counts,
+        "excluded": exclusion_counts(data),
         "missing_bags": missing,
         "errors": [
             dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
@@ -161,12 +163,16 @@ def _status(folder: Path, store: Store) -> Result:
 
     def show() -> None:
         table = Table(title=f"{document['executions']} of {document['executions_in_all']} executions")
-        for column in ("stage", "state", "done", "of", "failures"):
+        for column in ("stage", "state", "done", "of", "failures", *(("excluded",) if data.excluded else ())):
             table.add_column(column, justify="left" if column in ("stage", "state") else "right")
         for stage in stages:
-            numbers = (stage.done, stage.expected, stage.failures) if stage.failures is not None else (None,) * 3
+            numbers: tuple[int | None, ...] = (stage.done, stage.expected, stage.failures)
+            numbers += (stage.excluded,) if data.excluded else ()
+            numbers = (None,) * len(numbers) if stage.failures is None else numbers
             table.add_row(stage.name, stage.state, *("" if n is None else str(n) for n in numbers))
         Console().print(table)
+        for line in exclusion_lines(data):
+            print(line)
         if missing:
             print(missing_line(missing))
         if document["errors"]:

@@ -28,6 +28,7 @@ from ds_orchestrator.cli.options import (
     every_or_named,
 )
 from ds_orchestrator.cli.output import Interrupted, Result, countdown, end, say
+from ds_sim.conditions.model import Conditions, ConditionsError
 
 if TYPE_CHECKING:
     from ds_orchestrator.sensitivity import Sensitivity
@@ -37,11 +38,30 @@ app = typer.Typer()
 
 def seed_of(road: Path | None) -> int:
     """The seed that a road file of `ds campaign roads` names, else 0."""
+    seed = _test_in(road).get("seed")
+    return seed if isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32 else 0
+
+
+def conditions_in(road: Path | None) -> Conditions:
+    """The conditions that a road file of `ds campaign roads` names, else the default.
+
+    Raises:
+        ds_sim.conditions.ConditionsError: they cannot be.
+    """
+    from ds_sim.conditions.text import parse_conditions
+
+    text = _test_in(road).get("conditions", "")
+    if not isinstance(text, str):
+        raise ConditionsError(f"{road}: its conditions are not a text, expected such as visibility=40")
+    return parse_conditions(text)
+
+
+def _test_in(road: Path | None) -> dict[str, Any]:
+    """What a file of one road holds beside it."""
     from ds_road import read_raw_roads
 
     raw = read_raw_roads(road) if road is not None else []
-    seed = raw[0].get("seed") if len(raw) == 1 and isinstance(raw[0], dict) else None
-    return seed if isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32 else 0
+    return raw[0] if len(raw) == 1 and isinstance(raw[0], dict) else {}
 
 
 @app.command("drive")
@@ -63,8 +83,11 @@ def drive_command(
     max_angle: MaxAngle = 270,
     lane: Lane = None,
     conditions: Annotated[
-        str, typer.Option(help="Operating conditions, such as line_contrast=0.4,visibility=40; docs/conditions.md.")
-    ] = "",
+        str | None,
+        typer.Option(
+            help="Operating conditions, such as line_contrast=0.4,visibility=40; the road file's if left out, or none."
+        ),
+    ] = None,
     bag: Annotated[Path | None, typer.Option(help="Folder of a rosbag2 to write.")] = None,
     level: Annotated[Level, typer.Option(help="What the bag holds.")] = "telemetry",
     video: Annotated[Path | None, typer.Option(help="Video of the drive to write, .mp4.")] = None,
@@ -88,7 +111,7 @@ def drive_command(
     request = DriveRequest(
         sim=sim, driver=driver_named(driver, backend, device), road=one_road(road, chosen, max_angle, lane),
         seed=chosen, bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace, fail_on=fail_on,
-        conditions=parse_conditions(conditions),
+        conditions=conditions_in(road) if conditions is None else parse_conditions(conditions),
     )  # fmt: skip
     end(drive(request), as_json)
 

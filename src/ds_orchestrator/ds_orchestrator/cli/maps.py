@@ -38,10 +38,12 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability") -> Re
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store
     from ds_orchestrator.evaluation.campaign_evaluation import maps_of
+    from ds_orchestrator.evaluation.exclusions import exclusion_lines
     from ds_orchestrator.maps.feature_map import slices_of, to_json
 
     with closing(open_store(folder)) as store:
-        every = maps_of(read_campaign(store))
+        data = read_campaign(store)
+    every = maps_of(data)
     found = {map_id.name: feature_map for map_id, feature_map in every.items()}
     if name not in found:
         raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
@@ -52,6 +54,8 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability") -> Re
             for grid in grids(part, shown, console.width):
                 console.print(grid)
         for line in legend(found[name], shown):
+            console.print(line, highlight=False)
+        for line in exclusion_lines(data):
             console.print(line, highlight=False)
         others = ", ".join(other for other in found if other != name)
         console.print(f"Other maps, with --map NAME: {others}", highlight=False)

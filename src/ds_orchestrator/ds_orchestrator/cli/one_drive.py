@@ -138,6 +138,8 @@ def in_words(document: dict[str, Any], road: Road) -> list[str]:
         f"Road {document['road_id']}: {road.length:.0f} m, {road.turns_count} turns{radius}; seed {document['seed']}; "
         f"took {duration(document['wall_seconds'])}."
     )
+    if document["conditions"]:
+        lines.append(f"Conditions {', '.join(f'{name}={value:g}' for name, value in document['conditions'].items())}.")
     lines += [f"{name}: {document[name]}" for name in ("video", "bag") if document[name]]
     return lines
 

@@ -18,6 +18,7 @@ from ds_orchestrator.evaluation.campaign_evaluation import (
     tables_of,
     write_correlations,
 )
+from ds_orchestrator.evaluation.exclusions import excluded_table
 from ds_orchestrator.evaluation.table import read_tables, write_tables
 from ds_orchestrator.maps.feature_map import FeatureMap, to_json
 from ds_orchestrator.maps.map_id import MapId
@@ -95,7 +96,8 @@ def write_all(
     tables = tables_of(data.config, maps, correlations, differences)
     write_correlations(folder, correlations)
     siblings = sibling_section(data)
-    write_tables([*tables, *(siblings.tables if siblings else ())], folder / "evaluation")
+    excluded = [excluded_table(data)] if data.excluded else []
+    write_tables([*tables, *(siblings.tables if siblings else ()), *excluded], folder / "evaluation")
     store.set_result("evaluation", count)
     # Keep the times of the first writing, so that rewriting gives an identical report.
     store.note("seconds maps", f"{mapped - began:.1f}")

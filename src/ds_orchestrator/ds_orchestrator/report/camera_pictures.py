@@ -21,9 +21,10 @@ from ds_orchestrator.report.page_data import in_words
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.store import Execution, Test
 from ds_sim.camera.png import png
+from ds_sim.conditions.loading import load
 from ds_sim.registry import make_simulator, received_simulator
 from ds_sim.road_simulator import RoadSimulator
-from ds_sim.scene import Scene
+from ds_sim.scene import Scene, conditions_of
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, VehicleState
 
 CAMERA_PLACE = 45.0
@@ -106,7 +107,7 @@ def _camera_picture(name: str, test: Test, trusted: Collection[str]) -> CameraPi
 
 def _drive_to(simulator: Simulator, test: Test, place: float) -> Observation:
     """Drive to a place of the lane, m; return the first observation there, or the last one before it."""
-    latest = simulator.load(test.road, seed=test.seed)
+    latest = load(simulator, test.road, seed=test.seed, conditions=test.conditions)
     autopilot = Autopilot(simulator.spec.autopilot)
     for _ in range(_CAMERA_STEPS):
         if latest.lane.arc_length >= place or latest.outcome is not Outcome.RUNNING:
@@ -174,11 +175,19 @@ def _drive(simulator: Simulator, test: Test, execution: Execution) -> Drive:
     if not isinstance(simulator, RoadSimulator):
         return Drive(note="no pictures: this simulator renders images only while it drives")
     try:
-        simulator.scene.load(test.road, np.random.default_rng(test.seed))
+        _load(simulator.scene, test)
         frames = [_frame(simulator.scene, test.seed, execution, k) for k in moments(execution)]
     except Exception as error:  # as above
         return _no_pictures(error)
     return Drive(frames=tuple(frames))
+
+
+def _load(scene: Scene, test: Test) -> None:
+    rng = np.random.default_rng(test.seed)
+    if conditions_of(scene) & test.conditions.changed.keys():
+        scene.load(test.road, rng, test.conditions)
+    else:
+        scene.load(test.road, rng)  # also of scenes that take no conditions
 
 
 def _no_pictures(error: Exception) -> Drive:

@@ -18,6 +18,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.stage_timer import seconds_of
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference
+from ds_orchestrator.evaluation.exclusions import excluded_table, exclusion_lines
 from ds_orchestrator.evaluation.paper_tables import Network, cautions
 from ds_orchestrator.evaluation.table import Table
 from ds_orchestrator.maps.feature_map import FeatureMap
@@ -84,7 +85,7 @@ def write_report(
     page = _environment().get_template("report.html.j2")
     text = page.render(
         config=config,
-        config_yaml=yaml.safe_dump(config.model_dump(), sort_keys=False, allow_unicode=True),
+        config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
         findings=summarise(data, maps, correlations, paired_differences=paired_differences),
         tiles=_tiles(data, correlations),
         cameras=camera_pictures(config.simulators, place, trusted) if place else [],
@@ -107,6 +108,8 @@ def write_report(
         notes={k: v for k, v in notes.items() if k != "config" and not k.startswith(("version ", "seconds "))},
         tests=len(tests),
         simulated_seconds=sum(e.simulated_seconds for e in executions),
+        excluded=excluded_table(data) if data.excluded else None,
+        exclusions=exclusion_lines(data),
         errors=data.errors,
         leftover=_leftover(data),
         shown_errors=_SHOWN_ERRORS,
@@ -156,7 +159,7 @@ def _tiles(data: CampaignData, correlations: Sequence[Correlation]) -> list[tupl
     """Collect the key numbers of the first screen: value and caption."""
     config = data.config
     tiles = [
-        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each a road"),
+        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each {_a_test(data)}"),
         (f"{len(data.verdicts):,}", f"drive{'' if len(data.verdicts) == 1 else 's'} with a verdict"),
     ]
     for name in config.simulators:
@@ -181,6 +184,11 @@ def _tiles(data: CampaignData, correlations: Sequence[Correlation]) -> list[tupl
     return tiles
 
 
+def _a_test(data: CampaignData) -> str:
+    plain = all(test.conditions.is_default for test in data.tests)
+    return "a road" if plain else "a road and its conditions"
+
+
 def _outcome_table(config: CampaignConfig, executions: Sequence[Execution]) -> list[dict[str, Any]]:
     """Count outcomes, one row per simulator."""
     rows = []
@@ -203,7 +211,7 @@ def _outcome_table(config: CampaignConfig, executions: Sequence[Execution]) -> l
 def _leftover(data: CampaignData) -> list[tuple[str, str, str]]:
     """List tests that lack an outcome: test, the simulators without one, and the reason."""
     config = data.config
-    done = {(e.test_id, e.simulator) for e in data.executions}
+    done = {(e.test_id, e.simulator) for e in data.executions} | set(data.excluded)
     tried = {(test_id, simulator) for test_id, simulator, *_ in data.errors}
     rows = []
     for test in data.tests:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.evaluation.exclusions import IN_WORDS
 from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.map_id import MapId, compared_ids
 from ds_orchestrator.report.findings import radius
@@ -17,6 +18,7 @@ from ds_orchestrator.report.plotly_figures import DASHES, colour_of_simulator
 from ds_orchestrator.report.polyline_codec import EVERY, UNITS, kept, pack
 from ds_orchestrator.search.features import FEET, Cell, Feature, feature_of
 from ds_orchestrator.store.store import Execution, Test
+from ds_sim.conditions.text import format_conditions
 from ds_sim.simulator import FRAME_RATE, Outcome
 
 
@@ -31,7 +33,8 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
     `tests` holds one list per test: name, sibling, run, number, seed, road, its length (m), curvature (1/m) and turns,
     number of its points, and one list per simulator, or None: outcome, whether it failed, fitness (m), largest lateral
     position (m), simulated seconds, number of its points, whether its steering is known, message, bag. `lines` holds
-    one packed text per entry of `places`; see `_lines`.
+    one packed text per entry of `places`; see `_lines`. `conditions` has a text for every test if any has conditions,
+    `excluded` one per simulator for tests that are excluded somewhere.
     """
     config, tests, cells = data.config, data.tests, data.cells
     done = {(e.test_id, e.simulator): e for e in data.executions}
@@ -40,7 +43,10 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
         if test.test_id in cells:
             groups.setdefault(cells[test.test_id], []).append(index)
     places = sorted(groups)
+    conditions = [format_conditions(test.conditions) for test in tests]
     return {
+        **({"conditions": conditions} if any(conditions) else {}),
+        **({"excluded": _excluded(data)} if data.excluded else {}),
         "simulators": [
             {
                 "name": name,
@@ -69,6 +75,15 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
         "frame": EVERY / FRAME_RATE,
         "selected": _telling_cell(maps),
     }  # fmt: skip
+
+
+def _excluded(data: CampaignData) -> dict[str, list[str]]:
+    """Test -> for every simulator why it is excluded there, or ""."""
+    found: dict[str, list[str]] = {}
+    for (test_id, simulator), gate in data.excluded.items():
+        row = found.setdefault(test_id, [""] * len(data.config.simulators))
+        row[data.config.simulators.index(simulator)] = f"{IN_WORDS[gate.state]}: {gate.message}"
+    return dict(sorted(found.items()))
 
 
 def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:

@@ -29,8 +29,32 @@ function showCell(key, tests, testId) {
   const shown = tests.findIndex((test) => test.id === testId);
   showTests(list, detail, tests, 0, Math.max(FIRST_TESTS, shown + 1));
   panel.append(
-    html("h4", {}, tests.length > 1 ? `${tests.length} tests, the worst one first` : "1 test"), html("div", { class: "opened" }, list, detail));
+    html("h4", {}, tests.length > 1 ? `${tests.length} tests, the worst one first` : "1 test"),
+    ...(data.conditions && tests.length > 1 ? [conditionFilter(list, detail, tests)] : []), html("div", { class: "opened" }, list, detail));
   list.querySelectorAll("button")[Math.max(shown, 0)].click();
+}
+
+/** A field that keeps the tests whose conditions meet all of its terms. */
+function conditionFilter(list, detail, tests) {
+  const field = html("input", { type: "search", placeholder: "visibility < 60, line_contrast", "aria-label": "Filter by conditions" });
+  field.addEventListener("input", () => {
+    list.replaceChildren();
+    const met = tests.filter((test) => meets(test.conditions, field.value));
+    showTests(list, detail, met, 0, FIRST_TESTS);
+    document.getElementById("said").textContent = plural(met.length, "test");
+  });
+  return html("p", {}, html("label", {}, "Only tests with the conditions ", field));
+}
+
+/** Whether conditions meet all terms: a name, or a name compared with a number. */
+function meets(conditions, terms) {
+  const values = Object.fromEntries(conditions.split(",").filter(Boolean).map((pair) => pair.split("=")));
+  return terms.split(",").map((term) => term.trim()).filter(Boolean).every((term) => {
+    const [, name, sign, number] = term.match(/^([a-z_]+)\s*(?:([<>=])\s*(-?[\d.]+))?$/) || [null, term];
+    if (!(name in values)) return !sign && Object.keys(values).some((known) => known.startsWith(name));
+    const [value, bound] = [Number(values[name]), Number(number)];
+    return !sign || (sign === "<" ? value < bound : sign === ">" ? value > bound : value === bound);
+  });
 }
 
 function showTests(list, detail, tests, from, to) {
@@ -73,7 +97,7 @@ function testButton(test, detail, list) {
     svg("circle", { cx: cx[0] - x0, cy: size - (cy[0] - y0), r: size / 22, style: "fill: var(--ink)" }));
   const outcomes = test.runs.map((run, index) => {
     const chip = html("span", { class: run && run.failed ? "chip bad" : "chip" }, `${run ? (run.failed ? "✗" : "✓") : "–"} ${data.simulators[index].name}`);
-    chip.title = `${data.simulators[index].name}: ${run ? run.outcome : "no outcome"}`;
+    chip.title = `${data.simulators[index].name}: ${run ? run.outcome : test.excluded[index] || "no outcome"}`;
     return chip;
   });
   const button = html("button", { type: "button", "data-test": test.id, "aria-pressed": "false" }, stamp, html("span", {}, html("b", {}, test.id), ...outcomes));
@@ -86,9 +110,11 @@ function testButton(test, detail, list) {
 
 const radiusWords = (curvature) => (curvature > 0 ? `${(1 / curvature).toFixed(1)} m in radius` : "none, straight");
 
+const conditionWords = (test) => test.conditions.split(",").map((pair) => pair.replace("=", " = ")).join(", ");
+
 // ---- one test -----------------------------------------------------------------------------------------------------
 function showTest(test, detail) {
-  const origin = `Road ${test.road.id}: ${test.road.length} m, ${plural(test.road.turns, "turn")}, tightest bend ${radiusWords(test.road.curvature)} (curvature ${test.road.curvature} 1/m). Found by the search on ${test.sibling}, run ${test.run}, test ${test.number}; seed ${test.seed}.`;
+  const origin = `Road ${test.road.id}: ${test.road.length} m, ${plural(test.road.turns, "turn")}, tightest bend ${radiusWords(test.road.curvature)} (curvature ${test.road.curvature} 1/m). Found by the search on ${test.sibling}, run ${test.run}, test ${test.number}; seed ${test.seed}.${test.conditions ? ` Conditions ${conditionWords(test)}.` : ""}`;
   const [road, lateral, steering] = ["road", "lateral", "steering"].map((kind) => html("div", { class: "plot", "data-chart": kind }));
   const chart = (title, plot) => html("figure", {}, html("figcaption", {}, title), plot);
   detail.replaceChildren(
@@ -187,7 +213,7 @@ function outcomeTable(test) {
   const rows = data.simulators.map((simulator, index) => {
     const run = test.runs[index];
     const name = html("td", { "data-label": head[0] }, simulator.name);
-    if (!run) return html("tr", {}, name, html("td", { colspan: "4" }, "no outcome: not driven, or every attempt ended in an error"));
+    if (!run) return html("tr", {}, name, html("td", { colspan: "4" }, test.excluded[index] || "no outcome: not driven, or every attempt ended in an error"));
     const outcome = html("td", { "data-label": head[1], ...(run.failed ? { class: "failed" } : {}) }, verdict(run) + (run.message ? ` (${run.message})` : ""));
     const numbers = [run.fitness.toFixed(3), run.maxLateral.toFixed(3), run.seconds.toFixed(1)];
     return html("tr", {}, name, outcome, ...numbers.map((text, k) => html("td", { class: "number", "data-label": head[k + 2] }, text)));
@@ -207,7 +233,7 @@ function commandsOf(test) {
     if (run && run.bag) box.append(command(`ds bag redrive ${quoted(run.bag)} --video ${quoted(`${run.bag.split("/").at(-1)}.mp4`)}`, `again on ${data.simulators[index].name}, as recorded`));
   });
   box.append(command(`ds campaign roads . --test ${quoted(test.id)} > road.json`, "the road as a file"));
-  for (const { name } of data.simulators) box.append(command(`ds drive --sim ${quoted(name)} --driver ${quoted(data.driver)} --road road.json --seed ${test.seed}`, `the road on ${name}`));
+  for (const { name } of data.simulators) box.append(command(`ds drive --sim ${quoted(name)} --driver ${quoted(data.driver)} --road road.json --seed ${test.seed}${test.conditions ? ` --conditions ${test.conditions}` : ""}`, `the road on ${name}`));
   return box;
 }
 

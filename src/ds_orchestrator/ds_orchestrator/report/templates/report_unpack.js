@@ -56,7 +56,9 @@ async function testsOf(placeIndex) {
       const time = x.map((_, i) => Math.min(i * data.frame, seconds));
       return { outcome, failed: Boolean(failed), fitness, maxLateral, seconds, message, bag, x, y, lateral, steering, time, distance: distancesAlong(x, y) };
     });
-    return { id, sibling: data.simulators[sibling].name, run, number, seed, road, runs: drives };
+    const conditions = data.conditions ? data.conditions[index] : "";
+    const excluded = (data.excluded && data.excluded[id]) || [];
+    return { id, conditions, excluded, sibling: data.simulators[sibling].name, run, number, seed, road, runs: drives };
   });
   const failures = (test) => test.runs.filter((run) => run && run.failed).length;
   const worst = (test) => Math.min(...test.runs.map((run) => (run ? run.fitness : Infinity)));
