@@ -24,7 +24,7 @@ from ds_sim import make_simulator
 simulator = make_simulator("bullet")
 road = Road([(20.0, 20.0), (20.0, 60.0), (30.0, 100.0), (40.0, 140.0)])
 for name in ("autopilot", "dave2", "dave2@openvino"):
-    check_driver(name)
+    check_driver(name, ["bullet"])
     driver = make_driver(name, simulator.spec)
     def stopping(observation):
         if observation.step == 3:

@@ -88,7 +88,7 @@ def run_campaign(
 
     cluster = cluster or ClusterOptions()
     check_engine(config, cluster, attach=attach)
-    check_driver(config.driver)
+    check_driver(config.driver, config.simulators)
     for name in config.simulators:
         made = make_simulator(name)
         made.close()

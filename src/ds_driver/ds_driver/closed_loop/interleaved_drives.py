@@ -83,11 +83,11 @@ class InterleavedDrives:
             raise
 
     def _started(self, made: Simulator, task: DriveTask) -> _Drive:
-        spec = made.spec
+        network, spec = self._network, made.spec
         crop = Crop(spec.crop_top, spec.crop_bottom)
         rows: tuple[int, int] | None = (0, spec.camera.height_px)
         if not task.gate:
-            rows = ROWS_SEEN if self._network is None else self._network.rows_seen(crop, spec.camera.height_px)
+            rows = ROWS_SEEN if network is None else network.rows_seen(crop, spec.camera.height_px, spec.name)
         if rows is not None and isinstance(made, DrawsRows):
             made.draw_rows(*rows)
         session = Session(made)
@@ -170,4 +170,10 @@ class _Drive:
     def frame(self) -> Frame:
         assert self.seen is not None
         seen = self.seen
-        return Frame(image=seen.image, speed=seen.vehicle.speed, crop=self.crop, step=seen.step)
+        return Frame(
+            image=seen.image,
+            speed=seen.vehicle.speed,
+            crop=self.crop,
+            step=seen.step,
+            simulator=self.session.simulator.spec.name,
+        )

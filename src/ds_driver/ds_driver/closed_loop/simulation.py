@@ -59,11 +59,12 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
         return lambda frame: autopilot.command(frame.lane.preview_lateral_position, frame.vehicle.speed)
     from ds_driver.networks.network_driver import NetworkDriver
 
-    return _steered_by(NetworkDriver(driver), Crop(spec.crop_top, spec.crop_bottom))
+    return _steered_by(NetworkDriver(driver), spec)
 
 
-def _steered_by(network: NetworkDriver, crop: Crop) -> Driver:
-    return lambda frame: network.command(frame.image, frame.vehicle.speed, crop, frame.step)
+def _steered_by(network: NetworkDriver, spec: SimulatorSpec) -> Driver:
+    crop = Crop(spec.crop_top, spec.crop_bottom)
+    return lambda frame: network.command(frame.image, frame.vehicle.speed, crop, frame.step, spec.name)
 
 
 def drive_road(
@@ -135,7 +136,8 @@ def run_drive(drive: Drive) -> RunRecord:
         driver, rows = make_driver(AUTOPILOT, simulator.spec), ROWS_SEEN
     else:
         network, crop = _network(drive.driver), Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
-        driver, rows = _steered_by(network, crop), network.rows_seen(crop, camera.height_px) or (0, camera.height_px)
+        driver = _steered_by(network, simulator.spec)
+        rows = network.rows_seen(crop, camera.height_px, simulator.spec.name) or (0, camera.height_px)
     if isinstance(simulator, DrawsRows):
         simulator.draw_rows(*rows)
     return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions)

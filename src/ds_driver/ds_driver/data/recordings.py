@@ -19,6 +19,7 @@ from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.crops import TRUST
 from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
+from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.registry import received_simulator, spec_of
@@ -67,6 +68,7 @@ class RecordedFrame:
         steering: reference steering, -1 full left to +1 full right, or None.
         speed: speed of the vehicle, m/s; 0 if not recorded.
         trouble: reason why there is no image.
+        simulator: name of the simulator whose camera took the image, or `ds_driver.networks.pilot.NOT_SIMULATED`.
     """
 
     index: int
@@ -75,6 +77,7 @@ class RecordedFrame:
     steering: float | None
     speed: float = 0.0
     trouble: str = ""
+    simulator: str = NOT_SIMULATED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +90,7 @@ class Recording:
         kind: `_PROJECT_BAG`, `bag` or `tub`.
         crop: image rows hidden from networks.
         reading: settings for reading.
+        simulator: see `RecordedFrame`.
     """
 
     path: Path
@@ -94,6 +98,7 @@ class Recording:
     kind: str
     crop: Crop
     reading: Reading
+    simulator: str = NOT_SIMULATED
 
     def frames(self) -> Iterator[RecordedFrame]:
         """Iterate over the images in order.
@@ -123,8 +128,10 @@ def open_recording(path: Path, reading: Reading) -> Recording:
             return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
         name = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
         spec = spec_of(name)
-        crop = Crop() if TRANSLATED in bag.facts else Crop(spec.crop_top, spec.crop_bottom)
-        return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=crop, reading=reading)
+        if TRANSLATED in bag.facts:
+            return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=Crop(), reading=reading)
+        crop = Crop(spec.crop_top, spec.crop_bottom)
+        return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=crop, reading=reading, simulator=spec.name)
 
 
 def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
@@ -162,7 +169,13 @@ def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
                 trouble = f"{recording.path}, image {index}: {error}"
             steering, speed = labels.at(time)
             yield RecordedFrame(
-                index=index, seconds=(time - first) / 1e9, image=image, steering=steering, speed=speed, trouble=trouble
+                index=index,
+                seconds=(time - first) / 1e9,
+                image=image,
+                steering=steering,
+                speed=speed,
+                trouble=trouble,
+                simulator=recording.simulator,
             )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +14,29 @@ from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.backends import Runner, split_backend
 from ds_driver.networks.described_network import KINDS, DescribedNetworkPilot, file_of, read_description
+from ds_driver.networks.driver_name import DESCRIPTIONS, split_generators
 from ds_driver.networks.onnx_backend import onnx_runner
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.openvino_backend import openvino_runner
-from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
+from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.preprocessing import Crop, prepare
 from ds_driver.networks.user_class import UserClassPilot, source_of
-from ds_driver.networks.weights import load_weights, shipped_networks, weights_sha256
+from ds_driver.networks.weights import (
+    generators_in,
+    load_weights,
+    path_of_weights,
+    shipped_networks,
+    weights_sha256,
+)
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.simulator import Command
 
+if TYPE_CHECKING:
+    from ds_driver.sim2real.generator_set import GeneratorSet
+    from ds_driver.sim2real.stage import Sim2RealStage
+
 BUILT_IN_BACKEND = "onnx"
 """Default backend of the built-in networks; chosen by measurement (docs/bring_your_own_network.md)."""
-DESCRIPTIONS = (".yaml", ".yml")
 
 
 class BuiltInPilot(Pilot):
@@ -73,7 +84,8 @@ class NetworkDriver:
 
     Args:
         driver: a shipped network, a weights file, the YAML description of a network file, or `module:Class`; a backend
-            may follow, as in `dave2@onnx`.
+            may follow, as in `dave2@onnx`. `+` and a set of generators make it see translated images, as in
+            `dave2+FOLDER`, and `+none` plain ones; a network that was trained on translated images names its own set.
 
     Raises:
         ValueError: the driver cannot be loaded; see `BuiltInPilot`, `DescribedNetworkPilot` and `UserClassPilot`.
@@ -82,23 +94,27 @@ class NetworkDriver:
     def __init__(self, driver: str) -> None:
         self._pilot = load_pilot(driver)
         # Warm up: the first image allocates memory and selects kernels.
-        self.command(np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), 0.0, Crop())
+        self.command(np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), 0.0, Crop(), simulator=NOT_SIMULATED)
         self._pilot.start()
 
-    def steering(self, image: NDArray[np.uint8], crop: Crop) -> float:
-        """Predict steering in [-1, 1] for one camera image, (160, 320, 3) uint8 RGB.
+    def steering(self, image: NDArray[np.uint8], crop: Crop, simulator: str | None = None) -> float:
+        """Predict steering in [-1, 1] for one camera image, (160, 320, 3) uint8 RGB; see `Frame` for the simulator.
 
         Raises:
             ds_driver.networks.preprocessing.ImageError: the image has another size or type.
             ds_driver.networks.pilot.DriverError: the network gives no valid answer.
         """
-        return _within(self._pilot.predict(Frame(image=image, speed=0.0, crop=crop)).steering, -1.0)
+        frame = Frame(image=image, speed=0.0, crop=crop, simulator=simulator)
+        return _within(self._pilot.predict(frame).steering, -1.0)
 
-    def command(self, image: NDArray[np.uint8], speed: float, crop: Crop, step: int = 1) -> Command:
-        """Compute the command for an image and a speed in m/s; step 0 begins a run."""
+    def command(
+        self, image: NDArray[np.uint8], speed: float, crop: Crop, step: int = 1, simulator: str | None = None
+    ) -> Command:
+        """Compute the command for an image and a speed in m/s; step 0 begins a run; see `Frame` for the simulator."""
         if step == 0:
             self._pilot.start()
-        return _command(self._pilot.predict(Frame(image=image, speed=speed, crop=crop, step=step)), speed)
+        frame = Frame(image=image, speed=speed, crop=crop, step=step, simulator=simulator)
+        return _command(self._pilot.predict(frame), speed)
 
     def commands(self, frames: Sequence[Frame]) -> list[Command | DriverError]:
         """Compute a command for each frame: the bits of `command`, or the error of that frame.
@@ -122,7 +138,7 @@ class NetworkDriver:
 
     def _attempt(self, frame: Frame) -> Command | DriverError:
         try:
-            return self.command(frame.image, frame.speed, frame.crop, frame.step)
+            return self.command(frame.image, frame.speed, frame.crop, frame.step, frame.simulator)
         except DriverError as error:
             return error
 
@@ -136,14 +152,20 @@ class NetworkDriver:
         """Return whether the driver never looks at rows outside the crop of a frame."""
         return self._pilot.sees_crop_only
 
-    def rows_seen(self, crop: Crop, height: int) -> tuple[int, int] | None:
+    def rows_seen(self, crop: Crop, height: int, simulator: str | None = None) -> tuple[int, int] | None:
         """Return first row and end of the rows that the driver looks at; None if it may look at all.
 
         Args:
             crop: crop of the simulator's images.
             height: rows of its images.
+            simulator: name of the simulator; None if unknown.
         """
-        return (crop.top, height - crop.bottom) if self.sees_crop_only else None
+        return self._pilot.rows_seen(crop, height, simulator)
+
+    @property
+    def stage(self) -> Sim2RealStage | None:
+        """Return what translates images before the network sees them; None if it sees them as they are."""
+        return getattr(self._pilot, "stage", None)
 
     @property
     def stateless(self) -> bool:
@@ -153,7 +175,41 @@ class NetworkDriver:
 
 def load_pilot(driver: str) -> Pilot:
     """Load the driver of a name; see `NetworkDriver`."""
-    name, backend, device = split_backend(driver)
+    whole, backend, device = split_backend(driver)
+    name = split_generators(whole)[0]
+    pilot = _load_network(name, backend, device)
+    generators = generators_of(driver)
+    if generators is None:
+        return pilot
+    from ds_driver.sim2real.stage import Sim2RealStage, TranslatingPilot
+
+    stage = Sim2RealStage(generators, BUILT_IN_BACKEND if backend == "auto" else backend, device)
+    return TranslatingPilot(pilot, stage)
+
+
+def generators_of(driver: str) -> GeneratorSet | None:
+    """Find the generators with which a driver translates images; None if it sees them as they are.
+
+    Raises:
+        DriverError: there are no such generators.
+        ds_driver.networks.weights.WeightsError: the network's file is missing.
+    """
+    name, generators = split_generators(split_backend(driver)[0])
+    trained_with = {} if generators or not _is_weights(name) else generators_in(name)
+    if not generators and not trained_with:
+        return None
+    from ds_driver.sim2real.generator_set import NONE, open_set, set_of_network
+
+    if trained_with:
+        return set_of_network(name, path_of_weights(name), trained_with)
+    return None if generators == NONE else open_set(generators)
+
+
+def _is_weights(name: str) -> bool:
+    return name in {**NETWORKS, **shipped_networks()} or Path(name).suffix.lower() == ".safetensors"
+
+
+def _load_network(name: str, backend: str, device: str) -> Pilot:
     suffix = Path(name).suffix.lower()
     if suffix in DESCRIPTIONS:
         return DescribedNetworkPilot(Path(name), backend, device)
@@ -173,8 +229,15 @@ def load_pilot(driver: str) -> Pilot:
 
 
 def driver_sha256(driver: str) -> str:
-    """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class."""
-    name = split_backend(driver)[0]
+    """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class.
+
+    Generators that its name names are part of it; those that a network was trained with are so by their digests in it.
+    """
+    name, named = split_generators(split_backend(driver)[0])
+    if named:
+        generators = generators_of(driver)
+        parts_of_both = f"{driver_sha256(name)} {generators.sha256 if generators else named}"
+        return hashlib.sha256(parts_of_both.encode()).hexdigest()
     if Path(name).suffix.lower() in DESCRIPTIONS:
         path = Path(name)
         parts = [path, file_of(path, read_description(path))]

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from ds_driver.networks.preprocessing import Crop
 
+NOT_SIMULATED = ""
+"""In place of a simulator's name: a photograph, or an image that is translated already; a network sees it as it is."""
+
 
 class DriverError(ValueError):
     """The driver cannot be loaded or gives no valid answer: the run ends as an error, not as a failure."""
@@ -26,12 +29,15 @@ class Frame:
         speed: speed of the vehicle, m/s.
         crop: rows that the paper's networks do not see on this simulator.
         step: number of frames since the start of the run.
+        simulator: name of the simulator whose camera took the image, or `NOT_SIMULATED`; None if that is unknown, which
+            networks refuse that see translated images (`ds_driver.sim2real.stage`).
     """
 
     image: NDArray[np.uint8]
     speed: float
     crop: Crop = Crop()
     step: int = 0
+    simulator: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +85,16 @@ class Pilot(Protocol):
             ds_driver.networks.preprocessing.ImageError: the image has another size or type.
         """
         ...
+
+    def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:
+        """Return first row and end of the rows that it looks at; None if it may look at all.
+
+        Args:
+            crop: crop of the simulator's images.
+            height: rows of its images.
+            simulator: name of the simulator; None if unknown.
+        """
+        return (crop.top, height - crop.bottom) if self.sees_crop_only else None
 
     def predict_batch(self, frames: Sequence[Frame]) -> list[Prediction | DriverError]:
         """Predict for several frames: the bits of `predict`, or the error of the frame.

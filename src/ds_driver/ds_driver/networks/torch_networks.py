@@ -20,7 +20,7 @@ from ds_driver.networks.architectures import (
     MaxPool,
     UnknownNetworkError,
 )
-from ds_driver.networks.weights import load_weights
+from ds_driver.networks.weights import load_weights, metadata_of
 from ds_driver.whole_files import whole_file
 
 
@@ -110,11 +110,20 @@ def load_network(name_or_path: str) -> nn.Module:
     return network.eval()
 
 
-def save_weights(network: nn.Module, path: Path, *, architecture: str, notes: dict[str, str] | None = None) -> None:
-    """Write a network's weights as float16, which halves the file; `load_weights` returns float32."""
+def save_weights(
+    network: nn.Module, path: Path, *, architecture: str, generators: dict[str, str] | None = None
+) -> None:
+    """Write a network's weights as float16, which halves the file; `load_weights` returns float32.
+
+    Args:
+        network: trained network.
+        path: file to write.
+        architecture: its name.
+        generators: see `ds_driver.networks.weights.metadata_of`.
+    """
     tensors = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
     with whole_file(path) as partial:
-        save_file(tensors, partial, metadata={"architecture": architecture, **(notes or {})})
+        save_file(tensors, partial, metadata=metadata_of(architecture, generators or {}))
 
 
 def _sequence(layers: Sequence[Layer]) -> nn.Sequential:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,8 @@ SHIPPED = Path(__file__).parents[1] / "models"
 """Folder of the shipped networks."""
 LARGEST_FILE = 2**29
 """Bytes of a weights file; chosen: ten times the largest shipped one."""
+TRANSLATED = "network for translated images 1"
+"""Key of the metadata of a network that was trained on translated images."""
 _FLOAT32: dict[str, Callable[[bytes], NDArray[np.float32]]] = {
     "F16": lambda data: np.frombuffer(data, "<f2").astype(np.float32),
     # The upper half of a float32.
@@ -51,21 +55,58 @@ def shipped_networks() -> dict[str, Path]:
 
 def weights_sha256(name_or_path: str) -> str:
     """Compute the SHA-256 of the weights file that `load_weights` would read."""
-    return hashlib.sha256(_path_of(name_or_path).read_bytes()).hexdigest()
+    return hashlib.sha256(path_of_weights(name_or_path).read_bytes()).hexdigest()
+
+
+def metadata_of(architecture: str, generators: dict[str, str]) -> dict[str, str]:
+    """Return the metadata of a weights file.
+
+    Args:
+        architecture: name of the architecture.
+        generators: simulator -> SHA-256 of the generator that translated its images for training; empty if plain.
+    """
+    if not generators:
+        return {"architecture": architecture}
+    # One entry, as the order of several is that of a hash table, which differs between processes.
+    return {TRANSLATED: json.dumps({"architecture": architecture, "generators": generators}, sort_keys=True)}
 
 
 def architecture_in(path: Path) -> str:
     """Read the architecture from the metadata of a weights file; "" if there is none."""
+    return _about(path)[0]
+
+
+def generators_in(name_or_path: str) -> dict[str, str]:
+    """Read which generators translated the images that a network was trained on: simulator -> SHA-256.
+
+    Returns:
+        Empty for a network that was trained on plain images.
+
+    Raises:
+        WeightsError: the file is missing.
+        UnknownNetworkError: neither a known name nor the path of a weights file.
+    """
+    return _about(path_of_weights(name_or_path))[1]
+
+
+def _about(path: Path) -> tuple[str, dict[str, str]]:
     if not path.is_file():
-        return ""
+        return "", {}
     try:
         with safe_open(path, framework="numpy") as file:
-            return str((file.metadata() or {}).get("architecture", ""))
+            return _read_metadata(file.metadata() or {})
     except Exception:  # files of other formats can raise anything
-        return ""
+        return "", {}
 
 
-def _path_of(name_or_path: str) -> Path:
+def _read_metadata(metadata: dict[str, str]) -> tuple[str, dict[str, str]]:
+    if TRANSLATED not in metadata:
+        return str(metadata.get("architecture", "")), {}
+    about: dict[str, Any] = json.loads(metadata[TRANSLATED])
+    return str(about["architecture"]), {str(name): str(digest) for name, digest in about["generators"].items()}
+
+
+def path_of_weights(name_or_path: str) -> Path:
     """Return the weights file of a name or path.
 
     Raises:
@@ -98,10 +139,10 @@ def load_weights(name_or_path: str) -> Weights:
         WeightsError: the file is missing, damaged, in another format, or does not fit its architecture.
         UnknownNetworkError: neither a known name nor an existing file.
     """
-    path = _path_of(name_or_path)
+    path = path_of_weights(name_or_path)
     try:
         with safe_open(path, framework="numpy") as file:
-            name = (file.metadata() or {}).get("architecture", "")
+            name = _read_metadata(file.metadata() or {})[0]
             if name not in NETWORKS:
                 raise WeightsError(
                     f"weights {path.name} name the architecture {name!r:.60}: expected one of {', '.join(NETWORKS)}"

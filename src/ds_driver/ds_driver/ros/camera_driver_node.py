@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from ds_driver.control.command_conversions import Geometry
 from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.ros.camera_subscriber import CameraSubscriber
 from ds_driver.ros.command_publisher import OUTPUTS, CommandOutput
@@ -47,7 +48,7 @@ class CameraDriver(Node):
         driver, crop = NetworkDriver(network), Crop(top, bottom)
 
         def drive(image: NDArray[np.uint8], speed: float) -> Command:
-            return driver.command(image, speed, crop)
+            return driver.command(image, speed, crop, simulator=NOT_SIMULATED)
 
         self._camera = CameraSubscriber(
             self, drive, sender, compressed=compressed, speed_from_odometry=speed_from == "odom"

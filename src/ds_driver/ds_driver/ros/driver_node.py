@@ -11,9 +11,12 @@ from ds_interfaces.msg import Frame
 from rclpy.node import Node
 
 from ds_driver.networks.backends import BACKENDS, DEVICES, with_backend
+from ds_driver.networks.driver_name import with_generators
 from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.ros.simulator_client import SimulatorClient
+from ds_driver.ros.translated_images import TranslatedImages
 from ds_sim.ros.conversions import pixels_of
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
@@ -29,6 +32,8 @@ class DriverNode(Node):
     def __init__(self) -> None:
         super().__init__("driver")
         network = declare(self, "network", "dave2", "Shipped network, or what docs/bring_your_own_network.md names.")
+        about = "Generators that translate its images: a shipped set or a folder; empty: the network's own; or none."
+        sim2real = declare(self, "sim2real", "", about)
         about = "Backend that runs the network."
         backend = declare(self, "backend", "auto", about, choices=BACKENDS)
         device = declare(self, "device", "cpu", "Device that runs the network.", choices=DEVICES)
@@ -41,16 +46,26 @@ class DriverNode(Node):
         )
         self._given = list(zip(tops, bottoms, strict=True))
         self._crops: list[Crop | None] = [None] * count
-        self._driver = NetworkDriver(with_backend(network, backend, device))
+        self._driver = NetworkDriver(with_generators(with_backend(network, backend, device), sim2real))
         self._milliseconds: list[float] = []
+        stage = self._driver.stage
+        self._translated = None if stage is None else TranslatedImages(self, self._namespaces, stage)
         for index, namespace in enumerate(self._namespaces):
-            SimulatorClient(self, namespace, Frame).drive_with(partial(self._answer, index))
+            if self._translated is None:
+                SimulatorClient(self, namespace, Frame).drive_with(partial(self._answer, index))
+            else:
+                self._translated.connect(index, partial(self._answer, index))
         self.get_logger().info(f"{network} drives {', '.join(filter(None, self._namespaces)) or self.get_namespace()}")
 
     def _answer(self, index: int, frame: Frame) -> Command:
         started = time.perf_counter()
-        crop = self._crop_for(index, frame)
-        command = self._driver.command(pixels_of(frame.image), frame.speed, crop, frame.step)
+        image = pixels_of(frame.image)
+        if self._translated is None:
+            crop, simulator = self._crop_for(index, frame), None
+        else:
+            # What the driver would do by itself, with the bits that are published.
+            image, crop, simulator = self._translated.translate(index, frame, image), Crop(), NOT_SIMULATED
+        command = self._driver.command(image, frame.speed, crop, frame.step, simulator)
         self._milliseconds.append(1e3 * (time.perf_counter() - started))
         return command
 
@@ -80,7 +95,7 @@ class DriverNode(Node):
             spec: description of the simulator in this node's own namespace.
         """
         crop = self._crop_of(0, spec.crop_top, spec.crop_bottom)
-        return self._driver.rows_seen(crop, spec.camera.height_px)
+        return self._driver.rows_seen(crop, spec.camera.height_px, spec.name)
 
     def destroy_node(self) -> None:
         """Print the latency of the answers."""

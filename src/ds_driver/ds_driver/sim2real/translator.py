@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.networks.backends import Runner
 from ds_driver.networks.onnx_backend import onnx_runner
 from ds_driver.networks.openvino_backend import openvino_runner
 from ds_driver.sim2real.generator_file import StoredGenerator
@@ -12,30 +15,27 @@ from ds_driver.sim2real.generator_onnx import generator_to_onnx
 from ds_driver.sim2real.window import Sim2RealError, prepare, resize
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
-BACKENDS = ("onnx", "openvino", "openvino-bf16")
+BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
 
 
 class Translator:
-    """Translates images one at a time, without state.
+    """Translates images, without state: an image has the same bits alone and in any batch.
 
     Args:
         generator: a stored generator.
         backend: one of `BACKENDS`; results differ between them by a grey level or so.
+        device: `cpu`, or `cuda` with PyTorch.
 
     Raises:
         Sim2RealError: the backend is unknown.
         ds_driver.networks.backends.BackendError: the backend is not installed.
     """
 
-    def __init__(self, generator: StoredGenerator, backend: str = "onnx") -> None:
+    def __init__(self, generator: StoredGenerator, backend: str = "onnx", device: str = "cpu") -> None:
         if backend not in BACKENDS:
             raise Sim2RealError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
         self.generator = generator
-        content = generator_to_onnx(generator)
-        if backend == "onnx":
-            self._runner = onnx_runner(content, "the generator")
-        else:
-            self._runner = openvino_runner(content, "the generator", bf16=backend == "openvino-bf16", batches=False)
+        self._runner = _runner(generator, backend, device)
 
     def prepared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Cut out and resize what the generator sees of a camera image: (rows, columns, 3) uint8 RGB of its size."""
@@ -57,9 +57,40 @@ class Translator:
         Raises:
             Sim2RealError: the image has another size than the camera of the generator's simulator.
         """
-        if image.shape != (IMAGE_HEIGHT, IMAGE_WIDTH, 3):
-            raise Sim2RealError(
-                f"image of shape {image.shape}, expected ({IMAGE_HEIGHT}, {IMAGE_WIDTH}, 3): the generator translates "
-                "camera images of simulators"
-            )
-        return resize(self.small(self.prepared(image)), (IMAGE_HEIGHT, IMAGE_WIDTH))
+        return self.translate_all([image])[0]
+
+    def translate_all(self, images: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
+        """Translate camera images, as many at once as the backend takes; see `translate`."""
+        for image in images:
+            if image.shape != (IMAGE_HEIGHT, IMAGE_WIDTH, 3):
+                raise Sim2RealError(
+                    f"image of shape {image.shape}, expected ({IMAGE_HEIGHT}, {IMAGE_WIDTH}, 3): the generator "
+                    "translates camera images of simulators"
+                )
+        prepared, size = [self.prepared(image) for image in images], self._runner.largest_batch
+        parts = (np.stack(prepared[begin : begin + size]) for begin in range(0, len(prepared), size))
+        translated = (image for part in parts for image in self._runner.compute(part)[0].astype(np.uint8))
+        return [resize(image, (IMAGE_HEIGHT, IMAGE_WIDTH)) for image in translated]
+
+
+def _runner(generator: StoredGenerator, backend: str, device: str) -> Runner:
+    if backend == "torch":
+        return _torch_runner(generator, device)
+    content = generator_to_onnx(generator)
+    if backend == "onnx":
+        return onnx_runner(content, "the generator")
+    return openvino_runner(content, "the generator", bf16=backend == "openvino-bf16", batches=True)
+
+
+def _torch_runner(generator: StoredGenerator, device: str) -> Runner:
+    """Run a generator with PyTorch, which takes 2 s and 200 MB to import and is therefore imported on demand."""
+    import torch
+
+    from ds_driver.networks.torch_backend import torch_device, torch_runner
+    from ds_driver.sim2real.networks import Generator, to_batch, to_images
+
+    where = torch_device(device)
+    network = Generator(generator.shape)
+    network.load_state_dict({name: torch.from_numpy(value) for name, value in generator.tensors.items()})
+    network = network.eval().to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
+    return torch_runner(lambda images: to_images(network(to_batch(images))), where)

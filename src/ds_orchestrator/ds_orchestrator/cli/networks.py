@@ -98,7 +98,7 @@ def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Res
     from ds_driver.data.collection import roads_both_ways
     from ds_orchestrator.graph.process_specs import check_driver
 
-    check_driver(network)
+    check_driver(network, simulators)
     say(f"driving {roads} roads in both directions on {', '.join(simulators)}: {2 * roads * len(simulators)} drives")
     try:
         success = success_rates(network, simulators, roads_both_ways(roads, seed), seed, countdown())

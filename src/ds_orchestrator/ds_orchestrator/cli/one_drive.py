@@ -159,7 +159,7 @@ def _check(request: DriveRequest) -> None:
     finally:
         simulator.close()
     if not request.attach:
-        check_driver(request.driver)
+        check_driver(request.driver, [request.sim])
     road = request.road
     if not road.validity.valid:
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")

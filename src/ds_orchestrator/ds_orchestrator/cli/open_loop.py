@@ -108,6 +108,6 @@ def _network(driver: str) -> Answer:
 
     def answer(frame: RecordedFrame, crop: Crop) -> float:
         assert frame.image is not None
-        return network.steering(frame.image, crop)
+        return network.steering(frame.image, crop, frame.simulator)
 
     return answer

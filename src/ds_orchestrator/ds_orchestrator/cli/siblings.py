@@ -116,7 +116,7 @@ def _check(request: ComparisonRequest) -> list[str]:
         raise ConfigError(f"simulators {', '.join(names)}: expected at least two, as --sims a,b")
     if request.twin is not None and request.twin not in names:
         raise ConfigError(f"twin {request.twin} is not among the simulators {', '.join(names)}: add it to --sims")
-    check_driver(request.driver)
+    check_driver(request.driver, names)
     if request.out is not None:
         request.out.mkdir(parents=True, exist_ok=True)
     twin = request.twin or (TWIN if TWIN in names else None)

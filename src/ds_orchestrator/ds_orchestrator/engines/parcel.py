@@ -88,16 +88,34 @@ def parcel_of(driver: str, simulators: Sequence[str]) -> Parcel:
     )
 
 
+def _pack_generators(driver: str, name: str, named: str, files: dict[str, bytes]) -> str:
+    """Add the generators that a worker does not have; return what follows the network's name there."""
+    from ds_driver.networks.network_driver import generators_of
+    from ds_driver.sim2real.generator_set import FOLDER, NONE, shipped_sets
+
+    generators = generators_of(driver)
+    if named == NONE or named in shipped_sets():
+        return f"+{named}"
+    if generators is None:
+        return ""
+    if named or name.endswith(".safetensors"):
+        # Beside the weights, where a network looks for the generators that it was trained with.
+        files |= {f"driver/{FOLDER}/{label}.safetensors": path.read_bytes() for label, path in generators.files.items()}
+    return f"+{{folder}}/driver/{FOLDER}" if named else ""
+
+
 def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) -> str:
     """Add a driver's files; return its back end."""
     from ds_driver.networks.backends import split_backend
     from ds_driver.networks.described_network import file_of, read_description
-    from ds_driver.networks.network_driver import BUILT_IN_BACKEND, DESCRIPTIONS
+    from ds_driver.networks.driver_name import DESCRIPTIONS, split_generators
+    from ds_driver.networks.network_driver import BUILT_IN_BACKEND
 
-    name, backend, device = split_backend(driver)
+    whole, backend, _device = split_backend(driver)
+    name, named = split_generators(whole)
     path = Path(name)
     suffix = path.suffix.lower()
-    ending = driver[len(name) :]
+    ending = _pack_generators(driver, name, named, files) + driver[len(whole) :]
     if suffix in DESCRIPTIONS:
         network = file_of(path, read_description(path))
         try:
@@ -111,6 +129,8 @@ def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) 
     elif suffix == ".safetensors":
         files[f"driver/{path.name}"] = path.read_bytes()
     else:  # shipped, or a class: the worker has it, and its digest is compared
+        if ending != driver[len(name) :]:
+            renamed[driver] = name + ending
         return "" if ":" in name else BUILT_IN_BACKEND if backend == "auto" else backend
     renamed[driver] = f"{{folder}}/driver/{path.name}{ending}"
     if backend == "auto":

@@ -166,9 +166,10 @@ def predict(
     """
     from ds_driver.closed_loop.simulation import AUTOPILOT
     from ds_driver.data.crops import crops_of
-    from ds_driver.data.dataset import Sample, decode, read_samples
+    from ds_driver.data.dataset import Sample, decode, imported_names, read_samples
     from ds_driver.networks.network_driver import load_pilot
-    from ds_driver.networks.pilot import Frame
+    from ds_driver.networks.pilot import NOT_SIMULATED, Frame
+    from ds_sim.registry import spec_of
 
     if network == AUTOPILOT:
         raise ErrorsError("the autopilot recorded the steering to compare with: name a network, such as dave2")
@@ -179,13 +180,15 @@ def predict(
     if images is not None:
         groups = {name: _spread(group, images) for name, group in groups.items()}
     total, done = sum(map(len, groups.values())), 0
-    found, crops = {}, crops_of(data, groups, trusted=trusted)
+    found, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
     for name, group in groups.items():
         steering = np.empty(len(group))
+        simulator = NOT_SIMULATED if name in recorded else spec_of(name).name
         for index, sample in enumerate(group):
             if index == 0 or sample.road_id != group[index - 1].road_id:
                 pilot.start()
-            steering[index] = pilot.predict(Frame(image=decode(sample.jpeg), speed=0.0, crop=crops[name])).steering
+            frame = Frame(image=decode(sample.jpeg), speed=0.0, crop=crops[name], simulator=simulator)
+            steering[index] = pilot.predict(frame).steering
             done += 1
             if done % REPORT_EVERY == 0 or done == total:
                 progress(done, total, f"images, {name}")
@@ -211,7 +214,8 @@ def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
 def architecture_of(network: str) -> str:
     """Read the architecture of a shipped network or a weights file; "" if it has none."""
     from ds_driver.networks.backends import split_backend
+    from ds_driver.networks.driver_name import split_generators
     from ds_driver.networks.weights import architecture_in, shipped_networks
 
-    network = split_backend(network)[0]
+    network = split_generators(split_backend(network)[0])[0]
     return architecture_in(shipped_networks().get(network, Path(network)))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_orchestrator.graph.supervisor import ProcessSpec
+from ds_sim.registry import spec_of
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
@@ -75,13 +76,21 @@ def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
     return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.driver_node", parameters=parameters)
 
 
-def check_driver(driver: str) -> None:
+def check_driver(driver: str, simulators: Sequence[str]) -> None:
     """Check a driver's name before anything starts.
 
-    Raises:
-        ValueError: the name is unknown, or its file cannot be used.
-    """
-    if driver != AUTOPILOT:
-        from ds_driver.networks.network_driver import load_pilot
+    Args:
+        driver: name of the driver.
+        simulators: names of the simulators that it will drive.
 
-        load_pilot(driver)
+    Raises:
+        ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
+    """
+    if driver == AUTOPILOT:
+        return
+    from ds_driver.networks.network_driver import generators_of, load_pilot
+
+    load_pilot(driver)
+    generators = generators_of(driver)
+    if generators is not None:
+        generators.check(spec_of(name).name for name in simulators)

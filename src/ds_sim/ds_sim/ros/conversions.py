@@ -122,9 +122,14 @@ def command_from_message(message: DriveCommand) -> Command:
 
 def image_to_message(observation: Observation, header: Header) -> Image:
     """Convert the image of an observation, rgb8."""
-    rows, columns, channels = observation.image.shape
+    return pixels_to_message(observation.image, header)
+
+
+def pixels_to_message(pixels: NDArray[np.uint8], header: Header) -> Image:
+    """Convert pixels, (rows, columns, 3) RGB, rgb8."""
+    rows, columns, channels = pixels.shape
     message = Image(header=header, height=rows, width=columns, encoding="rgb8", step=columns * channels)
-    message.data = observation.image.tobytes()  # assigning an array or a list takes a thousand times as long
+    message.data = pixels.tobytes()  # assigning an array or a list takes a thousand times as long
     return message
 
 

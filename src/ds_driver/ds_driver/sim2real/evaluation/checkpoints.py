@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.sim2real.evaluation.choice import broken_bounds, choose
 from ds_driver.sim2real.evaluation.features import PUBLIC_NETWORK, driving_features, has_public_network, public_features
@@ -103,7 +104,7 @@ class Assessor:
 
     def _steer(self, images: list[NDArray[np.uint8]]) -> NDArray[np.float64]:
         whole = (resize(image, (IMAGE_HEIGHT, IMAGE_WIDTH)) for image in images)
-        return np.array([self._driver.steering(image, Crop()) for image in whole])
+        return np.array([self._driver.steering(image, Crop(), NOT_SIMULATED) for image in whole])
 
 
 def flicker(

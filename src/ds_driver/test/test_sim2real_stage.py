@@ -1,0 +1,165 @@
+"""Drivers that see pseudo-real images: which generator, which bits, and what identifies them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ds_driver.closed_loop.interleaved_drives import InterleavedDrives
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.architectures import NETWORKS
+from ds_driver.networks.driver_name import split_generators, with_generators
+from ds_driver.networks.network_driver import (
+    NetworkDriver,
+    driver_sha256,
+    generators_of,
+    load_pilot,
+)
+from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
+from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.received import received_driver
+from ds_driver.networks.torch_networks import make_network, save_weights
+from ds_driver.networks.weights import architecture_in, generators_in, load_weights
+from ds_driver.sim2real.generator_file import load_generator, save_generator
+from ds_driver.sim2real.generator_set import FOLDER
+from ds_driver.sim2real.networks import Generator
+from ds_driver.sim2real.shape import GeneratorShape
+from ds_driver.sim2real.translator import Translator
+from ds_driver.sim2real.window import Window
+from ds_road import generate
+from ds_sim.registry import make_simulator
+
+TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
+WINDOWS = {"bullet": Window(54, 160, 0, 320), "softbody": Window(80, 159, 20, 300)}
+
+
+def write_generator(folder: Path, simulator: str, seed: int, name: str = "") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(seed)
+    tensors = {key: value.numpy() for key, value in Generator(TINY).state_dict().items()}
+    path = folder / f"{name or simulator}.safetensors"
+    whole, window = Window(0, 120, 0, 160), WINDOWS.get(simulator, WINDOWS["bullet"])
+    save_generator(path, tensors, simulator=simulator, shape=TINY, window=window, real_window=whole)
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set of generators of two simulators, and a network that was trained with them beside it."""
+    folder = tmp_path_factory.mktemp("stage")
+    for seed, simulator in enumerate(WINDOWS):
+        write_generator(folder / FOLDER, simulator, seed)
+    digests = {name: load_generator(folder / FOLDER / f"{name}.safetensors").sha256 for name in WINDOWS}
+    torch.manual_seed(1)
+    network = make_network("dave2")
+    save_weights(network, folder / "real.safetensors", architecture="dave2", generators=digests)
+    save_weights(network, folder / "plain.safetensors", architecture="dave2")
+    return folder
+
+
+def frames(count: int) -> list[Frame]:
+    rng = np.random.default_rng(3)
+    images = rng.integers(0, 256, (count, 160, 320, 3), dtype=np.uint8)
+    names = [*WINDOWS, NOT_SIMULATED]
+    return [Frame(image=image, speed=3.0, crop=Crop(54, 0), simulator=names[i % 3]) for i, image in enumerate(images)]
+
+
+def test_a_network_sees_the_translation_by_the_generator_of_the_frames_simulator(folder: Path) -> None:
+    plain = NetworkDriver(str(folder / "plain.safetensors"))
+    for name in (f"{folder}/real.safetensors", f"{folder}/plain.safetensors+{folder}/{FOLDER}"):
+        driver = NetworkDriver(name)
+        for frame in frames(3):
+            assert frame.simulator is not None
+            found = driver.command(frame.image, frame.speed, frame.crop, simulator=frame.simulator)
+            seen, crop = frame.image, frame.crop
+            if frame.simulator != NOT_SIMULATED:
+                generator = load_generator(folder / FOLDER / f"{frame.simulator}.safetensors")
+                seen, crop = Translator(generator).translate(frame.image), Crop()
+            assert found == plain.command(seen, frame.speed, crop)
+        assert driver.rows_seen(Crop(54, 0), 160, "softbody") == (80, 159)
+        assert driver.rows_seen(Crop(54, 0), 160, "donkey") is None
+    assert plain.stage is None and plain.rows_seen(Crop(54, 0), 160, "softbody") == (54, 160)
+
+
+@pytest.mark.parametrize("backend", ["onnx", "openvino", "torch"])
+def test_frames_of_several_simulators_are_answered_with_the_bits_of_each_alone(folder: Path, backend: str) -> None:
+    if backend == "openvino":
+        pytest.importorskip("openvino")
+    driver = NetworkDriver(f"{folder / 'real.safetensors'}@{backend}")
+    asked = frames(7)
+    alone = [driver.command(f.image, f.speed, f.crop, simulator=f.simulator) for f in asked]
+    assert driver.commands(asked) == alone and len(set(alone)) == 7
+    missing = Frame(image=asked[0].image, speed=3.0, simulator="donkey")
+    found = driver.commands([asked[0], missing, asked[1]])
+    assert [found[0], found[2]] == alone[:2] and isinstance(found[1], DriverError)
+
+
+def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
+    road, driver = generate(np.random.default_rng(5)), str(folder / "real.safetensors")
+    drives = InterleavedDrives(driver)
+    runs = {}
+    for key, name in enumerate(WINDOWS):
+        drives.begin(key, name, road, 1)
+    while len(drives):
+        runs.update(drives.step())
+    for key, name in enumerate(WINDOWS):
+        simulator = make_simulator(name)
+        run = drive_road(simulator, make_driver(driver, simulator.spec), road, 1)
+        simulator.close()
+        assert runs[key].outcome is run.outcome and runs[key].commands == run.commands and len(run.commands) > 20
+
+
+def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> None:
+    def check(driver: str, simulators: tuple[str, ...]) -> None:
+        generators = generators_of(driver)
+        assert generators is not None
+        generators.check(simulators)
+
+    def refused(driver: object, match: str, *simulators: str) -> None:
+        with pytest.raises(DriverError, match=match) as caught:
+            check(str(driver), simulators)
+        assert "\n" not in str(caught.value)
+
+    refused(
+        folder / "real.safetensors", "no generator for images of donkey, it has those of bullet, softbody", "donkey"
+    )
+    refused(f"dave2+{tmp_path}", "no generators in")
+    refused(f"dave2+{tmp_path / 'nowhere'}", "no generators in")
+    write_generator(tmp_path, "bullet", 1, "donkey")
+    refused(f"dave2+{tmp_path}", "translates images of bullet, not of donkey", "donkey")
+    (tmp_path / "donkey.safetensors").write_bytes(b"x" * 40)
+    refused(f"dave2+{tmp_path}", "damaged", "donkey")
+    lone = tmp_path / "lone.safetensors"
+    lone.write_bytes((folder / "real.safetensors").read_bytes())
+    refused(lone, "trained on images of bullet that a generator translated, which is missing")
+    pilot = load_pilot(str(folder / "real.safetensors"))
+    with pytest.raises(DriverError, match="does not name its simulator"):
+        pilot.predict(replace(frames(1)[0], simulator=None))
+
+
+def test_another_generator_is_another_driver(folder: Path, tmp_path: Path) -> None:
+    write_generator(tmp_path, "bullet", 7)
+    first = driver_sha256(f"dave2+{folder / FOLDER}")
+    assert first == driver_sha256(f"dave2+{folder / FOLDER}@torch")
+    others = [f"dave2+{tmp_path}", "dave2", "dave2+none", f"dave2_short+{tmp_path}"]
+    assert len({first, *map(driver_sha256, others)}) == 5
+    assert driver_sha256(str(folder / "real.safetensors")) != driver_sha256(str(folder / "plain.safetensors"))
+
+
+def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:
+    assert split_generators("dave2") == ("dave2", "") and split_generators("dave2+a+b") == ("dave2", "a+b")
+    assert split_generators("a+b/dave2.safetensors") == ("a+b/dave2.safetensors", "")
+    assert split_generators("a+b/n.yaml+c") == ("a+b/n.yaml", "c")
+    assert split_generators("mine:Class+c") == ("mine:Class", "c")
+    assert with_generators("dave2@onnx", "c") == "dave2+c@onnx" and with_generators("dave2@onnx", "") == "dave2@onnx"
+    assert received_driver("dave2+c@onnx") == "dave2+c@onnx"
+    with pytest.raises(DriverError, match="Python code"):
+        received_driver("mine:Class+c")
+    real = folder / "real.safetensors"
+    assert architecture_in(real) == "dave2" and list(generators_in(str(real))) == list(WINDOWS)
+    assert load_weights(str(real)).architecture is NETWORKS["dave2"]
+    assert generators_in("dave2") == {} and NetworkDriver(f"{real}+none").stage is None

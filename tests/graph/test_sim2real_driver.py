@@ -1,0 +1,64 @@
+"""A driver node that translates the images of its simulator: the bits of a drive in this process."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.sim2real.generator_file import load_generator, save_generator
+from ds_driver.sim2real.networks import Generator
+from ds_driver.sim2real.shape import GeneratorShape
+from ds_driver.sim2real.translator import Translator
+from ds_driver.sim2real.window import Window
+from ds_road import Road
+from ds_sim.registry import make_simulator
+
+pytestmark = pytest.mark.graph
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+
+
+def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(tmp_path: Path) -> None:
+    from rclpy.node import Node
+    from sensor_msgs.msg import Image
+
+    from ds_orchestrator.campaign.runner import trajectory_sha256
+    from ds_orchestrator.graph.session import running_graph
+    from ds_sim.ros.conversions import pixels_of
+
+    shape, window = GeneratorShape(filters=2, blocks=1, rows=32, columns=64), Window(60, 160, 0, 320)
+    torch.manual_seed(1)
+    tensors = {name: value.numpy() for name, value in Generator(shape).state_dict().items()}
+    path = tmp_path / "set" / "donkey.safetensors"
+    path.parent.mkdir()
+    save_generator(path, tensors, simulator="donkey", shape=shape, window=window, real_window=window)
+    driver = f"dave2_short+{path.parent}"
+    simulator = make_simulator("donkey")
+    here = drive_road(simulator, make_driver(driver, simulator.spec), STRAIGHT, 1)
+    first = simulator.load(STRAIGHT, seed=1).image
+    simulator.close()
+    with running_graph({"donkey": "/ds1"}, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
+        node = Node("viewer", context=executor.context)
+        images: list[Any] = []
+        topic = "/ds1/sim2real/image_raw"
+        node.create_subscription(Image, topic, images.append, 1000)
+        executor._executor.add_node(node)
+        deadline = time.monotonic() + 20.0
+        while node.count_publishers(topic) == 0 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(1.0)  # until the driver has discovered the viewer, too
+        there = executor.execute("donkey", STRAIGHT, 1)
+        deadline = time.monotonic() + 10.0
+        while len(images) < len(there.commands) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        executor._executor.remove_node(node)
+        node.destroy_node()
+    assert trajectory_sha256(there) == trajectory_sha256(here) and len(here.commands) > 20
+    assert len(images) >= len(there.commands)
+    assert np.array_equal(pixels_of(images[0]), Translator(load_generator(path)).translate(first))
