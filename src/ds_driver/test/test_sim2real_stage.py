@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import torch
 
 from ds_driver.closed_loop.interleaved_drives import InterleavedDrives
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.driver_name import split_generators, with_generators
 from ds_driver.networks.network_driver import (
@@ -28,9 +31,12 @@ from ds_driver.sim2real.generator_file import load_generator, save_generator
 from ds_driver.sim2real.generator_set import FOLDER
 from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.shape import GeneratorShape
+from ds_driver.sim2real.translation import translate
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Window
+from ds_driver.training.trainer import TrainingPlan, train
 from ds_road import generate
+from ds_sim.camera.jpeg import encode
 from ds_sim.registry import make_simulator
 
 TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
@@ -148,6 +154,40 @@ def test_another_generator_is_another_driver(folder: Path, tmp_path: Path) -> No
     others = [f"dave2+{tmp_path}", "dave2", "dave2+none", f"dave2_short+{tmp_path}"]
     assert len({first, *map(driver_sha256, others)}) == 5
     assert driver_sha256(str(folder / "real.safetensors")) != driver_sha256(str(folder / "plain.safetensors"))
+
+
+def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    data, real = tmp_path / "data", tmp_path / "data_real"
+    for name in WINDOWS:
+        for road in ("a", "b"):
+            rows: list[dict[str, object]] = [
+                {
+                    "image": encode(np.full((160, 320, 3), rng.integers(0, 256), np.uint8)),
+                    "steering": float(rng.uniform(-1, 1)), "speed": 1.0, "step": step, "simulator": name,
+                    "road_id": road, "direction": "forward",
+                }
+                for step in range(2)
+            ]  # fmt: skip
+            write_drive(drive_path(data, name, road, "forward"), rows)
+    (data / "manifest.json").write_text('{"plan": {"seed": 1}, "images": {"bullet": 4}}')
+    for name in WINDOWS:
+        translator = Translator(load_generator(folder / FOLDER / f"{name}.safetensors"))
+        translate(data, real, translator, lambda done, total, line: None)
+    manifest = json.loads((real / "manifest.json").read_text())
+    assert manifest["plan"] == {"seed": 1} and manifest["images"] == {"bullet": 4, "softbody": 4}
+    plan = TrainingPlan(epochs=1, batch_size=2, validation=0.5, threads=1, device="cpu")
+    train(real, tmp_path / "out", plan, lambda line: None)
+    trained = tmp_path / "out" / "dave2.safetensors"
+    assert generators_in(str(trained)) == generators_in(str(folder / "real.safetensors"))
+    stage = NetworkDriver(str(trained)).stage
+    assert stage is not None
+    image = frames(1)[0].image
+    assert np.array_equal(stage.translate(image, "softbody"), translator.translate(image))
+    shutil.rmtree(real / "bullet")
+    shutil.copytree(data / "bullet", real / "bullet")
+    with pytest.raises(DatasetError, match="translated images of softbody and plain ones of bullet"):
+        train(real, tmp_path / "mixed", plan, lambda line: None)
 
 
 def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:

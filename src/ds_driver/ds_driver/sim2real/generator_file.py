@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ class StoredGenerator:
         window: part of the simulator's images that it sees.
         real_window: part of the photographs that it learnt from.
         tensors: name -> float32 values.
-        sha256: digest of the file.
+        content: of the file.
     """
 
     simulator: str
@@ -42,7 +42,12 @@ class StoredGenerator:
     window: Window
     real_window: Window
     tensors: dict[str, NDArray[np.float32]]
-    sha256: str
+    content: bytes = field(repr=False)
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the file."""
+        return hashlib.sha256(self.content).hexdigest()
 
 
 def tensor_shapes(shape: GeneratorShape) -> dict[str, tuple[int, ...]]:
@@ -134,7 +139,7 @@ def load_generator(path: Path) -> StoredGenerator:
         window=windows[0],
         real_window=windows[1],
         tensors=tensors,
-        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        content=path.read_bytes(),
     )
 
 

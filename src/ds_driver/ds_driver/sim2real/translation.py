@@ -16,9 +16,10 @@ from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.message_rewriter import rewrite_bag
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
-from ds_driver.data.dataset import IMPORTED, decode, keep_import, read_drive, write_drive
+from ds_driver.data.dataset import IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.data.pixels import rgb_of, rgb_of_file
 from ds_driver.data.recordings import MAX_IMAGE_FILE, TRANSLATED
+from ds_driver.data.translated import GENERATOR
 from ds_driver.networks.preprocessing import ImageError
 from ds_driver.sim2real.generator_file import check_fits
 from ds_driver.sim2real.translator import Translator
@@ -54,7 +55,9 @@ def translate(source: Path, out: Path, translator: Translator, progress: Progres
         raise Sim2RealError(f"{out} is the folder to read from: choose another --out")
     if (source / "metadata.yaml").exists():
         return _bag(source, out, translator, progress)
-    return (_tub if is_tub(source) else _data_set)(source, out, translator, progress)
+    # A data set has a manifest.json, too.
+    is_data_set = next(source.glob("*/*.parquet"), None) is not None
+    return (_tub if is_tub(source) and not is_data_set else _data_set)(source, out, translator, progress)
 
 
 def _data_set(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:
@@ -71,6 +74,7 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
     _claim(out / simulator / IMPORTED, translator)
     (out / simulator).mkdir(parents=True, exist_ok=True)
     keep_import(out, simulator, {MARK: translator.generator.sha256})
+    write_whole(out / simulator / GENERATOR, translator.generator.content)
     for done, file in enumerate(files, start=1):
         target = out / simulator / file.name
         if not target.exists():
@@ -80,7 +84,18 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
                 row["image"] = encode(translator.translate(decode(row["image"])))
             write_drive(target, rows)
         progress(done, len(files), f"{simulator}: {file.stem}")
+    if (folder / "manifest.json").is_file():
+        write_manifest(out, _facts(folder / "manifest.json"))
     return len(files)
+
+
+def _facts(manifest: Path) -> dict[str, Any]:
+    """Return how a data set was collected; its counts are those of the whole, of which not all may be translated."""
+    try:
+        known = json.loads(manifest.read_text())
+        return {name: value for name, value in known.items() if name not in ("images", "steering_bins", "steering")}
+    except (ValueError, AttributeError, RecursionError):
+        raise Sim2RealError(f"{manifest} is damaged: collect the data set again, the drives are kept") from None
 
 
 def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from ds_driver.data.crops import crops_of
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples
+from ds_driver.data.translated import copy_generators, translated_by
 from ds_driver.networks.preprocessing import Crop, prepare
 from ds_driver.networks.torch_networks import disable_dropout, make_network, save_weights
 from ds_driver.training.augmentation import augment
@@ -114,7 +115,8 @@ def train(
     Args:
         data: folder of the data set.
         out: output folder, created if missing, for `<network>.safetensors` (best epoch), the checkpoint, and
-            `training.json` at the end.
+            `training.json` at the end; and for a translated data set its generators in `sim2real`, where the network
+            looks for them.
         plan: settings of the training.
         report: called with lines of progress.
         crops: crop per simulator; those of `ds_driver.data.crops` if omitted.
@@ -137,7 +139,10 @@ def train(
     check_equal(samples)
     training, validation = split(samples, plan)
     del samples  # frees those that are not used
-    crops = crops or crops_of(data, {s.simulator for s in training}, trusted=trusted)
+    names = {s.simulator for s in training}
+    generators = translated_by(data, names)
+    copy_generators(data, generators, out / "sim2real")
+    crops = crops or crops_of(data, names, trusted=trusted)
     if len(training) < plan.batch_size:
         raise DatasetError(
             f"{len(training)} images for training, expected at least one batch of {plan.batch_size}: collect more"
@@ -167,7 +172,8 @@ def train(
         left = (plan.epochs - number) * history[-1].seconds / 60
         report(f"epoch {number}: training {training_loss:.5f}, validation {validation_loss:.5f}, {left:.0f} min left")
         if validation_loss == min(e.validation_loss for e in history):
-            save_weights(network, out / f"{plan.network}.safetensors", architecture=plan.network)
+            file = out / f"{plan.network}.safetensors"
+            save_weights(network, file, architecture=plan.network, generators=generators)
         _save(out / "checkpoint.pt", network, optimizer, identity, history)
     record = {"plan": asdict(plan), "history": [asdict(e) for e in history]}
     (out / "training.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")

@@ -74,11 +74,16 @@ def show(generator: Path, source: Path, out: Path, count: int) -> Result:
 def translate(source: Path, out: Path, generator: Path, backend: str) -> Result:
     """Translate a data set, bag or tub."""
     from ds_driver.sim2real.generator_file import load_generator
+    from ds_driver.sim2real.generator_set import open_set, shipped_sets
     from ds_driver.sim2real.translation import translate as translate_all
     from ds_driver.sim2real.translator import Translator
 
+    files = [generator]
+    if generator.is_dir() or str(generator) in shipped_sets():
+        files = list(open_set(str(generator)).files.values())
+    translators = (Translator(load_generator(file), backend) for file in files)
     try:
-        count = translate_all(source, out, Translator(load_generator(generator), backend), countdown())
+        count = sum(translate_all(source, out, translator, countdown()) for translator in translators)
     except KeyboardInterrupt:
         raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
     return Result(document={"out": str(out), "translated": count}, show=lambda: print(out))
@@ -183,8 +188,10 @@ def assess_command(
 def translate_command(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set of simulated drives, bag, or tub.")],
     out: Annotated[Path, typer.Option(help="Folder to write; a translation that was stopped there is resumed.")],
-    generator: Annotated[Path, typer.Option(help="Generator, a .safetensors file.")],
-    backend: Annotated[str, typer.Option(help="onnx, openvino or openvino-bf16.")] = "onnx",
+    generator: Annotated[
+        Path, typer.Option(help="Generator, a .safetensors file; a set of them for a data set of several simulators.")
+    ],
+    backend: Annotated[str, typer.Option(help="onnx, openvino, openvino-bf16 or torch.")] = "onnx",
     as_json: JsonFlag = False,
 ) -> None:
     """Translate the images of a data set, bag or tub; the same format out."""
