@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.interleaved_drives import InterleavedDrives
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
@@ -109,7 +110,7 @@ def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
     drives = InterleavedDrives(driver)
     runs = {}
     for key, name in enumerate(WINDOWS):
-        drives.begin(key, name, road, 1)
+        drives.begin(key, DriveTask(name, road, 1))
     while len(drives):
         runs.update(drives.step())
     for key, name in enumerate(WINDOWS):

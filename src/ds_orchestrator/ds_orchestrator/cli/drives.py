@@ -150,7 +150,7 @@ def sensitivity(
     from ds_orchestrator.sensitivity import all_factors, analyse_sensitivity, factors_named
 
     factors = all_factors() if conditions is None else factors_named(conditions)
-    check_driver(driver)
+    check_driver(driver, simulators)
     folder = None if out is None else out / "drives"
     try:
         found = analyse_sensitivity(
