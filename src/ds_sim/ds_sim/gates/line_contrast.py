@@ -96,8 +96,8 @@ class LineContrast:
         paint, *pavement = (
             cv2.remap(light, p[chosen].astype(np.float32)[None], None, cv2.INTER_LINEAR).mean() for p in pixels
         )
-        background = max(float(np.mean(pavement)), DARKEST)
-        return abs(float(paint) - background) / background
+        background = float(np.mean(pavement))
+        return abs(float(paint) - background) / max(background, DARKEST)
 
 
 def _project(ground: _Points, state: VehicleState, camera: CameraSpec) -> _Points:

@@ -1,0 +1,109 @@
+"""A campaign under conditions with real worker processes: its drives are the library's, and everything shows them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from ds_bags.reader import BagReader, read_run
+from ds_bags.verification import verify_bag
+from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.config import parse_config
+from ds_orchestrator.campaign.folder import open_store
+from ds_orchestrator.campaign.road_selection import roads_of
+from ds_orchestrator.campaign.runner import trajectory_sha256
+from ds_orchestrator.cli.campaigns import status
+from ds_orchestrator.run import run_campaign
+from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.gates import GateState, gate_of
+from ds_sim.registry import make_simulator
+
+TEXT = "line_contrast=0.1,visibility=80,steering_lag=0.05"
+CONFIG = parse_config(
+    {
+        "siblings": ["donkey"],
+        "twin": "none",
+        "driver": "autopilot",
+        "engine": "local",
+        "seed": 7,
+        "search": {"population": 2, "iterations": 0, "runs": 1, "min_angle": 40, "max_angle": 90},
+        "conditions": TEXT,
+    },
+    "test",
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("campaign") / "out"
+    run_campaign(CONFIG, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def data(folder: Path) -> CampaignData:
+    with closing(open_store(folder)) as store:
+        return read_campaign(store)
+
+
+def test_drives_and_gates_are_those_of_the_library(data: CampaignData) -> None:
+    simulator = make_simulator("donkey")
+    executions = {e.test_id: e for e in data.executions}
+    assert data.tests
+    for test in data.tests:
+        assert test.conditions == parse_conditions(TEXT)
+        driver = make_driver(AUTOPILOT, simulator.spec)
+        run = drive_road(simulator, driver, test.road, test.seed, test.conditions, probed=True)
+        assert data.gates[test.test_id, "donkey"] == gate_of(run)
+        if gate_of(run).state is GateState.VALID:
+            assert executions[test.test_id].trajectory_sha256 == trajectory_sha256(run)
+        else:
+            assert test.test_id not in executions
+    simulator.close()
+
+
+def test_bags_keep_the_conditions_and_re_simulate(folder: Path, data: CampaignData) -> None:
+    assert data.executions
+    bag = folder / data.executions[0].bag
+    with BagReader(bag) as reader:
+        assert read_run(reader).run.conditions == parse_conditions(TEXT)
+    assert verify_bag(bag).difference == ""
+
+
+def test_roads_carry_their_conditions(folder: Path) -> None:
+    assert {road["conditions"] for road in roads_of(folder)} == {format_conditions(parse_conditions(TEXT))}
+
+
+def test_the_report_shows_them_and_resuming_drives_nothing(folder: Path, data: CampaignData) -> None:
+    page = (folder / "report.html").read_text()
+    start = page.index('id="data">') + len('id="data">')
+    document = json.loads(page[start : page.index("</script>", start)])
+    assert document["conditions"] == [format_conditions(parse_conditions(TEXT))] * len(data.tests)
+    before = (folder / "report.html").stat().st_mtime_ns
+    assert run_campaign(CONFIG, folder).executions == len(data.executions)
+    assert (folder / "report.html").stat().st_mtime_ns == before
+
+
+def test_excluded_tests_are_shown_apart(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The lines of a second campaign are nowhere to be seen."""
+    out = folder.parent / "unseen"
+    outcome = run_campaign(CONFIG.model_copy(update={"conditions": "line_contrast=0"}), out)
+    assert outcome.executions == outcome.executions_in_error == 0
+    found = status(out)
+    assert found.document["excluded"] == {"donkey": {"out_of_odd": 2}}
+    assert [s["state"] for s in found.document["stages"]] == ["done"] * 4
+    found.show()
+    line = "donkey: 2 of 2 gated tests enter no map: 2 out of the operational design domain"
+    assert line in capsys.readouterr().out and line in outcome.report.read_text()
+    with (out / "evaluation" / "excluded_tests.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["state"] for row in rows] == ["out of the operational design domain"] * 2
+    assert all(
+        float(row["line contrast at the start"]) < 0.05 and row["conditions"] == "line_contrast=0" for row in rows
+    )
+    assert {tuple(road["excluded"].items()) for road in roads_of(out)} == {(("donkey", "out_of_odd"),)}

@@ -1,0 +1,151 @@
+"""Contrast of the lines in rendered images, against laws that know nothing of how it is measured; and the gates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
+from ds_road import Road
+from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.gates import GateState, LineContrast, gate_of
+from ds_sim.registry import make_simulator, spec_of
+from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
+
+STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
+NEAR, FAR = 10.0, 15.0
+"""Distances between which the farthest 5 m within 1.8 s at 30 km/h lie, m."""
+
+
+def light(levels: Any) -> float:
+    """Luminance of an sRGB colour in linear light (IEC 61966-2-1, ITU-R BT.709)."""
+    shares = np.asarray(levels, float) / 255.0
+    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+@cache
+def contrast(name: str, conditions: Conditions = DEFAULT, line_width: float = 0.6) -> float:
+    """Contrast along the straight road, seen from the middle of its right lane by a camera without flaws."""
+    spec = spec_of(name)
+    camera = replace(spec.camera, noise=0.0, gain=1.0, gamma=1.0, blur=0.0, exposure=0.0, latency=0)
+    look = replace(spec.look, asphalt_grain=0.0, grass_grain=0.0, relief=0.0, line_width=line_width)
+    scene = PaintedScene(camera, look)
+    scene.load(STRAIGHT, np.random.default_rng(1), conditions)
+    state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
+    image = scene.still(state, np.random.default_rng(1))
+    spec = replace(spec, camera=camera, look=look)
+    return LineContrast(STRAIGHT, spec, conditions).of(image, state, arc_length=35.0)
+
+
+@pytest.mark.parametrize("name", ["bullet", "softbody", "donkey"])
+def test_clear_lines_have_the_contrast_of_their_paint(name: str) -> None:
+    look = spec_of(name).look
+    paint, pavement = light(look.edge_line), light(look.asphalt)
+    assert contrast(name) == pytest.approx((paint - pavement) / pavement, rel=0.15)
+
+
+@pytest.mark.parametrize("left", [0.5, 0.2, 0.02])
+def test_worn_lines_have_the_share_of_contrast_that_is_left(left: float) -> None:
+    # Worn paint is blotchy, and levels are whole numbers.
+    assert contrast("bullet", Conditions(line_contrast=left)) == pytest.approx(left * contrast("bullet"), rel=0.2)
+
+
+@pytest.mark.parametrize("visibility", [30.0, 60.0, 200.0])
+def test_haze_takes_the_contrast_that_koschmieder_says(visibility: float) -> None:
+    look, clear = spec_of("bullet").look, contrast("bullet")
+    pavement, air = light(look.asphalt), light(look.horizon)
+    through = np.exp(-3.912 * np.linspace(NEAR, FAR, 50) / visibility)
+    expected = clear * pavement * through.mean() / (pavement * through + air * (1.0 - through)).mean()
+    assert contrast("bullet", Conditions(visibility=visibility)) == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize("name", ["bullet", "donkey"])
+@pytest.mark.parametrize(
+    "mount",
+    [
+        {"camera_pitch": 0.07},
+        {"camera_pitch": -0.05},
+        {"camera_yaw": 0.1},
+        {"camera_yaw": -0.1},
+        {"camera_height": 1.6},
+    ],
+    ids=str,
+)
+def test_lines_are_found_wherever_the_camera_is_mounted(name: str, mount: dict[str, float]) -> None:
+    """Half a line's width beside the line the contrast would be a fraction."""
+    assert contrast(name, Conditions(**mount)) == pytest.approx(contrast(name), rel=0.2)
+
+
+def test_a_picture_without_lines_has_no_contrast() -> None:
+    spec = spec_of("bullet")
+    state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
+    measured = LineContrast(STRAIGHT, spec)
+    for level in (0, 97, 255):
+        assert measured.of(np.full((160, 320, 3), level, np.uint8), state, 35.0) == 0.0
+    backwards = replace(state, yaw=-math.pi / 2)
+    assert measured.of(np.zeros((160, 320, 3), np.uint8), backwards, 35.0) == 0.0
+
+
+def a_run(contrasts: list[float], outcome: Outcome = Outcome.COMPLETED) -> RunRecord:
+    """A run of 1 m a frame, with one contrast in ten frames."""
+    vehicle = VehicleState(x=0.0, y=0.0, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
+    run = RunRecord(road=STRAIGHT, seed=1, outcome=outcome, line_contrasts=contrasts)
+    run.observations = [
+        Observation(
+            image=NO_IMAGE, step=k, time=k / 20, vehicle=vehicle, outcome=Outcome.RUNNING,
+            lane=LaneState(
+                lateral_position=0.0, lateral_distance=2.0, preview_lateral_position=0.0, arc_length=float(k)
+            ),
+        )
+        for k in range(10 * len(contrasts) + 1)
+    ]  # fmt: skip
+    return run
+
+
+@pytest.mark.parametrize(
+    ("run", "state", "hidden"),
+    [
+        (a_run([0.05, 0.9, 0.9, 0.9]), GateState.VALID, 0.0),
+        (a_run([0.049, 0.9, 0.9, 0.9]), GateState.OUT_OF_ODD, 0.25),
+        (a_run([0.9, 0.0, 0.0, 0.9]), GateState.VALID, 0.5),
+        (a_run([0.9, 0.0, 0.0, 0.0]), GateState.OUT_OF_ODD, 0.75),
+        (a_run([0.0, 0.0], Outcome.OUT_OF_BOUNDS), GateState.INFEASIBLE, 1.0),
+        (a_run([0.9, 0.9], Outcome.TIMEOUT), GateState.INFEASIBLE, 0.0),
+    ],
+)
+def test_gates_say_by_what_a_network_can_be_judged(run: RunRecord, state: GateState, hidden: float) -> None:
+    gate = gate_of(run)
+    assert (gate.state, gate.hidden_share, gate.outcome) == (state, pytest.approx(hidden), run.outcome)
+    assert bool(gate.message) is not gate.is_valid and "\n" not in gate.message
+
+
+@pytest.mark.parametrize("outcome", [Outcome.SIM_ERROR, Outcome.DRIVER_SILENT, Outcome.CANCELLED])
+def test_an_error_judges_no_test(outcome: Outcome) -> None:
+    with pytest.raises(ValueError, match="repeat it"):
+        gate_of(a_run([0.9], outcome))
+
+
+@pytest.mark.parametrize(
+    ("conditions", "state"),
+    [
+        (DEFAULT, GateState.VALID),
+        (Conditions(line_contrast=0.0), GateState.OUT_OF_ODD),
+        (Conditions(exposure=8.0, veiling_luminance=3000.0, illuminance=100.0), GateState.OUT_OF_ODD),
+        (Conditions(tyre_pull=0.05, steering_lag=1.0, command_delay=1.0), GateState.INFEASIBLE),
+    ],
+    ids=["own world", "no lines", "blinded", "undrivable"],
+)
+def test_the_gates_of_real_drives(conditions: Conditions, state: GateState) -> None:
+    road = Road([(125.0, 40.0), (125.0, 65.0), (128.0, 90.0), (131.0, 115.0), (131.0, 140.0)])
+    simulator = make_simulator("donkey")
+    run = drive_road(simulator, make_driver(AUTOPILOT, simulator.spec), road, 5, conditions, probed=True)
+    simulator.close()
+    assert gate_of(run).state is state
