@@ -1,4 +1,4 @@
-"""Processor time that conditions cost on each painted simulator: loading a road, and drawing a frame.
+"""Processor time that conditions cost on each simulator: loading a road, and drawing a frame.
 
 python benchmarks/condition_costs.py [--frames 40]
 """
@@ -11,9 +11,9 @@ import time
 import numpy as np
 
 from ds_road import generate
-from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.registry import spec_of
+from ds_sim.registry import SIMULATORS, make_simulator
+from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import VehicleState
 
 CASES = (
@@ -26,7 +26,7 @@ def main() -> None:
     """Print one line per simulator and case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=40)
-    parser.add_argument("--sim", nargs="*", default=["bullet", "softbody", "donkey"])
+    parser.add_argument("--sim", nargs="*", default=list(SIMULATORS))
     arguments = parser.parse_args()
     road = generate(np.random.default_rng(1), max_angle=120)
     lane = road.lane_centre
@@ -35,11 +35,13 @@ def main() -> None:
         for x, y in lane[: arguments.frames]
     ]
     for name in arguments.sim:
-        spec = spec_of(name)
-        scene = PaintedScene(spec.camera, spec.look)
+        simulator = make_simulator(name)
+        assert isinstance(simulator, RoadSimulator)
+        scene = simulator.scene
         for text in CASES:
             conditions = parse_conditions(text)
             scene.load(road, np.random.default_rng(1), conditions)
+            scene.image(states[0])
             begun = time.process_time()
             scene.load(road, np.random.default_rng(1), conditions)
             loaded = time.process_time()

@@ -33,6 +33,7 @@ from ds_sim.simulator import Outcome
 
 DS = [sys.executable, "-m", "ds_orchestrator.cli.main"]
 REPOSITORY = Path(__file__).resolve().parents[1]
+BICYCLE = "examples.bicycle:BicycleSimulator"
 
 
 def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -273,7 +274,7 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("--lane", ("drive", "--sim", "donkey", "--lane", "middle")),
         ("unknown condition 'fog'", ("drive", "--sim", "donkey", "--conditions", "fog=1")),
         ("expected 20 or more m", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
-        ("panda cannot realise", ("drive", "--sim", "panda", "--driver", "autopilot", "--conditions", "visibility=60")),
+        ("bicycle cannot realise friction", ("drive", "--sim", BICYCLE, "--conditions", "friction=0.5")),
     )
     for named, arguments in cases:
         done = ds(*arguments)

@@ -1,5 +1,7 @@
 """Conditions on every simulator, against oracles that know nothing of how they are realised.
 
+What the world of `panda` looks like under them is tested with it, in `test_panda_world_conditions.py`.
+
 Scenes are those of the simulators with a perfect sensor (no noise, gain, blur or delay) and, where a law is measured,
 without grain and with wide lines; pixels are decoded by the sRGB curve.
 """
@@ -252,7 +254,7 @@ def test_a_loaded_car_takes_longer_to_speed_up(name: str) -> None:
     assert speeds[0] > speeds[1] > speeds[2] > 0.5 * speeds[0]
 
 
-@pytest.mark.parametrize("name", PAINTED)
+@pytest.mark.parametrize("name", [*PAINTED, "panda"])
 def test_conditions_are_repeatable_and_leave_no_trace(name: str) -> None:
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator) and set(ALL.changed) <= set(simulator.spec.conditions)

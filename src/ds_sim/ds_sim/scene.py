@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import VehicleState
 
@@ -49,6 +50,18 @@ class Scene(Protocol):
     def close(self) -> None:
         """Release the scene's resources; `load` may follow."""
         ...
+
+
+def check_rows(top: int, bottom: int, camera: CameraSpec) -> None:
+    """Check that `Scene.draw_rows` names rows of a camera's image.
+
+    Raises:
+        ValueError: it does not.
+    """
+    if not 0 <= top < bottom <= camera.height_px:
+        raise ValueError(
+            f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {camera.height_px}"
+        )
 
 
 def conditions_of(scene: Scene) -> frozenset[str]:

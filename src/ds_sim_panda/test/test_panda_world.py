@@ -20,7 +20,7 @@ from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.scene.parameters import HORIZON, VISIBILITY
 from ds_sim_panda.scene.road_mesh import course_of
 from ds_sim_panda.scene.scenery import Things, place_scenery
-from ds_sim_panda.scene.sunlight import skylight, sun_direction, sunlight
+from ds_sim_panda.scene.sunlight import own_daylight
 
 RNG = np.random.default_rng(0)
 ORIGIN = course_of(STRAIGHT).origin
@@ -82,23 +82,24 @@ def test_nothing_stands_on_the_road_or_its_verge(seed: int) -> None:
 
 def test_the_sun_stands_where_the_almanac_says() -> None:
     """Lugano, 1 June, half past eight in solar time: an altitude of 41 degrees, 11 degrees south of east."""
-    x, y, z = sun_direction()
+    x, y, z = own_daylight().towards_sun
     assert math.degrees(math.asin(z)) == pytest.approx(41.4, abs=0.3)
     assert math.degrees(math.atan2(-y, x)) == pytest.approx(11.0, abs=0.5)
-    light = sunlight() * z + skylight()
+    light = own_daylight().sun_on_ground + own_daylight().sky
     assert light @ [0.2126, 0.7152, 0.0722] == pytest.approx(1.0, abs=0.02)
 
 
 def test_a_shadow_falls_away_from_the_sun_and_is_lit_by_the_sky(monkeypatch: pytest.MonkeyPatch) -> None:
     """The shadow of a post of 8 m lies across the road, where the sun's direction puts it."""
-    sun = sun_direction()
+    daylight = own_daylight()
+    sun = np.array(daylight.towards_sun)
     foot = np.array([133.0, 66.0])
     tip = foot - 8.0 / sun[2] * sun[:2]
     only(monkeypatch, post=things((133.0 - ORIGIN[0], 66.0 - ORIGIN[1]), (0.5, 0.5, 8.0)))
     shaded = linear_image()
     only(monkeypatch)
     lit = linear_image()
-    expected = skylight() / (skylight() + sunlight() * sun[2])
+    expected = daylight.sky / (daylight.sky + daylight.sun_on_ground)
     for share, ratio in ((0.55, expected), (0.8, expected), (1.15, 1.0)):
         place = foot + share * (tip - foot)
         # The haze adds a little light to what is dark.

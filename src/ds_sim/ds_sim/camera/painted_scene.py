@@ -17,6 +17,7 @@ from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.camera.surface import SURFACE_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.scene import check_rows
 from ds_sim.simulator import SimulatorError, VehicleState
 
 
@@ -44,9 +45,7 @@ class PaintedScene:
 
     def draw_rows(self, top: int, bottom: int) -> None:
         """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
-        height = self._spec.height_px
-        if not 0 <= top < bottom <= height:
-            raise ValueError(f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {height}")
+        check_rows(top, bottom, self._spec)
         if (top, bottom) != self._rows:
             self._rows = (top, bottom)
             self._camera = Camera(self._spec, self._look, scene_rows(self._spec, self._rows))

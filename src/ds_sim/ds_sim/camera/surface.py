@@ -7,7 +7,7 @@ condition covers, a stronger one covers too.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from ds_sim.camera.light import decode, encode, light_of
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.textures import TEXTURE_SIZE
 from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.pieces import gaps, pieces
 
 SURFACE_CONDITIONS = frozenset(
     {"line_contrast", "line_cover", "line_cover_length", "shadow_density", "shadow_depth", "pavement_reflectance",
@@ -38,63 +39,12 @@ PATCH_LENGTH = 3.0
 """Length of a repair patch, m; chosen: half a lane wide, as milling machines leave them."""
 NEW_ASPHALT = 0.05
 """Reflectance of new asphalt (American Concrete Pavement Association); patches have at most 0.6 of the road's."""
-GROUP = 6
-"""Pieces in a row of which a share is covered as of all; chosen: shadows then change within 12 m, the view ahead."""
 _GRAIN_BLUR = 1.2
 """Standard deviation of the filter on the noise that makes worn paint blotchy, px of the ground; chosen: 6 cm."""
 _CAP = 0.75
 """Length beyond half its thickness by which OpenCV's anti-aliased line extends at either end, px, as measured."""
 _SHIFT = 6
 _Points = NDArray[np.float64]
-
-
-def pieces(
-    rng: np.random.Generator, regions: Iterable[tuple[float, float]], length: float, share: float
-) -> list[tuple[float, float]]:
-    """Choose pieces that cover a share of every region, exactly, and more of the same for a larger share.
-
-    Args:
-        rng: decides the order in which pieces of a region are covered.
-        regions: (start, end) along a line, m, in order and without gaps.
-        length: of one piece, m.
-        share: 0 to 1.
-
-    Returns:
-        Covered (start, end), in order; neighbours are joined.
-    """
-    found: list[tuple[float, float]] = []
-    for start, end in regions:
-        count = max(1, round((end - start) / length))
-        size = (end - start) / count
-        wanted = share * count
-        for rank, cell in enumerate(_spread(rng, count)):
-            part = min(max(wanted - rank, 0.0), 1.0)
-            if part > 0.0:
-                found.append((start + cell * size, start + (cell + part) * size))
-    joined: list[tuple[float, float]] = []
-    for start, end in sorted(found):
-        if joined and start - joined[-1][1] < 1e-9:
-            joined[-1] = (joined[-1][0], end)
-        else:
-            joined.append((start, end))
-    return joined
-
-
-def _spread(rng: np.random.Generator, count: int) -> list[int]:
-    """Random order of some cells in which every neighbourhood takes its turn, so that a share is spread out."""
-    groups = [rng.permutation(range(first, min(first + GROUP, count))).tolist() for first in range(0, count, GROUP)]
-    turns = rng.permutation(len(groups)).tolist()
-    return [groups[turn][place] for place in range(GROUP) for turn in turns if place < len(groups[turn])]
-
-
-def gaps(covered: list[tuple[float, float]], start: float, end: float) -> Iterator[tuple[float, float]]:
-    """What some pieces leave of a line from start to end."""
-    for low, high in covered:
-        if low > start + 1e-9:
-            yield start, low
-        start = high
-    if end > start + 1e-9:
-        yield start, end
 
 
 class Surface:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -13,8 +14,10 @@ from ds_sim.camera.optics import LENS_CONDITIONS, MOUNT_CONDITIONS, SENSOR_CONDI
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.scene import check_rows
 from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_panda.scene.graphics import graphics, panda
+from ds_sim_panda.scene.setting import WORLD_CONDITIONS, Setting, sun_direction
 from ds_sim_panda.scene.viewpoint import camera_pose, check_camera, make_lens
 from ds_sim_panda.scene.world import World
 
@@ -22,8 +25,8 @@ from ds_sim_panda.scene.world import World
 class PandaScene:
     """Implements `ds_sim.scene.Scene` with Panda3D: textured meshes, shadows of the sun, haze.
 
-    The world belongs to the road: the same road always looks alike, whatever the seed of the run. The camera has
-    neither noise nor latency, unless conditions give it noise.
+    The world belongs to the road: the same road always looks alike, whatever the seed of the run, which decides alone
+    where conditions cover it. The camera has neither noise nor latency, unless conditions give it noise.
 
     Args:
         camera: pinhole camera.
@@ -34,8 +37,8 @@ class PandaScene:
         SimulatorError: EGL or Mesa's software renderer is missing.
     """
 
-    conditions = (LENS_CONDITIONS - {"low_sun"}) | SENSOR_CONDITIONS | MOUNT_CONDITIONS
-    """Conditions that this scene realises: those of the camera, not yet those of the world."""
+    conditions = WORLD_CONDITIONS | LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS
+    """Conditions that this scene realises."""
 
     def __init__(self, camera: CameraSpec) -> None:
         check_camera(camera)
@@ -50,8 +53,10 @@ class PandaScene:
         """Build the world of a road from scratch; `rng` is used by conditions alone."""
         self._world = None
         self._run_rows = self._rows
-        self._view = self._under(conditions, rng)
-        self._world = World(road)
+        lens_rng, world_rng = (rng, rng) if conditions.is_default else rng.spawn(2)
+        self._view = self._under(conditions, rng, lens_rng)
+        changed = WORLD_CONDITIONS & conditions.changed.keys()
+        self._world = World(road, Setting(conditions, world_rng) if changed else None)
 
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
         """Deliver the next camera image, (rows, columns, 3) uint8 RGB, read-only."""
@@ -65,23 +70,22 @@ class PandaScene:
 
     def draw_rows(self, top: int, bottom: int) -> None:
         """Draw only some rows of the images of the runs to come."""
-        height = self._spec.height_px
-        if not 0 <= top < bottom <= height:
-            raise ValueError(f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {height}")
+        check_rows(top, bottom, self._spec)
         self._rows = (top, bottom)
 
     def close(self) -> None:
         """Release the world; `load` may follow."""
         self._world = None
 
-    def _under(self, conditions: Conditions, rng: np.random.Generator) -> _View:
+    def _under(self, conditions: Conditions, rng: np.random.Generator, lens_rng: np.random.Generator) -> _View:
         """Make the camera of a run under its conditions."""
-        if not self.conditions & conditions.changed.keys():
+        if not (LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS) & conditions.changed.keys():
             return _View(spec=self._spec)
         spec = replace(mounted(self._spec, conditions), noise=noise_of(self._spec, conditions))
         optics = None
         if LENS_CONDITIONS & conditions.changed.keys():
-            optics = Optics(spec, conditions, rng.spawn(1)[0], sun=(0.0, 0.0), rows=self._run_rows)
+            x, y, z = sun_direction(conditions)
+            optics = Optics(spec, conditions, lens_rng, sun=(math.atan2(y, x), math.asin(z)), rows=self._run_rows)
         return _View(spec=spec, optics=optics, sensor=Sensor(spec, rng, self._run_rows) if spec.noise else None)
 
     def _draw(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
@@ -100,7 +104,7 @@ class PandaScene:
         image[: rows[0]] = 0
         image[rows[1] :] = 0
         if view.optics is not None:
-            image = view.optics.apply(image, np.eye(3), spec.height)
+            image = view.optics.apply(image, pose[:3, :3][[0, 2, 1]] * [[1.0], [-1.0], [1.0]], float(pose[3, 2]))
         image.setflags(write=False)
         return image
 

@@ -10,6 +10,9 @@ import math
 Linear = tuple[float, float, float]
 """Linear RGB, as shares of full daylight on level ground."""
 
+LUMINANCE: Linear = (0.2126, 0.7152, 0.0722)
+"""Share of each colour in luminance (ITU-R BT.709)."""
+
 # Sun and sky.
 LATITUDE = math.radians(46.0)
 """Chosen: Lugano, where the paper comes from."""
@@ -41,8 +44,15 @@ CLOUD_COVER = 0.35
 """Share of the sky; chosen: three oktas, "scattered"."""
 VISIBILITY = 10_000.0
 """Distance at which 2 % of a contrast is left (Koschmieder); chosen: the lower end of what is called clear."""
-HAZE = 3.912 / VISIBILITY
-"""Extinction coefficient, 1/m: -ln(0.02) / visibility (Koschmieder 1924)."""
+KOSCHMIEDER = 3.912
+"""Extinction coefficient times visibility: -ln(0.02) (Koschmieder 1924)."""
+HAZE = KOSCHMIEDER / VISIBILITY
+"""Extinction coefficient, 1/m."""
+
+FOG: Linear = (0.54, 0.54, 0.54)
+"""Colour of fog, whose droplets scatter all colours alike; chosen: as bright as `HORIZON`."""
+FOG_TOP = 100.0
+"""Height of the layer of fog; chosen: radiation fog is 15 to 100 m high."""
 
 # Road.
 LINE_WIDTH = 0.15
@@ -63,6 +73,23 @@ GRASS: Linear = (0.085, 0.135, 0.040)
 """Visible part of a meadow's reflectance: about 0.1 with its peak in the green (Bowker et al. 1985, NASA RP-1139)."""
 LEAD_IN, LEAD_OUT = 20.0, 60.0
 """Length of straight road before the start and beyond the end; chosen: neither ends abruptly in view."""
+
+PAINT_BLOTCHES = 1.0
+"""How unevenly worn paint is left on chippings, 0 (evenly) to 1.5 (none at the most worn places); chosen."""
+PATCH_LENGTH = 3.0
+"""Of a repair patch half a lane wide; chosen: as milling machines leave them."""
+NEW_ASPHALT, PATCH_CONTRAST = 0.05, 0.6
+"""Reflectance of new asphalt (American Concrete Pavement Association), and most of it over that of the road around."""
+
+# Shadows of conditions.
+SHADE_LENGTH = 3.0
+"""Length along the road of one shadow; chosen: the crown of a young tree, which merges with its neighbours."""
+SHADE_REACH = 6.0
+"""Distance beyond the verge that shadows extend; chosen: that they seem to come from beside the road."""
+SHADE_FRAYING = 1.6
+"""Displacement of a shadow's sides by the slow variation of all surfaces, m; chosen: branches of half a metre."""
+SHADE_SLANT = 0.25
+"""The larger, the more shadows lie across the road where the sun shines along it; chosen: 42 degrees at most."""
 
 # Beside the road.
 CLEARANCE = 0.3

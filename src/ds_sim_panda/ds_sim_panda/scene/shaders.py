@@ -8,15 +8,17 @@ from typing import Any
 
 from ds_sim_panda.scene.graphics import panda
 from ds_sim_panda.scene.parameters import (
+    ASPHALT,
     HAZE,
     HORIZON,
     LINE_WEAR,
     LINE_WIDTH,
+    SHADE_FRAYING,
     VERGE_WIDTH,
     WHITE,
     YELLOW,
 )
-from ds_sim_panda.scene.sunlight import skylight, sun_direction, sunlight
+from ds_sim_panda.scene.sunlight import own_daylight
 
 MOST_LIGHT = 1.5
 """Light that the largest vertex colour stands for, as a share of daylight on level ground."""
@@ -55,8 +57,13 @@ vec4 hazed(vec3 c, float opacity) {
 uniform sampler2D shadows;
 uniform vec3 shadow_frame;
 vec3 daylight() {
-    float lit = 1.0 - texture(shadows, (place.xy - shadow_frame.xy) * shadow_frame.z).r;
+    vec4 dark = texture(shadows, (place.xy - shadow_frame.xy) * shadow_frame.z);
+    float lit = 1.0 - dark.r;
+#ifdef SETTING
+    return min(SKYLIGHT + lit * SUNLIGHT, mix(SKYLIGHT + SUNLIGHT, SHADE, dark.g));
+#else
     return SKYLIGHT + lit * SUNLIGHT;
+#endif
 }
 uniform sampler2D patches;
 // Slow variation from place to place, 0.5 on average; frequency: repetitions per metre.
@@ -102,6 +109,10 @@ void main() {
 _ROAD = """
 uniform sampler2D asphalt;
 uniform float half_width;
+#ifdef SETTING
+uniform sampler2D bare, repaired;
+uniform vec2 road_frame;
+#endif
 void main() {
     float u = coordinates.x, w = pixel_width();
     vec4 surface = texture(asphalt, place.xy * 0.25);
@@ -111,6 +122,20 @@ void main() {
     float inside = max(covered(u, w, -half_width, half_width), 1e-3);
     float white = covered(abs(u), w, half_width - LINE_WIDTH, half_width) / inside;
     float yellow = covered(u, w, -0.5 * LINE_WIDTH, 0.5 * LINE_WIDTH) / inside;
+#ifdef SETTING
+    vec2 along = vec2((coordinates.y - road_frame.x) * road_frame.y, 0.5);
+    c = PAVEMENT * (1.0 + GRAIN * (c / ASPHALT - 1.0));
+    vec4 patched = texture(repaired, along);
+    float h = 0.5 * half_width;
+    float new = patched.x * covered(u, w, -2.0 * h, -h) + patched.y * covered(u, w, -h, 0.0)
+        + patched.z * covered(u, w, 0.0, h) + patched.w * covered(u, w, h, 2.0 * h);
+    c *= 1.0 - (1.0 - NEW_ASPHALT) * new / inside;
+    // Wear is 0.5 on average.
+    worn = PAINT_LEFT * worn + BLOTCHES * (0.5 - surface.a);
+    vec3 gone = texture(bare, along).rgb;
+    white *= 1.0 - (u < 0.0 ? gone.r : gone.b);
+    yellow *= 1.0 - gone.g;
+#endif
     c = mix(mix(c, WHITE, white * worn), YELLOW, yellow * worn);
     colour = hazed(c * daylight(), inside);
 }
@@ -126,7 +151,14 @@ void main() {
 _SKY = """
 uniform sampler2D sky;
 void main() {
-    colour = vec4(texture(sky, coordinates.xy).rgb, 1.0);
+    vec3 seen_sky = texture(sky, coordinates.xy).rgb;
+#ifdef SETTING
+    // The way through the layer of fog overhead.
+    float rise = (place.z - eye_height) / length(seen);
+    float clear = exp(-FOG_DEPTH / max(rise, 1e-4));
+    seen_sky = sqrt(mix(HORIZON, linear(seen_sky), clear));
+#endif
+    colour = vec4(seen_sky, 1.0);
 }
 """
 
@@ -136,6 +168,21 @@ void main() {
 }
 """
 
+# Shadows of conditions, seen from above; along the road, m, their sides are frayed.
+_SHADE = """
+uniform sampler2D shaded;
+uniform vec2 road_frame;
+void main() {
+    float frayed = SHADE_FRAYING * (linear(texture(patches, place.xy * 0.05).rgb).g - 0.5);
+    float along = (coordinates.y + frayed - road_frame.x) * road_frame.y;
+    colour = vec4(texture(shaded, vec2(along, 0.5)).r);
+}
+"""
+
+_SETTING_SCALARS = ("HAZE", "FOG_DEPTH", "GRAIN", "NEW_ASPHALT", "PAINT_LEFT", "BLOTCHES")
+_SETTING_COLOURS = ("HORIZON", "SKYLIGHT", "SUNLIGHT", "SHADE", "PAVEMENT")
+"""Inputs of the shaders of a world with a setting."""
+
 _FRAGMENTS = {
     "ground": _GROUND,
     "far ground": "#define FAR\n" + _GROUND,
@@ -144,34 +191,52 @@ _FRAGMENTS = {
     "solid": _SOLID,
     "sky": _SKY,
     "flat": _FLAT,
+    "shade": _SHADE,
 }
 
 
 @cache
-def shader(name: str) -> Any:
-    """Panda3D's shader of a kind of surface: ground, far ground, verge, road, solid, sky, or flat white."""
+def shader(name: str, *, setting: bool = False) -> Any:
+    """Panda3D's shader of a kind of surface.
+
+    Args:
+        name: ground, far ground, verge, road, solid, sky, flat (white) or shade.
+        setting: whether conditions change the world; `Setting.shader_inputs` are then inputs.
+    """
     core = panda()
-    return core.Shader.make(core.Shader.SL_GLSL, _filled(_VERTEX), _filled(_COMMON + _FRAGMENTS[name]))
+    sources = (_filled(source, setting=setting) for source in (_VERTEX, _COMMON + _FRAGMENTS[name]))
+    return core.Shader.make(core.Shader.SL_GLSL, *sources)
 
 
-def _filled(source: str) -> str:
+def _filled(source: str, *, setting: bool) -> str:
     """Write the scene's constants into a source."""
+    daylight = own_daylight()
     constants: dict[str, float | Sequence[float]] = {
         "MOST_LIGHT": MOST_LIGHT,
         "HAZE": HAZE,
         "HORIZON": HORIZON,
-        "SKYLIGHT": skylight().tolist(),
-        "SUNLIGHT": (sunlight() * sun_direction()[2]).tolist(),
+        "SKYLIGHT": list(daylight.sky),
+        "SUNLIGHT": daylight.sun_on_ground.tolist(),
         "VERGE_WIDTH": VERGE_WIDTH,
         "LINE_WIDTH": LINE_WIDTH,
         "LINE_WEAR": LINE_WEAR,
         "WHITE": WHITE,
         "YELLOW": YELLOW,
+        "ASPHALT": ASPHALT,
+        "SHADE_FRAYING": SHADE_FRAYING,
     }
     lines = [
         f"const float {name} = {value!r};" if isinstance(value, float)
         else f"const vec3 {name} = vec3({', '.join(map(repr, value))});"
         for name, value in constants.items()
+        if not (setting and name in (*_SETTING_SCALARS, *_SETTING_COLOURS))
     ]  # fmt: skip
+    if setting:
+        lines = [
+            "#define SETTING",
+            f"uniform float {', '.join(_SETTING_SCALARS)};",
+            f"uniform vec3 {', '.join(_SETTING_COLOURS)};",
+            *lines,
+        ]
     version, rest = source.strip().split("\n", 1)
     return "\n".join((version, *lines, rest))

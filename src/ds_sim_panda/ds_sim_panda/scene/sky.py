@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from ds_sim_panda.scene.parameters import (
     ZENITH,
     ZENITH_ELEVATION,
 )
-from ds_sim_panda.scene.sunlight import light_on, sun_direction
+from ds_sim_panda.scene.sunlight import Daylight
 from ds_sim_panda.scene.textures import noise, stored, upload
 
 LOWEST, HIGHEST = math.radians(-4.0), math.radians(56.0)
@@ -29,32 +29,31 @@ CLOUD_BASE = 0.12
 """Flattens the clouds' plane, so that they do not shrink to nothing at the horizon; chosen."""
 
 
-@cache
-def sky_texture() -> Any:
+@lru_cache(maxsize=2)
+def sky_texture(daylight: Daylight) -> Any:
     """Panorama of the sky, all azimuths by elevations from `LOWEST` to `HIGHEST`."""
-    return upload("sky", stored(sky_colours()), wrap=False)
+    return upload("sky", stored(sky_colours(daylight)), wrap=False)
 
 
-def sky_colours() -> NDArray[np.float64]:
+def sky_colours(daylight: Daylight) -> NDArray[np.float64]:
     """Linear colours of the panorama, (ROWS, COLUMNS, 3); columns run counter-clockwise from +x."""
     elevation = LOWEST + (np.arange(ROWS) + 0.5) / ROWS * (HIGHEST - LOWEST)
     azimuth = (np.arange(COLUMNS) + 0.5) / COLUMNS * math.tau
     height = np.clip(elevation / ZENITH_ELEVATION, 0.0, 1.0)[:, None, None]
     share = (1.0 - height) ** 3.0
     sky = np.broadcast_to(share * HORIZON + (1.0 - share) * ZENITH, (ROWS, COLUMNS, 3)).copy()
-    sun = sun_direction()
+    sun = daylight.towards_sun
     towards = np.cos(elevation)[:, None] * (np.cos(azimuth) * sun[0] + np.sin(azimuth) * sun[1])
     towards += np.sin(elevation)[:, None] * sun[2]
     sky *= (1.0 + 0.35 * np.clip(towards, 0.0, 1.0) ** 3)[..., None]
     _add_clouds(sky, elevation, azimuth)
-    _add_skyline(sky, elevation)
+    _add_skyline(sky, elevation, daylight)
     return sky
 
 
 def _add_clouds(sky: NDArray[np.float64], elevation: NDArray[np.float64], azimuth: NDArray[np.float64]) -> None:
     """Clouds lie on a plane overhead; light from the sun's side, grey at their base."""
-    field = noise((512, 512), 8, 30, octaves=6, fade=0.55)
-    threshold = float(np.quantile(field, 1.0 - CLOUD_COVER))
+    field, threshold = _cloud_field()
     reach = 1.0 / (np.sin(np.maximum(elevation, 0.0)) + CLOUD_BASE)
 
     def cover(shift: float) -> NDArray[np.float64]:
@@ -71,9 +70,16 @@ def _add_clouds(sky: NDArray[np.float64], elevation: NDArray[np.float64], azimut
     sky += opacity * shade * CLOUD
 
 
-def _add_skyline(sky: NDArray[np.float64], elevation: NDArray[np.float64]) -> None:
+@cache
+def _cloud_field() -> tuple[NDArray[np.float64], float]:
+    """Thickness of the clouds on their plane, (512, 512), and that above which they are seen."""
+    field = noise((512, 512), 8, 30, octaves=6, fade=0.55)
+    return field, float(np.quantile(field, 1.0 - CLOUD_COVER))
+
+
+def _add_skyline(sky: NDArray[np.float64], elevation: NDArray[np.float64], daylight: Daylight) -> None:
     """Hills at 6 km and woods at 1.2 km, each behind the haze of its distance."""
-    light = light_on(np.array([0.0, 0.0, 1.0]))
+    light = daylight.on(np.array([0.0, 0.0, 1.0]))
     for distance, mean, varies, colour, cells, seed in (
         (6000.0, 0.030, 0.009, 0.8 * np.array(LEAVES) * light, 6, 31),
         (1200.0, 0.006, 0.0028, 0.55 * np.array(LEAVES) * light, 96, 32),

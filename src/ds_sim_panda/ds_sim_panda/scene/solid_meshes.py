@@ -13,15 +13,15 @@ from ds_sim_panda.scene.meshes import VERTEX, mesh_node
 from ds_sim_panda.scene.scenery import Things
 from ds_sim_panda.scene.shaders import MOST_LIGHT
 from ds_sim_panda.scene.solids import Solid, solid
-from ds_sim_panda.scene.sunlight import light_on
+from ds_sim_panda.scene.sunlight import Daylight
 
 CELL = 60.0
 """Things in one square of this side are one mesh, which is left out when it is out of view, m; chosen."""
 
 
-def solid_meshes(scenery: Mapping[str, Things]) -> Any:
+def solid_meshes(scenery: Mapping[str, Things], daylight: Daylight) -> Any:
     """Panda3D's node of everything that stands beside a road."""
-    placed = {kind: _vertices(solid(kind), things) for kind, things in scenery.items()}
+    placed = {kind: _vertices(solid(kind), things, daylight) for kind, things in scenery.items()}
     cells = {kind: np.floor(things.position / CELL).astype(int) for kind, things in scenery.items()}
     parent = panda().PandaNode("solids")
     for cell in sorted({tuple(c) for of_kind in cells.values() for c in of_kind.tolist()}):
@@ -35,7 +35,7 @@ def solid_meshes(scenery: Mapping[str, Things]) -> Any:
     return parent
 
 
-def _vertices(shape: Solid, things: Things) -> NDArray[np.void]:
+def _vertices(shape: Solid, things: Things, daylight: Daylight) -> NDArray[np.void]:
     """Vertices of a shape at each of some places, (things, vertices) of `VERTEX`."""
     c, s = np.cos(things.yaw)[:, None], np.sin(things.yaw)[:, None]
 
@@ -47,7 +47,7 @@ def _vertices(shape: Solid, things: Things) -> NDArray[np.void]:
     position[..., :2] += things.position[:, None]
     normal = turned(shape.normal / things.size[:, None])
     normal /= np.linalg.norm(normal, axis=-1)[..., None]
-    light = light_on(normal, softness=shape.softness) * shape.reflectance * things.tint[:, None, None]
+    light = daylight.on(normal, softness=shape.softness) * shape.reflectance * things.tint[:, None, None]
     vertices["position"] = position
     vertices["texture"] = shape.texture
     vertices["colour"][..., :3] = np.round(255.0 * np.sqrt(np.clip(light / MOST_LIGHT, 0.0, 1.0)))

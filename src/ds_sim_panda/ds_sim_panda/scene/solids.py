@@ -27,7 +27,7 @@ class Solid:
         normal: unit vectors, (n, 3).
         texture: coordinates and layer, (n, 3).
         reflectance: (n, 3) linear RGB.
-        softness: how far sunlight reaches round it, (n,); see `sunlight.light_on`.
+        softness: how far sunlight reaches round it, (n,); see `Daylight.on`.
         triangles: (m, 3).
     """
 

@@ -61,20 +61,20 @@ def upload(name: str, image: NDArray[np.uint8], *, wrap: bool = True) -> Any:
 
     Args:
         name: of the texture.
-        image: (rows, columns), or with 3 or 4 channels; row 0 at v = 0. With one more dimension in front: layers.
+        image: (rows, columns), or with 2 to 4 channels; row 0 at v = 0. With one more dimension in front: layers.
         wrap: whether it repeats; otherwise its border goes on.
     """
     core = panda()
     layered = image.ndim == 4
     channels = 1 if image.ndim == 2 else image.shape[-1]
     rows, columns = image.shape[1:3] if layered else image.shape[:2]
-    kind = {1: core.Texture.F_red, 3: core.Texture.F_rgb, 4: core.Texture.F_rgba}[channels]
+    kind = {1: core.Texture.F_red, 2: core.Texture.F_rg, 3: core.Texture.F_rgb, 4: core.Texture.F_rgba}[channels]
     texture = core.Texture(name)
     if layered:
         texture.setup_2d_texture_array(columns, rows, len(image), core.Texture.T_unsigned_byte, kind)
     else:
         texture.setup_2d_texture(columns, rows, core.Texture.T_unsigned_byte, kind)
-    if channels > 1:  # Panda3D's order is BGR
+    if channels > 2:  # Panda3D's order is BGR
         image = image[..., [2, 1, 0, 3][:channels]]
     texture.set_ram_image(np.ascontiguousarray(image).tobytes())
     texture.set_minfilter(core.SamplerState.FT_linear_mipmap_linear)

@@ -9,16 +9,19 @@ import numpy as np
 
 from ds_road import Road
 from ds_sim_panda.scene import textures
+from ds_sim_panda.scene.along_road import AlongRoad, along_road
 from ds_sim_panda.scene.graphics import panda
 from ds_sim_panda.scene.ground import ground_rings
 from ds_sim_panda.scene.meshes import mesh_node
 from ds_sim_panda.scene.parameters import VERGE_WIDTH
 from ds_sim_panda.scene.road_mesh import Course, course_of, road_strip
 from ds_sim_panda.scene.scenery import place_scenery
+from ds_sim_panda.scene.setting import Setting
 from ds_sim_panda.scene.shaders import shader
 from ds_sim_panda.scene.shadows import cast_shadows
 from ds_sim_panda.scene.sky import sky_dome, sky_texture
 from ds_sim_panda.scene.solid_meshes import solid_meshes
+from ds_sim_panda.scene.sunlight import own_daylight
 
 FILTER = 0.3
 """Width of road and verge beyond their borders, in which these fade into what is below, m; chosen: a pixel is wider
@@ -39,25 +42,32 @@ class World:
 
     Args:
         road: a valid road.
+        setting: what conditions change; None in this world's own.
     """
 
-    def __init__(self, road: Road) -> None:
+    def __init__(self, road: Road, setting: Setting | None = None) -> None:
         core = panda()
         course = course_of(road)
+        daylight = setting.daylight if setting else own_daylight()
+        along = along_road(course, setting.conditions, setting.rng) if setting else None
+        self._changed = setting is not None
         self.origin = course.origin
         self.root = core.NodePath("world")
-        self._sky = self._surface(sky_dome(), "sky", 0, sky=sky_texture())
+        self._sky = self._surface(sky_dome(), "sky", 0, sky=sky_texture(setting.sky if setting else daylight))
         self._ground = self._surface(ground_rings(far=False), "ground", 1, grass=textures.grass())
         far = self._surface(ground_rings(far=True), "far ground", 1, grass=textures.grass())
         far.set_attrib(_blended())
         far.reparent_to(self._ground)
-        self._road_surfaces(course)
-        solids = core.NodePath(solid_meshes(place_scenery(course, _seed_of(road))))
-        shadows = cast_shadows(solids, course)
+        self._road_surfaces(course, along)
+        solids = core.NodePath(solid_meshes(place_scenery(course, _seed_of(road)), daylight))
+        shadowed = along if setting and setting.conditions.shadow_density else None
+        shadows = cast_shadows(solids, course, daylight.towards_sun, shadowed)
         self.root.set_shader_input("shadows", shadows.texture)
         self.root.set_shader_input("shadow_frame", core.LVector3(*shadows.frame))
         self.root.set_shader_input("patches", textures.patches())
-        solids.set_shader(shader("solid"))
+        for name, value in (setting.shader_inputs() if setting else {}).items():
+            self.root.set_shader_input(name, value if isinstance(value, float) else core.LVector3(*value))
+        solids.set_shader(shader("solid", setting=self._changed))
         solids.set_shader_input("materials", textures.materials())
         solids.reparent_to(self.root)
         # The other surfaces have no borders but blended ones. The sky, drawn first, has it as well, as Panda3D takes
@@ -74,7 +84,7 @@ class World:
         """Leave out all but some rows of the image."""
         self.root.set_scissor(0.0, 1.0, 1.0 - bottom / height, 1.0 - top / height)
 
-    def _road_surfaces(self, course: Course) -> None:
+    def _road_surfaces(self, course: Course, along: AlongRoad | None) -> None:
         border = course.half_width
         outer, inner = border + VERGE_WIDTH + FILTER, border - FILTER
         for name, offsets, sort, texture in (
@@ -85,11 +95,15 @@ class World:
             strip = self._surface(mesh_node(name, *road_strip(course, offsets)), name, sort, **texture)
             strip.set_shader_input("half_width", course.half_width)
             strip.set_attrib(_blended())
+        if along:
+            strip.set_shader_input("bare", along.bare)
+            strip.set_shader_input("repaired", along.repaired)
+            strip.set_shader_input("road_frame", panda().LVector2(*along.frame))
 
     def _surface(self, node: Any, kind: str, sort: int, **inputs: Any) -> Any:
         """Attach a surface that is drawn in the order of `sort`, without depth."""
         path = self.root.attach_new_node(node)
-        path.set_shader(shader(kind))
+        path.set_shader(shader(kind, setting=self._changed))
         for name, value in inputs.items():
             path.set_shader_input(name, value)
         path.set_bin("background", sort)
