@@ -6,18 +6,20 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ds_driver.closed_loop import worker_process
 from ds_driver.closed_loop.drive_task import DriveTask
-from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
 from ds_road import Road, generate
+from ds_sim.conditions import Conditions
 from ds_sim.registry import make_simulator
 from ds_sim.run_codec import encode_run
 from ds_sim.session import RunRecord
@@ -49,7 +51,7 @@ def worker(tmp_path: Path) -> Iterator[Processes]:
         one.close()
 
 
-def drive_all(process: WorkerProcess, drives: list[tuple[str, Road, int]]) -> list[RunRecord]:
+def drive_all(process: WorkerProcess, drives: Sequence[tuple[Any, ...]]) -> list[RunRecord]:
     with ThreadPoolExecutor(len(drives)) as pool:
         return list(pool.map(lambda one: process.drive(DriveTask(*one)), drives))
 
@@ -66,13 +68,19 @@ def drive_all(process: WorkerProcess, drives: list[tuple[str, Road, int]]) -> li
 )
 def test_interleaved_drives_are_the_same_bytes_as_single_ones(worker: Processes, driver: str) -> None:
     drives = [(name, SHORT, seed) for seed in (5, 6) for name in ("bullet", "softbody", "donkey")]
-    runs = drive_all(worker(driver), drives)
+    gate = ("donkey", SHORT, 5, Conditions(visibility=100.0), True)
+    *runs, gated = drive_all(worker(driver), [*drives, gate])
     for (name, road, seed), run in zip(drives, runs, strict=True):
         simulator = make_simulator(name)
         alone = drive_road(simulator, make_driver(driver, simulator.spec), road, seed)
         simulator.close()
         assert run.outcome.is_verdict and run.steps > 20
         assert encode_run(run) == encode_run(alone), f"{driver} on {name}"
+    simulator = make_simulator("donkey")
+    pilot = make_driver(AUTOPILOT, simulator.spec)
+    alone = drive_road(simulator, pilot, SHORT, 5, Conditions(visibility=100.0), probed=True)
+    simulator.close()
+    assert gated.line_contrasts and encode_run(gated) == encode_run(alone)
 
 
 def test_a_killed_process_loses_nothing(worker: Processes) -> None:
@@ -80,7 +88,7 @@ def test_a_killed_process_loses_nothing(worker: Processes) -> None:
     drives = [(f"{QUICK}:SlowSimulator", ROAD, seed) for seed in range(6)]
     undisturbed = [encode_run(run) for run in drive_all(process, drives)]
     with ThreadPoolExecutor(len(drives)) as pool:
-        futures = [pool.submit(process.drive, *one) for one in drives]
+        futures = [pool.submit(process.drive, DriveTask(*one)) for one in drives]
         for pause in (0.1, 0.3):
             time.sleep(pause)
             pid = process.pid

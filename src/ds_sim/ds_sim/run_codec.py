@@ -133,7 +133,8 @@ def _record(body: bytes, frames: int, commands: int, run: RunRecord, reason: int
     at += driven.nbytes
     _check_finite(floats, _FLOATS)
     if measured:
-        contrasts = np.frombuffer(body, "<f8", *_COUNT.unpack_from(body, at), at + _COUNT.size)
+        (count,) = _COUNT.unpack_from(body, at)
+        contrasts = np.frombuffer(body, "<f8", count, at + _COUNT.size)
         _check_finite(contrasts[None], ("line_contrast",))
         run.line_contrasts.extend(contrasts.tolist())
         at += _COUNT.size + contrasts.nbytes

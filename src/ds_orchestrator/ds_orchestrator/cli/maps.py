@@ -55,8 +55,8 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability") -> Re
                 console.print(grid)
         for line in legend(found[name], shown):
             console.print(line, highlight=False)
-        for line in exclusion_lines(data):
-            console.print(line, highlight=False)
+        for excluded in exclusion_lines(data):
+            console.print(excluded, highlight=False)
         others = ", ".join(other for other in found if other != name)
         console.print(f"Other maps, with --map NAME: {others}", highlight=False)
 

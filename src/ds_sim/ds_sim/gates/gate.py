@@ -11,10 +11,11 @@ from enum import StrEnum
 
 import numpy as np
 
-from ds_sim.gates.line_contrast import PROBE_EVERY
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
+PROBE_EVERY = 10
+"""Frames between two measurements of a run; chosen: half a second, 4 m of road, which is less than the window."""
 LEAST_CONTRAST = 0.05
 """Weber contrast below which lines count as invisible: the threshold of CIE and WMO (WMO-No. 8, chapter 9:
 meteorological optical range), 2.5 times that of Koschmieder."""

@@ -13,6 +13,7 @@ from ds_sim.camera.optics import mounted
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.frames import body_pose, camera_pose
+from ds_sim.gates.gate import PROBE_EVERY
 from ds_sim.session import RunRecord
 from ds_sim.simulator import MAX_SPEED, Observation, SimulatorSpec, VehicleState
 
@@ -30,8 +31,6 @@ BESIDE = 0.5
 """Distance of the pavement from a line's edge, m; chosen: three widths of a line, within the lane."""
 LEAST_POINTS = 4
 """Points in the picture without which a line is out of sight; chosen: 1 m of it."""
-PROBE_EVERY = 10
-"""Frames between two measurements of a run; chosen: half a second, 4 m of road, which is less than the window."""
 NEAREST = 0.5
 """Least distance of a point along the optical axis, m; chosen: nearer ones are below every picture."""
 DARKEST = 1.0 / 255.0 / 12.92

@@ -105,12 +105,12 @@ class SimulatorNode(Node):
         self._neighbours.check_alone()
         if request.road.control_points:
             self._load(request)
-        if self._loaded.road is None:
+        loaded = self._loaded
+        if loaded.road is None:
             raise no_road()
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
         self.drawn.choose()
-        loaded = self._loaded
         first = self._session.start(loaded.road, loaded.seed, loaded.conditions)  # costs the driver no time
         limit = request.command_timeout or self._timeout
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
