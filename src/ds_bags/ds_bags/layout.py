@@ -13,6 +13,9 @@ from typing import Literal, get_args
 Level = Literal["telemetry", "compressed", "raw"]
 """What a bag holds: everything but images, images as JPEG too, or images bit by bit."""
 LEVELS: tuple[Level, ...] = get_args(Level)
+TRANSLATED = "sim2real"
+"""First part of the topics of images as the driver saw them, in place of `camera`; and fact of a bag whose images were
+translated later: the digest of the generator."""
 LONGEST_NAME = 200
 """Bytes of a bag's name; chosen: with `.mcap` and a hidden folder's additions, a file's name has at most 255."""
 

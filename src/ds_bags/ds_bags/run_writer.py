@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ds_bags.layout import BagError, Level, partial_path
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
 from ds_bags.message_factory import MessageFactory, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.telemetry import frame_times, serialise_frames
@@ -31,9 +35,13 @@ _TOPICS = {
     "camera/camera_info": ("sensor_msgs/msg/CameraInfo", 5, False),
     "camera/image_raw": ("sensor_msgs/msg/Image", 5, False),
     "camera/image_raw/compressed": ("sensor_msgs/msg/CompressedImage", 5, False),
+    "sim2real/image_raw": ("sensor_msgs/msg/Image", 5, False),
+    "sim2real/image_raw/compressed": ("sensor_msgs/msg/CompressedImage", 5, False),
     "outcome": ("ds_interfaces/msg/Outcome", 1, True),
 }
 """Topic (relative to the simulator's namespace, or absolute) -> type, queue depth, latched or not."""
+Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+"""Maps a camera image to the translated one that the driver saw, both (rows, columns, 3) uint8 RGB."""
 _IMAGE_TOPIC = {"compressed": "camera/image_raw/compressed", "raw": "camera/image_raw"}
 
 
@@ -70,6 +78,7 @@ def write_bag(
     about: Mapping[str, str],
     level: Level = "telemetry",
     observations: Iterable[Observation] | None = None,
+    translate: Translation | None = None,
 ) -> None:
     """Write the bag of one run; stamps count from the start of the run.
 
@@ -84,6 +93,7 @@ def write_bag(
         about: custom data in addition to road, seed, versions and outcome, which are always written.
         level: whether the bag holds images, and how they are encoded.
         observations: the run's observations with images, if available; empty images are left out.
+        translate: how the driver saw the images, which a level with images writes, too; None if as they are.
 
     Raises:
         BagError: the folder cannot be written.
@@ -95,7 +105,7 @@ def write_bag(
         observations = run.observations if level == "telemetry" else resimulate(simulator, run)
     try:
         shutil.rmtree(hidden, ignore_errors=True)
-        _write(hidden / folder.name, namespace, simulator, run, about, level, observations)
+        _write(hidden / folder.name, namespace, simulator, run, about, level, observations, translate)
         shutil.rmtree(folder, ignore_errors=True)
         (hidden / folder.name).rename(folder)
         hidden.rmdir()
@@ -112,21 +122,32 @@ class RunWriter:
         spec: specification of the simulator.
         run: supplies the road, the frames and, at the end, the outcome.
         level: whether the bag holds images, and how they are encoded.
+        translate: how the driver saw the images; None if as they are.
     """
 
     def __init__(
-        self, writer: Rosbag2Writer, namespace: str, spec: SimulatorSpec, run: RunRecord, level: Level
+        self,
+        writer: Rosbag2Writer,
+        namespace: str,
+        spec: SimulatorSpec,
+        run: RunRecord,
+        level: Level,
+        translate: Translation | None = None,
     ) -> None:
         self._writer = writer
         self._spec = spec
         self._run = run
         self._image = _IMAGE_TOPIC.get(level, "")
+        self._translate = translate
         self.images = 0
         self._make = MessageFactory(namespace)
         self._store = typestore()
         skipped = {topic for topic in _TOPICS if topic.startswith("camera/") and topic != self._image}
+        skipped |= {topic for topic in _TOPICS if topic.startswith(TRANSLATED)}
         if self._image:
             skipped.discard("camera/camera_info")
+        if self._image and translate is not None:
+            skipped.discard(self._image.replace("camera", TRANSLATED, 1))
         self._channels = {
             topic: writer.channel(
                 topic_of(
@@ -176,6 +197,9 @@ class RunWriter:
         self.images += 1
         image = self._make.image if self._image == "camera/image_raw" else self._make.compressed_image
         self._put(self._image, time, image(seen, time))
+        if self._translate is not None:
+            translated = replace(seen, image=self._translate(seen.image))
+            self._put(self._image.replace("camera", TRANSLATED, 1), time, image(translated, time))
         self._put("camera/camera_info", time, self._make.camera_info(self._spec.camera, time))
 
     def end(self) -> None:
@@ -195,11 +219,12 @@ def _write(
     about: Mapping[str, str],
     level: Level,
     observations: Iterable[Observation],
+    translate: Translation | None,
 ) -> None:
     facts = facts_of(simulator, run, level) | dict(about)
     writer = Rosbag2Writer(path, facts)
     try:
-        messages = RunWriter(writer, namespace, spec_of(simulator), run, level)
+        messages = RunWriter(writer, namespace, spec_of(simulator), run, level, translate)
         messages.begin()
         messages.frames(None if level == "telemetry" else observations)
         messages.end()

@@ -7,14 +7,17 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
+from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.interleaved_drives import InterleavedDrives
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
+from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.driver_name import split_generators, with_generators
 from ds_driver.networks.network_driver import (
@@ -32,13 +35,17 @@ from ds_driver.sim2real.generator_file import load_generator, save_generator
 from ds_driver.sim2real.generator_set import FOLDER
 from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.shape import GeneratorShape
-from ds_driver.sim2real.translation import translate
+from ds_driver.sim2real.stage import translation_of
+from ds_driver.sim2real.translation import translate as translate_data
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Window
 from ds_driver.training.trainer import TrainingPlan, train
 from ds_road import generate
 from ds_sim.camera.jpeg import encode
 from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Command, Outcome
+from ds_sim.video import compose, write_video
 
 TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
 WINDOWS = {"bullet": Window(54, 160, 0, 320), "softbody": Window(80, 159, 20, 300)}
@@ -108,7 +115,7 @@ def test_frames_of_several_simulators_are_answered_with_the_bits_of_each_alone(f
 def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
     road, driver = generate(np.random.default_rng(5)), str(folder / "real.safetensors")
     drives = InterleavedDrives(driver)
-    runs = {}
+    runs: dict[int, RunRecord] = {}
     for key, name in enumerate(WINDOWS):
         drives.begin(key, DriveTask(name, road, 1))
     while len(drives):
@@ -174,7 +181,7 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
     (data / "manifest.json").write_text('{"plan": {"seed": 1}, "images": {"bullet": 4}}')
     for name in WINDOWS:
         translator = Translator(load_generator(folder / FOLDER / f"{name}.safetensors"))
-        translate(data, real, translator, lambda done, total, line: None)
+        translate_data(data, real, translator, lambda done, total, line: None)
     manifest = json.loads((real / "manifest.json").read_text())
     assert manifest["plan"] == {"seed": 1} and manifest["images"] == {"bullet": 4, "softbody": 4}
     plan = TrainingPlan(epochs=1, batch_size=2, validation=0.5, threads=1, device="cpu")
@@ -189,6 +196,35 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
     shutil.copytree(data / "bullet", real / "bullet")
     with pytest.raises(DatasetError, match="translated images of softbody and plain ones of bullet"):
         train(real, tmp_path / "mixed", plan, lambda line: None)
+
+
+def test_a_bag_and_a_video_show_what_the_driver_saw(folder: Path, tmp_path: Path) -> None:
+    driver, road = f"{folder}/real.safetensors", generate(np.random.default_rng(5))
+    simulator = make_simulator("bullet")
+    seen = [simulator.load(road, seed=1)]
+    seen.append(simulator.step(Command(0.0, 1.0)))
+    simulator.close()
+    run = RunRecord(road=road, seed=1, outcome=Outcome.CANCELLED, observations=seen, commands=[Command(0.0, 1.0)])
+    translate = translation_of(driver, "bullet")
+    assert translate is not None and translation_of("dave2", "bullet") is None
+    for name, how in (("plain", None), ("real", translate)):
+        write_bag(tmp_path / name, "/ds1", "bullet", run, {"driver": driver}, "raw", seen, how)
+    plain, real = (open_recording(tmp_path / name, Reading()) for name in ("plain", "real"))
+    topic = "/ds1/sim2real/image_raw"
+    translated = open_recording(tmp_path / "real", Reading(camera=topic))
+    assert (plain.crop, real.crop, translated.crop) == (Crop(54, 0), Crop(54, 0), Crop())
+    assert (real.simulator, translated.simulator) == ("bullet", NOT_SIMULATED)
+    for observation, *recorded in zip(seen, plain.frames(), real.frames(), translated.frames(), strict=True):
+        images = [frame.image for frame in recorded if frame.image is not None]
+        assert np.array_equal(images[0], observation.image) and np.array_equal(images[1], observation.image)
+        assert np.array_equal(images[2], translate(observation.image))
+    panel = np.zeros((480, 300, 3), np.uint8)
+    picture = compose(seen[0], panel, translate(seen[0].image))
+    assert picture.shape == (640, 940, 3) and compose(seen[0], panel).shape == (480, 1260, 3)
+    write_video(tmp_path / "v.mp4", "bullet", road, seen, run.commands, translate=translate)
+    frames_there, first = cv2.VideoCapture(str(tmp_path / "v.mp4")).read()
+    assert frames_there and first.shape == picture.shape
+    assert np.abs(first[:, :640, ::-1].astype(int) - picture[:, :640]).mean() < 20.0
 
 
 def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import cv2
@@ -18,6 +18,8 @@ from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcom
 
 MAGNIFICATION = 3
 """Video pixels per camera pixel; chosen: a camera image fills half of a common screen."""
+PAIRED_MAGNIFICATION = 2
+"""The same where a translated image is shown below the camera's; chosen: both fit on a common screen."""
 PANEL = 300
 """Width of the panel beside the camera image, pixels."""
 CODEC = "mp4v"
@@ -54,6 +56,7 @@ def write_video(
     observations: Iterable[Observation],
     commands: list[Command],
     conditions: Conditions = DEFAULT,
+    translate: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None,
 ) -> None:
     """Write a run as a video at the speed of simulated time; the last frame is shown for one second.
 
@@ -64,13 +67,17 @@ def write_video(
         observations: one per frame, with images.
         commands: command k led from frame k to frame k + 1.
         conditions: operating conditions of the run, named below the gauges.
+        translate: how the driver saw the images, which are shown below the camera's; None if as they are.
 
     Raises:
         VideoError: the video cannot be written.
     """
     check_path(path)
     partial = path.with_name(f".{path.stem}.partial.mp4")
-    size = (IMAGE_WIDTH * MAGNIFICATION + PANEL, IMAGE_HEIGHT * MAGNIFICATION)
+    width, height = IMAGE_WIDTH * MAGNIFICATION, IMAGE_HEIGHT * MAGNIFICATION
+    if translate is not None:
+        width, height = IMAGE_WIDTH * PAIRED_MAGNIFICATION, 2 * IMAGE_HEIGHT * PAIRED_MAGNIFICATION
+    size = (width + PANEL, height)
     writer = cv2.VideoWriter(str(partial), cv2.VideoWriter.fourcc(*CODEC), FRAME_RATE, size)
     if not writer.isOpened():
         raise VideoError(f"{path} cannot be written: check the folder and the disk")
@@ -79,7 +86,8 @@ def write_video(
         frame: NDArray[np.uint8] | None = None
         for step, observation in enumerate(observations):
             command = commands[step] if step < len(commands) else None
-            frame = compose(observation, panel.draw(observation, command))
+            translated = None if translate is None else translate(observation.image)
+            frame = compose(observation, panel.draw(observation, command), translated)
             writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
         for _ in range(round(FRAME_RATE) if frame is not None else 0):
             writer.write(cv2.cvtColor(np.asarray(frame), cv2.COLOR_RGB2BGR))
@@ -90,10 +98,18 @@ def write_video(
         partial.unlink(missing_ok=True)
 
 
-def compose(observation: Observation, panel: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Place camera image and panel side by side, (480, 1260, 3) uint8 RGB."""
-    size = (IMAGE_WIDTH * MAGNIFICATION, IMAGE_HEIGHT * MAGNIFICATION)
-    return np.hstack((cv2.resize(observation.image, size, interpolation=cv2.INTER_LINEAR), panel)).astype(np.uint8)
+def compose(
+    observation: Observation, panel: NDArray[np.uint8], translated: NDArray[np.uint8] | None = None
+) -> NDArray[np.uint8]:
+    """Place camera image and panel side by side, (480, 1260, 3) uint8 RGB; (640, 940, 3) with a translated image."""
+    images, scale = [observation.image], MAGNIFICATION
+    if translated is not None:
+        images, scale = [observation.image, translated], PAIRED_MAGNIFICATION
+    size = (IMAGE_WIDTH * scale, IMAGE_HEIGHT * scale)
+    pictures = np.vstack([cv2.resize(image, size, interpolation=cv2.INTER_LINEAR) for image in images])
+    beside = np.full((len(pictures), PANEL, 3), _BACKGROUND, np.uint8)
+    beside[: len(panel)] = panel
+    return np.hstack((pictures, beside)).astype(np.uint8)
 
 
 class _Panel:

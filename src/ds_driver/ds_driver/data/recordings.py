@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
-from ds_bags.layout import BagError
+from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.control.autopilot import Autopilot
@@ -30,8 +30,6 @@ MAX_IMAGE_FILE = 64 * 2**20
 """Largest image file of a tub, bytes."""
 _PROJECT_BAG = "bag of ours"
 """Kind of a bag of this project; existing data sets store this text."""
-TRANSLATED = "sim2real"
-"""Fact of a bag whose images were translated, and with that cropped already: the digest of the generator."""
 Truth = Literal["recorded", "autopilot"]
 
 
@@ -120,7 +118,7 @@ def open_recording(path: Path, reading: Reading) -> Recording:
             raise BagError(f"{path} is a tub: the autopilot's commands are known only for bags of this project")
         return Recording(path=path, group=path.resolve().name, kind="tub", crop=Crop(), reading=reading)
     with BagReader(path) as bag:
-        _camera(bag, reading)
+        camera = _camera(bag, reading)
         is_project_bag = "simulator" in bag.facts and bool(bag.of_type(STATE))
         if not is_project_bag and reading.truth == "autopilot":
             raise BagError(f"{path} is no bag of this project: the autopilot's commands are known only for those")
@@ -128,7 +126,7 @@ def open_recording(path: Path, reading: Reading) -> Recording:
             return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
         name = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
         spec = spec_of(name)
-        if TRANSLATED in bag.facts:
+        if TRANSLATED in bag.facts or _is_translated(camera):
             return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=Crop(), reading=reading)
         crop = Crop(spec.crop_top, spec.crop_bottom)
         return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=crop, reading=reading, simulator=spec.name)
@@ -183,6 +181,8 @@ def _camera(bag: BagReader, reading: Reading) -> Any:
     cameras = [c for c in bag.connections if c.msgtype in (IMAGE, COMPRESSED)]
     if reading.camera is not None:
         cameras = [c for c in cameras if c.topic == reading.camera]
+    else:
+        cameras = [c for c in cameras if not _is_translated(c)] or cameras
     names = ", ".join(c.topic for c in cameras)
     if not cameras:
         wanted = f"of topic {reading.camera}" if reading.camera else "at all"
@@ -190,6 +190,11 @@ def _camera(bag: BagReader, reading: Reading) -> Any:
     if len(cameras) > 1:
         raise BagError(f"{bag.path} has several cameras: choose one of {names} with --camera")
     return cameras[0]
+
+
+def _is_translated(connection: Any) -> bool:
+    """Tell whether a topic holds the images as a driver saw them, cropped and translated."""
+    return f"/{TRANSLATED}/" in connection.topic
 
 
 def _pixels(message: Any) -> NDArray[np.uint8]:

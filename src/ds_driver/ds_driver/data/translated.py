@@ -7,8 +7,8 @@ import shutil
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
+from ds_bags.layout import TRANSLATED
 from ds_driver.data.dataset import IMPORTED, DatasetError, imported_names
-from ds_driver.data.recordings import TRANSLATED
 from ds_driver.whole_files import whole_file
 from ds_sim.registry import label_of
 

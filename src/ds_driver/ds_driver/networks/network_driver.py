@@ -177,14 +177,27 @@ def load_pilot(driver: str) -> Pilot:
     """Load the driver of a name; see `NetworkDriver`."""
     whole, backend, device = split_backend(driver)
     name = split_generators(whole)[0]
-    pilot = _load_network(name, backend, device)
+    pilot, stage = _load_network(name, backend, device), stage_of(driver)
+    if stage is None:
+        return pilot
+    from ds_driver.sim2real.stage import TranslatingPilot
+
+    return TranslatingPilot(pilot, stage)
+
+
+def stage_of(driver: str) -> Sim2RealStage | None:
+    """Return what translates images for a driver; None if it sees them as they are, as the autopilot and classes do.
+
+    Raises:
+        DriverError: generators are missing, or their backend is.
+    """
     generators = generators_of(driver)
     if generators is None:
-        return pilot
-    from ds_driver.sim2real.stage import Sim2RealStage, TranslatingPilot
+        return None
+    from ds_driver.sim2real.stage import Sim2RealStage
 
-    stage = Sim2RealStage(generators, BUILT_IN_BACKEND if backend == "auto" else backend, device)
-    return TranslatingPilot(pilot, stage)
+    _, backend, device = split_backend(driver)
+    return Sim2RealStage(generators, BUILT_IN_BACKEND if backend == "auto" else backend, device)
 
 
 def generators_of(driver: str) -> GeneratorSet | None:

@@ -13,12 +13,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
+from ds_bags.layout import TRANSLATED
 from ds_bags.message_rewriter import rewrite_bag
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.data.dataset import IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.data.pixels import rgb_of, rgb_of_file
-from ds_driver.data.recordings import MAX_IMAGE_FILE, TRANSLATED
+from ds_driver.data.recordings import MAX_IMAGE_FILE
 from ds_driver.data.translated import GENERATOR
 from ds_driver.networks.preprocessing import ImageError
 from ds_driver.sim2real.generator_file import check_fits
@@ -103,11 +104,11 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
     with BagReader(folder) as bag:
         simulator = bag.facts.get("simulator", "")
         total = sum(c.msgcount for c in bag.connections if c.msgtype in (IMAGE, COMPRESSED))
-        done_before = bag.facts.get(MARK)
+        done_before = bag.facts.get(MARK) or any(f"/{TRANSLATED}/" in c.topic for c in bag.connections)
     if not simulator or not total:
         raise Sim2RealError(f"{folder} is no bag of this project with images: record with --level compressed or raw")
-    if done_before is not None:
-        raise Sim2RealError(f"{folder} is translated already: give the bag that was recorded")
+    if done_before:
+        raise Sim2RealError(f"{folder} is translated already: give one of a driver that sees plain images")
     check_fits(translator.generator, simulator)
     if out.exists():
         with BagReader(out) as bag:

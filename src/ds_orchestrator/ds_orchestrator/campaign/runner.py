@@ -317,7 +317,10 @@ class Campaign:
             bag = f"bags/{test.test_id}-on-{label_of(simulator)}"
             about = {"test_id": test.test_id, "driver": self._config.driver}
             namespace = self._namespaces[simulator]
-            write_bag(self._folder / bag, namespace, simulator, run, about, self._config.record)
+            from ds_driver.sim2real.stage import translation_of
+
+            translate = None if self._config.record == "telemetry" else translation_of(self._config.driver, simulator)
+            write_bag(self._folder / bag, namespace, simulator, run, about, self._config.record, translate=translate)
         execution = execution_of(test.test_id, simulator, run, bag)
         self._store.add_execution(execution)
         return execution

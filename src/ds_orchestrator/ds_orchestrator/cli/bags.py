@@ -100,16 +100,23 @@ def bag_redrive(
 def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, trusted: Collection[str]) -> None:
     """Render a bag's run; its images come from the re-simulation, as most bags hold none."""
     from ds_bags.reader import BagReader, read_run
+    from ds_driver.sim2real.stage import translation_of
     from ds_sim.resimulation import resimulate
     from ds_sim.video import write_video
 
     with BagReader(folder) as bag:
         recorded = read_run(bag, simulator=simulator, seed=seed, trusted=trusted)
-        driver = Path(bag.facts.get("driver") or "recorded commands").name
+        name = bag.facts.get("driver") or "recorded commands"
+    try:
+        translate = translation_of(name, simulator)
+    except ValueError as error:  # the drive is shown without
+        translate = None
+        say(f"no translated images: {error}")
+    driver = Path(name).name
     say(f"rendering {video}")
     run = recorded.run
     frames = resimulate(simulator, run)
-    write_video(video, f"{simulator}, {driver}", run.road, frames, run.commands, run.conditions)
+    write_video(video, f"{simulator}, {driver}", run.road, frames, run.commands, run.conditions, translate)
 
 
 def bag_pack(campaign: Path, out: Path, by: By) -> Result:

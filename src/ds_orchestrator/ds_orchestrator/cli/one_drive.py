@@ -18,6 +18,7 @@ from ds_sim.conditions.model import DEFAULT, Conditions
 
 if TYPE_CHECKING:
     from ds_bags.ros.image_recorder import ImageRecorder
+    from ds_driver.sim2real.stage import Translation
     from ds_orchestrator.graph.executor import GraphExecutor
     from ds_road import Road
     from ds_sim.session import RunRecord
@@ -89,8 +90,9 @@ def drive(request: DriveRequest) -> Result:
             say(f"rendering {request.video}")
             # The images went to the driver alone; the same commands show them again.
             write_video(
-                request.video, f"{sim}, {Path(whose).name}", road, resimulate(sim, run), run.commands, run.conditions
-            )
+                request.video, f"{sim}, {Path(whose).name}", road, resimulate(sim, run), run.commands, run.conditions,
+                _translation(request),
+            )  # fmt: skip
     except KeyboardInterrupt:
         if request.bag is not None and request.bag.exists():
             raise Interrupted(f"the bag is in {request.bag}") from None
@@ -229,18 +231,25 @@ def _recorder(executor: GraphExecutor, request: DriveRequest) -> Iterator[ImageR
         yield recorder
 
 
+def _translation(request: DriveRequest) -> Translation | None:
+    """How the driver saw the images; None if as they are, or if an unknown driver drove."""
+    from ds_driver.sim2real.stage import translation_of
+
+    return None if request.attach else translation_of(request.driver, request.sim)
+
+
 def _keep_bag(request: DriveRequest, run: RunRecord, whose: str, *, seen: bool) -> None:
     """Write the bag, with the recorded images or those of a re-simulation."""
     from ds_bags.layout import image_spool_path
     from ds_bags.run_writer import write_bag
 
-    bag, about = request.bag, {"driver": whose}
+    bag, about, translate = request.bag, {"driver": whose}, _translation(request)
     assert bag is not None
     if not seen:
-        write_bag(bag, request.namespace, request.sim, run, about, request.level)
+        write_bag(bag, request.namespace, request.sim, run, about, request.level, translate=translate)
         return
     from ds_bags.ros.image_recorder import with_images
 
     images = with_images(run, image_spool_path(bag))
-    write_bag(bag, request.namespace, request.sim, run, about, request.level, images)
+    write_bag(bag, request.namespace, request.sim, run, about, request.level, images, translate)
     shutil.rmtree(image_spool_path(bag).parent)

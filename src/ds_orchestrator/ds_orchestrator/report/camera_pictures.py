@@ -11,16 +11,21 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_driver.control.autopilot import Autopilot
+from ds_driver.networks.network_driver import generators_of
+from ds_driver.sim2real.stage import Translation, translation_of
 from ds_orchestrator.report.page_data import in_words
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.store import Execution, Test
 from ds_sim.camera.png import png
+from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_sim.conditions.loading import load
 from ds_sim.registry import make_simulator, received_simulator
 from ds_sim.road_simulator import RoadSimulator
@@ -80,17 +85,34 @@ def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test 
     return max(tests, key=lambda test: completed[test.test_id], default=None)
 
 
-def camera_pictures(names: Sequence[str], test: Test, trusted: Collection[str] = ()) -> list[CameraPicture]:
-    """Render the same place of one road on every simulator, driven by the autopilot."""
-    return [_camera_picture(name, test, trusted) for name in names]
+def camera_pictures(
+    names: Sequence[str], test: Test, trusted: Collection[str] = (), driver: str = AUTOPILOT
+) -> list[CameraPicture]:
+    """Render the same place of one road on every simulator, driven by the autopilot; below it what a driver sees."""
+    return [_camera_picture(name, test, trusted, driver) for name in names]
 
 
-def _camera_picture(name: str, test: Test, trusted: Collection[str]) -> CameraPicture:
+def translates(driver: str) -> bool:
+    """Return whether a driver sees translated images, and its generators are there."""
+    try:
+        return generators_of(driver) is not None
+    except ValueError:  # missing generators must not prevent the report
+        return False
+
+
+def _paired(image: NDArray[np.uint8], driver: str, simulator: str) -> NDArray[np.uint8]:
+    """Put the image that the driver sees below the camera's, if it sees another one."""
+    translate = translation_of(driver, simulator) if translates(driver) else None
+    return image if translate is None else np.vstack((image, translate(image)))
+
+
+def _camera_picture(name: str, test: Test, trusted: Collection[str], driver: str) -> CameraPicture:
     try:
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
         try:
             reached = _drive_to(simulator, test, CAMERA_PLACE)
             physics = simulator.spec.physics
+            image = _paired(reached.image, driver, name)
         finally:
             simulator.close()
     except Exception as error:  # a missing or broken simulator must not prevent the report
@@ -101,7 +123,7 @@ def _camera_picture(name: str, test: Test, trusted: Collection[str]) -> CameraPi
     )
     if reached.lane.arc_length < CAMERA_PLACE:
         note += f"; the autopilot got no further ({in_words(reached.outcome)})"
-    picture = f"data:image/png;base64,{base64.b64encode(png(reached.image)).decode()}"
+    picture = f"data:image/png;base64,{base64.b64encode(png(image)).decode()}"
     return CameraPicture(simulator=name, physics=physics, picture=picture, note=note)
 
 
@@ -143,19 +165,27 @@ def telling_tests(
 
 
 def drive_pictures(
-    names: Sequence[str], tests: Sequence[Test], executions: Sequence[Execution], trusted: Collection[str] = ()
+    names: Sequence[str],
+    tests: Sequence[Test],
+    executions: Sequence[Execution],
+    trusted: Collection[str] = (),
+    driver: str = AUTOPILOT,
 ) -> dict[str, list[Drive | None]]:
-    """Render drives: test -> drive on every simulator, or None if it was not driven there."""
+    """Render drives: test -> drive on every simulator, or None if it was not driven there; with what a driver sees."""
     done = {(e.test_id, e.simulator): e for e in executions}
     cv2.setNumThreads(1)
     with ThreadPoolExecutor(_THREADS) as pool:
         # A thread for each simulator: some renderers belong to one thread at a time.
-        columns = list(pool.map(lambda name: _drives_on(name, tests, done, trusted), names))
+        columns = list(pool.map(lambda name: _drives_on(name, tests, done, trusted, driver), names))
     return {test.test_id: [column[k] for column in columns] for k, test in enumerate(tests)}
 
 
 def _drives_on(
-    name: str, tests: Sequence[Test], done: Mapping[tuple[str, str], Execution], trusted: Collection[str]
+    name: str,
+    tests: Sequence[Test],
+    done: Mapping[tuple[str, str], Execution],
+    trusted: Collection[str],
+    driver: str,
 ) -> list[Drive | None]:
     """Render the drives on one simulator, in the order of the tests."""
     wanted = [(test, done.get((test.test_id, name))) for test in tests]
@@ -165,18 +195,19 @@ def _drives_on(
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
     except Exception as error:  # a missing or broken simulator must not prevent the report
         return [_no_pictures(error) if execution else None for _, execution in wanted]
+    see = partial(_paired, driver=driver, simulator=name)
     try:
-        return [_drive(simulator, test, execution) if execution else None for test, execution in wanted]
+        return [_drive(simulator, test, execution, see) if execution else None for test, execution in wanted]
     finally:
         simulator.close()
 
 
-def _drive(simulator: Simulator, test: Test, execution: Execution) -> Drive:
+def _drive(simulator: Simulator, test: Test, execution: Execution, see: Translation) -> Drive:
     if not isinstance(simulator, RoadSimulator):
         return Drive(note="no pictures: this simulator renders images only while it drives")
     try:
         _load(simulator.scene, test)
-        frames = [_frame(simulator.scene, test.seed, execution, k) for k in moments(execution)]
+        frames = [_frame(simulator.scene, test.seed, execution, k, see) for k in moments(execution)]
     except Exception as error:  # as above
         return _no_pictures(error)
     return Drive(frames=tuple(frames))
@@ -203,7 +234,7 @@ def moments(execution: Execution) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(first, last, MOMENTS).round().astype(int))]
 
 
-def _frame(scene: Scene, seed: int, execution: Execution, step: int) -> tuple[str, str]:
+def _frame(scene: Scene, seed: int, execution: Execution, step: int, see: Translation) -> tuple[str, str]:
     """Render one frame, and write its caption."""
     x, y, yaw, speed, lateral = (float(v) for v in execution.trajectory[step])
     before = float(execution.trajectory[max(step - 1, 0), 2])
@@ -211,11 +242,13 @@ def _frame(scene: Scene, seed: int, execution: Execution, step: int) -> tuple[st
     state = VehicleState(x=x, y=y, yaw=yaw, speed=speed, yaw_rate=turned * FRAME_RATE, steering_angle=0.0)
     image = scene.still(state, np.random.default_rng([seed, step]))
     side = "right" if lateral >= 0 else "left"
-    return _jpeg(image), f"{step / FRAME_RATE:.1f} s, {abs(lateral):.2f} m {side}, {3.6 * speed:.0f} km/h"
+    return _jpeg(see(image)), f"{step / FRAME_RATE:.1f} s, {abs(lateral):.2f} m {side}, {3.6 * speed:.0f} km/h"
 
 
 def _jpeg(image: NDArray[np.uint8]) -> str:
-    small = cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)
+    columns, rows = SIZE
+    size = (columns, rows * len(image) // IMAGE_HEIGHT)
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     done, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     assert done
     return base64.b64encode(data.tobytes()).decode()

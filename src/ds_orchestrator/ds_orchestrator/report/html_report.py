@@ -30,6 +30,7 @@ from ds_orchestrator.report.camera_pictures import (
     common_test,
     drive_pictures,
     telling_tests,
+    translates,
 )
 from ds_orchestrator.report.findings import count, summarise
 from ds_orchestrator.report.page_data import in_words, page_data
@@ -75,11 +76,12 @@ def write_report(
     place = common_test(tests, executions)
     on_page = page_data(data, maps)
     shown = telling_tests(tests, executions, data.cells)
-    pictures = drive_pictures(config.simulators, shown, executions, trusted)
+    pictures = drive_pictures(config.simulators, shown, executions, trusted, config.driver)
     on_page["pictures"] = {
         test_id: [drive and {"frames": drive.frames, "note": drive.note} for drive in drives]
         for test_id, drives in pictures.items()
     }
+    on_page["paired"] = paired = translates(config.driver)
     on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
     on_page["figures"] = _figures(config, correlations, tables, network)
     page = _environment().get_template("report.html.j2")
@@ -88,7 +90,8 @@ def write_report(
         config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
         findings=summarise(data, maps, correlations, paired_differences=paired_differences),
         tiles=_tiles(data, correlations),
-        cameras=camera_pictures(config.simulators, place, trusted) if place else [],
+        cameras=camera_pictures(config.simulators, place, trusted, config.driver) if place else [],
+        paired=paired,
         camera_test=place,
         camera_cell=data.cells.get(place.test_id, ()) if place else (),
         camera_place=CAMERA_PLACE,

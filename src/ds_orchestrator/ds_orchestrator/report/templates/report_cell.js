@@ -266,8 +266,8 @@ function drivePictures(test) {
     const run = test.runs[index];
     const part = run.failed ? `the last seconds before it failed (${run.outcome})` : "from start to end";
     box.append(html("p", {}, html("b", {}, name), `, ${drive.note || part}`));
-    box.append(html("div", { class: "strip" }, ...drive.frames.map(([picture, words]) =>
-      html("figure", {}, html("img", { src: `data:image/jpeg;base64,${picture}`, alt: `${name}, ${words}`, width: "240", height: "120" }), html("figcaption", {}, words)))));
+    box.append(html("div", { class: data.paired ? "strip paired" : "strip" }, ...drive.frames.map(([picture, words]) =>
+      html("figure", {}, html("img", { src: `data:image/jpeg;base64,${picture}`, alt: `${name}, ${words}`, width: "240", height: data.paired ? "240" : "120" }), html("figcaption", {}, words)))));
   });
   return box;
 }
