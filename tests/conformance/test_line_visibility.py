@@ -84,6 +84,20 @@ def test_lines_are_found_wherever_the_camera_is_mounted(name: str, mount: dict[s
     assert contrast(name, Conditions(**mount)) == pytest.approx(contrast(name), rel=0.2)
 
 
+@pytest.mark.parametrize("name", ["bullet", "softbody", "donkey"])
+def test_where_no_paint_is_none_is_seen(name: str) -> None:
+    """With grain, grass and noise as they are, on most of the road."""
+    spec, conditions = spec_of(name), Conditions(line_contrast=0.0)
+    scene, measured = PaintedScene(spec.camera, spec.look), LineContrast(STRAIGHT, spec, conditions)
+    rng = np.random.default_rng(1)
+    scene.load(STRAIGHT, rng, conditions)
+    found = []
+    for y in range(30, 150, 8):
+        state = VehicleState(x=127.0, y=float(y), yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
+        found.append(measured.of(scene.still(state, rng), state, y - 25.0))
+    assert np.mean(np.array(found) < 0.05) > 0.5, found
+
+
 def test_a_picture_without_lines_has_no_contrast() -> None:
     spec = spec_of("bullet")
     state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)

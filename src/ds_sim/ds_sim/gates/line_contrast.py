@@ -29,6 +29,9 @@ STEP = 0.25
 """Distance of two measured points of a line, m; chosen: less than a row of pixels at `LOOK_AHEAD`."""
 BESIDE = 0.5
 """Distance of the pavement from a line's edge, m; chosen: three widths of a line, within the lane."""
+LEAST_WIDTH = 2.0
+"""Width in the picture of the edge line where it is measured, px; chosen: where it is narrower, grass beyond the road
+blends with it, and looked like 4 to 14 % of contrast where no line was painted."""
 LEAST_POINTS = 4
 """Points in the picture without which a line is out of sight; chosen: 1 m of it."""
 NEAREST = 0.5
@@ -61,17 +64,21 @@ class LineContrast:
         across, along = np.vstack((across, across[-1:])), np.append(along, along[-1] + _LEAD_OUT)
         half = spec.look.line_width / 2
         edge = road.lane_width - half
-        offsets = ((0.0, -half - BESIDE, half + BESIDE), (edge, edge - half - BESIDE))
         self._stations = np.arange(0.0, along[-1], STEP)
         points, sideways = (
             np.column_stack([np.interp(self._stations, along, column) for column in table.T])
             for table in (middle, across)
         )
-        self._lines = [[points + offset * sideways for offset in of_line] for of_line in offsets]
-        """Of each line its points, and the pavement to one or both sides, (stations, 2) m."""
+
+        def at(*offsets: float) -> list[_Points]:
+            return [points + offset * sideways for offset in offsets]
+
+        # Of each line its middle, the pavement to one or both sides, and its borders if there is grass beyond it.
+        self._centre_line = (at(0.0, -half - BESIDE, half + BESIDE), at())
+        self._edge_line = (at(edge, edge - half - BESIDE), at(edge - half, edge + half))
 
     def of(self, image: NDArray[np.uint8], state: VehicleState, arc_length: float) -> float:
-        """Weber contrast, in linear light, of the line that is seen best; 0 if none is in the picture.
+        """Weber contrast, in linear light, of the line that is seen best; 0 if none is brighter than the pavement.
 
         Args:
             image: (rows, columns, 3) uint8 RGB.
@@ -80,14 +87,18 @@ class LineContrast:
         """
         first, end = np.searchsorted(self._stations, (arc_length, arc_length + LOOK_AHEAD))
         light = np.asarray(decode(image) @ _LUMINANCE, np.float32)
-        return max(self._of_line([part[first:end] for part in line], light, state) for line in self._lines)
+        found = [0.0]
+        for line in (self._centre_line, self._edge_line):
+            parts, borders = ([_project(part[first:end], state, self._camera) for part in some] for some in line)
+            wide = _width(*borders) >= LEAST_WIDTH if borders else np.ones(end - first, np.bool_)
+            found.append(self._of_line(parts, wide, light))
+        return max(found)
 
-    def _of_line(self, parts: list[_Points], light: NDArray[np.float32], state: VehicleState) -> float:
-        """Contrast of one line against the pavement beside it, over the farthest `WINDOW` that is in the picture."""
-        pixels = [_project(part, state, self._camera) for part in parts]
+    def _of_line(self, pixels: list[_Points], wide: NDArray[np.bool_], light: NDArray[np.float32]) -> float:
+        """Contrast of a line against the pavement beside it, over the farthest `WINDOW` that can be measured."""
         rows, columns = light.shape
         inside = np.logical_and.reduce(
-            [((p >= 0.0) & (p <= (columns - 1, rows - 1))).all(axis=1) for p in pixels]
+            [wide, *(((p >= 0.0) & (p <= (columns - 1, rows - 1))).all(axis=1) for p in pixels)]
         )  # NaN, behind the camera, is outside
         chosen = np.flatnonzero(inside)[-round(WINDOW / STEP) :]
         if len(chosen) < LEAST_POINTS:
@@ -96,7 +107,15 @@ class LineContrast:
             cv2.remap(light, p[chosen].astype(np.float32)[None], None, cv2.INTER_LINEAR).mean() for p in pixels
         )
         background = float(np.mean(pavement))
-        return abs(float(paint) - background) / max(background, DARKEST)
+        return (float(paint) - background) / max(background, DARKEST)
+
+
+def _width(inner: _Points, outer: _Points) -> NDArray[np.float64]:
+    """Width of a line across its direction in the picture, px, (n,); NaN behind the camera."""
+    if len(inner) < 2:
+        return np.zeros(len(inner))
+    along, across = np.gradient(inner, axis=0), outer - inner
+    return np.asarray(np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]) / np.hypot(*along.T))
 
 
 def _project(ground: _Points, state: VehicleState, camera: CameraSpec) -> _Points:
