@@ -41,8 +41,7 @@ def read_photographs(source: Path, *, limit: int | None = None) -> NDArray[np.ui
     """
     found: list[NDArray[np.uint8]] = []
     for name, image in read_images(source, limit):
-        if image.shape[1] > LARGEST_WIDTH:
-            image = resize(image, (round(image.shape[0] * LARGEST_WIDTH / image.shape[1]), LARGEST_WIDTH))
+        image = _reduced(image)
         if found and image.shape != found[0].shape:
             sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (found[0].shape, image.shape))
             raise Sim2RealError(f"{name}: photographs of {sizes} px, expected one size: sort them into folders by size")
@@ -78,6 +77,21 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
         raise Sim2RealError(f"{source} is a file: expected a tub, a bag, or a folder of photographs")
     files = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
     yield from map(_decoded, _even(files, limit))
+
+
+def read_photograph(file: Path) -> NDArray[np.uint8]:
+    """Read one photograph, as `read_photographs` does.
+
+    Raises:
+        Sim2RealError: it is damaged.
+    """
+    return _reduced(_decoded(file)[1])
+
+
+def _reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    if image.shape[1] <= LARGEST_WIDTH:
+        return image
+    return resize(image, (round(image.shape[0] * LARGEST_WIDTH / image.shape[1]), LARGEST_WIDTH))
 
 
 def _decoded(file: Path) -> tuple[str, NDArray[np.uint8]]:

@@ -127,6 +127,43 @@ def assess(folder: Path, real: Path, driver: str, ship_to: Path | None) -> Resul
     return Result(document=document, show=show)
 
 
+def reality(source: Path, generators: str, networks: list[str], *, whole: bool, trained_on: Path | None) -> Result:
+    """Correlate networks' steering on held-out photographs with the human's."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ds_driver.sim2real.evaluation.reality import agreements, matched_windows, read_human_drive
+    from ds_driver.sim2real.generator_file import load_generator
+    from ds_driver.sim2real.generator_set import open_set
+    from ds_driver.sim2real.window import Sim2RealError
+
+    if not networks:
+        raise Sim2RealError("no networks: name some, as in --drivers dave2,dave2_short")
+    loaded = [load_generator(file) for file in open_set(generators).files.values()]
+    photographed = read_human_drive(source, whole=whole)
+    windows = matched_windows(loaded, photographed, trained_on)
+    try:
+        found = agreements(networks, photographed, windows, loaded[0].shape.size, countdown())
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    document = {
+        "photographs": len(photographed.images),
+        "blocks": int(photographed.blocks[-1]) + 1,
+        "crops": {name: asdict(window) for name, window in windows.items()},
+        "networks": [asdict(agreement) for agreement in found],
+    }
+
+    def show() -> None:
+        table = Table("network", "r", "r, human smoothed", "beyond the first", *windows)
+        for one in found:
+            numbers = (one.correlation, one.smoothed, one.beyond_first)
+            cells = ("" if n is None else f"{n.value:.2f} ({n.low:.2f} to {n.high:.2f})" for n in numbers)
+            table.add_row(one.network, *cells, *(f"{value:.2f}" for value in one.windows.values()))
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
 @sim2real_app.command("train")
 def train_command(
     real: RealImages,
@@ -196,3 +233,22 @@ def translate_command(
 ) -> None:
     """Translate the images of a data set, bag or tub; the same format out."""
     answer(translate(source, out, generator, backend), as_json)
+
+
+@sim2real_app.command("reality")
+def reality_command(
+    source: Annotated[Path, typer.Argument(metavar="TUB", help="Tub of a human's drive, with photographs.")],
+    generators: Annotated[str, typer.Option(help="Shipped set or folder of generators, whose crops are used.")],
+    drivers: Annotated[str, typer.Option(help="Networks, separated by commas; others are compared with the first.")],
+    whole: Annotated[
+        bool, typer.Option("--whole", help="All of it instead of the last fifth, for a tub that no training used.")
+    ] = False,
+    trained_on: Annotated[
+        Path | None,
+        typer.Option(metavar="TUB", help="What the generators were trained on, if TUB is of another track."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Compare networks' steering on real photographs with the human's: correlation and 95 % interval."""
+    names = [name.strip() for name in drivers.split(",") if name.strip()]
+    answer(reality(source, generators, names, whole=whole, trained_on=trained_on), as_json)
