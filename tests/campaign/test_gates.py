@@ -146,6 +146,7 @@ def test_every_test_is_gated_where_that_is_asked_for(tmp_path: Path) -> None:
         ("UPDATE gates SET state='fine'", "state is 'fine'"),
         ("UPDATE gates SET outcome='SIM_ERROR'", "outcome is 'SIM_ERROR'"),
         ("UPDATE gates SET simulator='nonsense' WHERE simulator='donkey'", "gates of 'nonsense'"),
+        ("UPDATE gates SET state='infeasible' WHERE state='valid'", "where its gate excludes it"),
         ("INSERT INTO conditions VALUES ('donkey-0-9999', 'friction=0.5')", "conditions of 'donkey-0-9999'"),
     ],
 )

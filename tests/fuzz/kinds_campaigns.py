@@ -6,6 +6,7 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,13 @@ from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, read_config
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.evaluation.campaign_evaluation import maps_of
+from ds_orchestrator.evaluation.exclusions import excluded_table, exclusion_lines
 from ds_orchestrator.store.store import Store, StoreError
 from ds_road import RoadError
 from ds_road.files import read_roads
 from ds_sim.camera.jpeg import encode
+from ds_sim.gates import Gate, GateState
+from ds_sim.simulator import Outcome
 from ds_twin_donkey.parameter_file import ParameterFileError, read_parameters
 
 _CONFIG = """\
@@ -38,6 +42,8 @@ features: [turns_count, "minimum_radius:20"]
 seed: 7
 command_timeout: 10.0
 record: none
+conditions: visibility=80,friction=0.8
+gates: conditions
 """
 _ROADS = [
     [[125.0, 0.0], [125.0, 25.0], [125.0, 50.0], [135.0, 75.0], [120.0, 95.0]],
@@ -67,19 +73,23 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
 
 
 def _write_store(folder: Path) -> Path:
-    """Write a small campaign with errors, drives, notes and results."""
+    """Write a small campaign with conditions, gates, errors, drives, notes and results."""
     from report_campaigns import make_tests
 
     _text("config.yaml", _CONFIG)(folder)
     config = read_config(folder / "config.yaml")
     (folder / "config.yaml").unlink()
-    store = Store(folder / "campaign.sqlite", config=config.identity())
+    store = Store(folder / "campaign.sqlite", config=config.identity(), conditions=True)
     store.note("version numpy", "2")
     store.add_seconds("search", 12.5)
     for test, executions in make_tests(config, 3):
-        store.add_test(test)
-        for execution in executions:
+        store.add_test(replace(test, conditions=config.fixed_conditions))
+        for execution in executions[1:]:
             store.add_execution(execution)
+            store.add_gate(test.test_id, execution.simulator, Gate(state=GateState.VALID, outcome=Outcome.COMPLETED))
+        if executions:
+            gate = Gate(state=GateState.INFEASIBLE, message="too far", outcome=Outcome.OUT_OF_BOUNDS, line_contrast=0.7)
+            store.add_gate(test.test_id, executions[0].simulator, gate)
     store.add_search("bullet", 0, "deephyperion", 3)
     store.set_result("maps", 3)
     store.close()
@@ -96,7 +106,7 @@ def _damage_store(path: Path, rng: Rng) -> None:
     else:
         db = sqlite3.connect(path, isolation_level=None)
         db.execute("PRAGMA foreign_keys=OFF")
-        tables = ["about", "tests", "executions", "errors", "given_up", "searches", "results"]
+        tables = ["about", "tests", "executions", "errors", "given_up", "searches", "results", "gates", "conditions"]
         try:
             for _ in range(int(rng.integers(1, 4))):
                 _change_store(db, tables[int(rng.integers(len(tables)))], rng)
@@ -157,7 +167,7 @@ def _read_store(path: Path) -> object:
     store = Store(path)
     try:
         data = read_campaign(store)
-        return stages_of(data), maps_of(data)
+        return stages_of(data), maps_of(data), exclusion_lines(data), excluded_table(data).csv()
     finally:
         store.close()
 

@@ -383,7 +383,7 @@ class Store:
 
         Raises:
             StoreError: a row has another simulator, a run or number out of range, an execution without its test, or
-                an impossible value in one of the smaller tables.
+                an excluded test with an execution, or an impossible value in one of the smaller tables.
         """
         for read in (self.notes, self.errors, self.searches, self.results, self.given_up, self.gates, self._conditions):
             read()
@@ -403,6 +403,15 @@ class Store:
             )
             if lost:
                 raise self._file.damaged(f"{what} of {lost[0][0]!r:.60}, a test that does not exist")
+
+        if self.keeps_conditions:
+            both = self._file.ask(
+                "SELECT test_id FROM executions NATURAL JOIN (SELECT test_id, simulator FROM gates WHERE state != ?) "
+                "LIMIT 1",
+                (GateState.VALID.value,),
+            )
+            if both:
+                raise self._file.damaged(f"an execution of {both[0][0]!r:.60} where its gate excludes it")
 
     def execution(self, test_id: str, simulator: str) -> Execution | None:
         """The execution of a test on one simulator, or None if there is none yet."""
