@@ -235,7 +235,7 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
         ({"features": ["curvature", "curvature:2"]}, "expected two or three different ones"),
         ({"features": ["turns_count", "segment_count"]}, "the same number"),
         ({"migration": "some"}, "migration: some, expected one of all, elites"),
-        ({"sim2real": True}, "sim2real: sim-to-real translation is not available"),
+        ({"sim2real": True}, "sim2real: True: expected false, or a set of generators"),
         ({"workers": 0}, "workers: 0, expected at least 1"),
         ({"command_timeout": 0}, "command_timeout: 0, expected above 0"),
     ],

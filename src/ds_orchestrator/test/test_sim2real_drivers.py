@@ -17,7 +17,9 @@ from ds_driver.sim2real.generator_file import load_generator, save_generator
 from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.window import Window
+from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.engines.parcel import parcel_of
+from ds_orchestrator.evaluation.campaign_evaluation import network_of
 from ds_orchestrator.evaluation.open_loop import predict
 from ds_orchestrator.graph.process_specs import check_driver
 from ds_sim.camera.jpeg import encode
@@ -44,6 +46,16 @@ def test_a_simulator_without_a_generator_is_noticed_before_anything_is_driven(we
     with pytest.raises(DriverError, match="no generator for images of donkey"):
         check_driver(str(weights), ["bullet", "donkey"])
     check_driver(f"{weights}+none", ["bullet", "donkey"])
+
+
+def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
+    short = CampaignConfig(driver="dave2@onnx", sim2real="some/folder")  # type: ignore[arg-type]
+    assert short == CampaignConfig(driver="dave2+some/folder@onnx") and short.identity() != CampaignConfig().identity()
+    assert network_of(short) == ("dave2", "real") == network_of(CampaignConfig(driver=str(weights)))
+    assert network_of(CampaignConfig()) == ("dave2", "sim") == network_of(CampaignConfig(driver="dave2+none"))
+    for driver in ("autopilot", "dave2+other"):
+        with pytest.raises(ValueError, match="leave sim2real out"):
+            CampaignConfig(driver=driver, sim2real="some/folder")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("driver", ["{0}", "{0}@onnx", "dave2+{1}", "{0}+none", "dave2_short+{1}@onnx"])

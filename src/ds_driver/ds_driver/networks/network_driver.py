@@ -218,6 +218,17 @@ def generators_of(driver: str) -> GeneratorSet | None:
     return None if generators == NONE else open_set(generators)
 
 
+def sees_translated(driver: str) -> bool:
+    """Return whether a driver sees translated images, also where its files are missing and only its name says so."""
+    name, generators = split_generators(split_backend(driver)[0])
+    if generators:
+        return generators != "none"
+    try:
+        return bool(_is_weights(name) and generators_in(name))
+    except ValueError:
+        return False
+
+
 def _is_weights(name: str) -> bool:
     return name in {**NETWORKS, **shipped_networks()} or Path(name).suffix.lower() == ".safetensors"
 

@@ -120,8 +120,9 @@ class CampaignConfig(_Strict):
         siblings: names of the simulators that act as digital siblings, in order DS1, DS2, ...
         twin: name of the simulator that acts as the digital twin, or none.
         driver: `autopilot`, a network by name, weights file or description, or module:Class, as for `ds drive`; a
-            backend may follow, as in `dave2@onnx`.
-        sim2real: translate every image to a pseudo-real one before the network sees it.
+            backend may follow, as in `dave2@onnx`, and generators, as in `dave2+FOLDER`.
+        sim2real: generators that translate every image to a pseudo-real one before the network sees it: a shipped set,
+            a folder, or `none`; it becomes part of the driver's name. False: those that the driver names, if any.
         search: search on each sibling.
         maxitwo_compatible: reproduce the five known quirks of the authors' package (docs/method.md).
         lane: lane in which every road is driven, `right` or `left`.
@@ -174,12 +175,21 @@ class CampaignConfig(_Strict):
                 )
         return value
 
-    @field_validator("sim2real")
+    @model_validator(mode="before")
     @classmethod
-    def _no_model_yet(cls, value: bool) -> bool:
-        if value:
-            raise ValueError("sim-to-real translation is not available yet: expected false")
-        return value
+    def _with_generators(cls, values: Any) -> Any:
+        """Make the generators part of the driver's name, so that two ways to write a campaign give one campaign."""
+        if not isinstance(values, dict) or values.get("sim2real") in (None, False, ""):
+            return values
+        generators, driver = values["sim2real"], values.get("driver", "dave2")
+        if not isinstance(generators, str) or not isinstance(driver, str):
+            raise ValueError(f"sim2real: {generators!r:.60}: expected false, or a set of generators, by name or folder")
+        from ds_driver.networks.backends import split_backend
+        from ds_driver.networks.driver_name import split_generators, with_generators
+
+        if driver == "autopilot" or split_generators(split_backend(driver)[0])[1]:
+            raise ValueError(f"sim2real: {driver} names its generators or sees no images: leave sim2real out")
+        return {**values, "sim2real": False, "driver": with_generators(driver, generators)}
 
     @field_validator("conditions", mode="before")
     @classmethod

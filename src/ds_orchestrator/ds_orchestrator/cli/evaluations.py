@@ -79,11 +79,11 @@ def offline(
     trusted: Collection[str] = (),
 ) -> Result:
     """RQ1 of any network on any data set."""
-    from ds_orchestrator.evaluation.open_loop import architecture_of
+    from ds_orchestrator.evaluation.open_loop import architecture_of, kind_of
     from ds_orchestrator.evaluation.paper_tables import NETWORKS
 
     architecture = architecture_of(driver)
-    network: Network | None = (architecture, "sim") if architecture in NETWORKS else None
+    network: Network | None = (architecture, kind_of(driver)) if architecture in NETWORKS else None
     tables = _offline_tables(data, driver, siblings, twin, images, network, trusted)
     return tables_result(tables, out, everything=everything)
 

@@ -11,7 +11,7 @@ from typing import Any
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference, evaluate, paired_differences
-from ds_orchestrator.evaluation.open_loop import architecture_of
+from ds_orchestrator.evaluation.open_loop import architecture_of, kind_of
 from ds_orchestrator.evaluation.paper_tables import (
     NETWORKS,
     Network,
@@ -79,7 +79,7 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
 def network_of(config: CampaignConfig) -> Network | None:
     """Find the paper's heading for the configured network; None if the paper does not test it."""
     architecture = architecture_of(config.driver)
-    return (architecture, "real" if config.sim2real else "sim") if architecture in NETWORKS else None
+    return (architecture, kind_of(config.driver)) if architecture in NETWORKS else None
 
 
 def tables_of(

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,3 +220,10 @@ def architecture_of(network: str) -> str:
 
     network = split_generators(split_backend(network)[0])[0]
     return architecture_in(shipped_networks().get(network, Path(network)))
+
+
+def kind_of(network: str) -> Literal["sim", "real"]:
+    """Return which of the paper's networks one compares with: M_S for plain images, M_R for translated ones."""
+    from ds_driver.networks.network_driver import sees_translated
+
+    return "real" if sees_translated(network) else "sim"
