@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
-from report_campaigns import make_campaign, report_of
+from report_campaigns import make_campaign, make_tests, report_of
 
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
@@ -17,7 +18,10 @@ from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.map_id import MapId, compared_ids
 from ds_orchestrator.store.store import Store
+from ds_sim.conditions import Conditions
+from ds_sim.gates import Gate, GateState
 from ds_sim.registry import label_of
+from ds_sim.simulator import Outcome
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium")
@@ -344,3 +348,32 @@ def test_three_features_are_shown_slice_by_slice(browser: Browser, tmp_path: Pat
     report.page.wait_for_selector("[data-test]")
     assert report.complaints == []
     report.page.close()
+
+
+def test_tests_are_filtered_by_their_conditions(browser: Browser, tmp_path: Path) -> None:
+    config = CampaignConfig(siblings=["nowhere:A", "nowhere:B"], twin=None, conditions="visibility=60")
+    store = Store(tmp_path / "campaign.sqlite", config=config.identity(), conditions=True)
+    kinds = (Conditions(visibility=40.0), Conditions(visibility=200.0, friction=0.5))
+    for number, (test, driven) in enumerate(make_tests(config, 4, roads=1)):
+        store.add_test(replace(test, conditions=kinds[number % 2]))
+        store.add_execution(driven[0])
+        gate = Gate(state=GateState.INFEASIBLE, message="the autopilot ends stuck", outcome=Outcome.STUCK)
+        store.add_gate(test.test_id, "nowhere:B", gate)
+    opened, tests = Opened(browser, report_of(tmp_path, store)), store.tests()
+    assert opened.page.locator("#excluded li").all_inner_texts() == [
+        "nowhere:B: 8 of 8 gated tests enter no map: 8 infeasible"
+    ]
+    road = tests[0].road
+    opened.page.evaluate("place => { location.hash = place; }", f"#cell={road.turns_count}-{road.curvature_bin}")
+    opened.page.wait_for_selector(f'[data-test="{tests[0].test_id}"]')
+    assert sorted(opened.tests()) == [test.test_id for test in tests]
+    words = opened.page.locator("article.test").inner_text()
+    assert "Conditions visibility = " in words and "infeasible: the autopilot ends stuck" in words
+    field = opened.page.locator("#cell input[type=search]")
+    for terms, kept in (
+        ("visibility < 60", {kinds[0]}), ("visibility>60, friction=0.5", {kinds[1]}), ("fri", {kinds[1]}),
+        ("visibility < 60, friction", set()), ("fog", set()), ("", set(kinds)),
+    ):  # fmt: skip
+        field.fill(terms)
+        assert sorted(opened.tests()) == [test.test_id for test in tests if test.conditions in kept], terms
+    assert opened.complaints == []
