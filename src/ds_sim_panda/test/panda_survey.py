@@ -22,13 +22,14 @@ PIXEL = 0.05
 """Size of a pixel on the ground, m."""
 ROWS = 240
 """12 m across the road."""
-LUMINANCE = (0.2126, 0.7152, 0.0722)
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+_LIGHT = np.square(np.arange(256, dtype=np.float32) / 255.0)
 NOTHING: Mapping[str, Things] = {}
 
 
 def picture(
     height: float, conditions: Conditions = DEFAULT, *, seed: int = 1, scenery: Mapping[str, Things] = NOTHING
-) -> NDArray[np.float64]:
+) -> NDArray[np.float32]:
     """Linear picture from above the middle of the road, which spans twice the height along it, (ROWS, columns, 3)."""
     columns = round(2 * height / PIXEL)
     camera = CameraSpec(
@@ -37,22 +38,23 @@ def picture(
     scene = PandaScene(camera)
     with mock.patch.object(world, "place_scenery", return_value=scenery):
         scene.load(STRAIGHT, np.random.default_rng(seed), conditions)
-    return np.square(scene.still(pose(125.0, 100.0, 0.0), np.random.default_rng(1)) / 255.0)
+    return _LIGHT[scene.still(pose(125.0, 100.0, 0.0), np.random.default_rng(1))]
 
 
-def distances(height: float) -> NDArray[np.float64]:
+def distances(height: float) -> NDArray[np.float32]:
     """Distance from the camera to the ground at each pixel, m, (ROWS, columns)."""
     columns = round(2 * height / PIXEL)
     along = (np.arange(columns) - (columns - 1) / 2) * PIXEL
     across = (np.arange(ROWS) - (ROWS - 1) / 2) * PIXEL
-    return np.sqrt(along[None] ** 2 + across[:, None] ** 2 + height**2)
+    return np.sqrt(along[None] ** 2 + across[:, None] ** 2 + height**2).astype(np.float32)
 
 
 @cache
-def survey(conditions: Conditions = DEFAULT, *, seed: int = 1) -> NDArray[np.float64]:
+def survey(conditions: Conditions = DEFAULT, *, seed: int = 1) -> NDArray[np.float32]:
     """Light of the ground from y = 175 m (left) to 25 m, all of the road's length, without haze, (ROWS, 3000, 3)."""
     arrived = np.exp(-3.912 * distances(75.0) / VISIBILITY)[..., None]
-    return np.asarray((picture(75.0, conditions, seed=seed) - (1.0 - arrived) * HORIZON) / arrived)
+    scattered = (1.0 - arrived) * np.array(HORIZON, np.float32)
+    return np.asarray((picture(75.0, conditions, seed=seed) - scattered) / arrived)
 
 
 def row_of(x: float) -> int:

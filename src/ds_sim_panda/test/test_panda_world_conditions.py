@@ -23,7 +23,7 @@ LANES = [*range(row_of(128.7), row_of(125.3)), *range(row_of(124.7), row_of(121.
 """Rows between the lines."""
 
 
-def line_light(surveyed: NDArray[np.float64], x: float) -> NDArray[np.float64]:
+def line_light(surveyed: NDArray[np.float32], x: float) -> NDArray[np.float32]:
     """Contrast of a line in its red light against the pavement beside it, along the road."""
     row, beside = row_of(x), row_of(x + (0.5 if x < 126.0 else -0.5))
     return np.asarray(surveyed[row, :, 0] - surveyed[beside - 3 : beside + 4, :, 0].mean(axis=0))
