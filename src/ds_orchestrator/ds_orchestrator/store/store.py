@@ -195,9 +195,10 @@ class Store:
             self._file.ask("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
         known = self._file.ask("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,))[0][0]
         if known != road.road_id or self._conditions_text(test.test_id) != conditions:
+            what = "another road" if known != road.road_id else "other conditions"
             raise StoreError(
-                f"test {test.test_id} has another road or other conditions than when this campaign started: resume "
-                "with the version of ds that started it, or choose another --out"
+                f"test {test.test_id} has {what} than when this campaign started: resume with the version of ds that "
+                "started it, or choose another --out"
             )
 
     @property
