@@ -62,6 +62,7 @@ def cells_of(
             verdicts.get((test.test_id, test.sibling)),
             features=features,
             maxitwo_compatible=maxitwo_compatible,
+            conditions=test.conditions,
         )
         if cell is not None:
             cells[test.test_id] = cell

@@ -1,4 +1,4 @@
-"""Search algorithms for roads on which a driver fails (paper 3.3, algorithm 1); see `Search` for their interface."""
+"""Search algorithms for tests on which a driver fails (paper 3.3, algorithm 1); see `Search` for their interface."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from ds_orchestrator.search.base import Search, SearchSettings
+from ds_orchestrator.search.archive import Elite
+from ds_orchestrator.search.base import Candidate, Search, SearchSettings
 from ds_orchestrator.search.features import Cell
-from ds_road import MutationError, Road, mutate
+from ds_road import MutationError, mutate
 
 RANKED_SHARE = 0.5
 """Probability with which DeepHyperion-CS selects by rank, otherwise uniformly (DeepHyperion's package)."""
@@ -18,30 +19,38 @@ RANK_BIAS = 1.5
 
 
 class RandomSearch(Search):
-    """Random search, the baseline: draws every road as the other searches draw their initial population."""
+    """Random search, the baseline: draws every test as the other searches draw their initial population."""
 
-    def _next_road(self) -> Road:
-        return self._random_road()
+    def _next(self) -> Candidate:
+        return self._random()
 
 
 class DeepHyperion(Search):
     """DeepHyperion: mutates the elite of a cell that is drawn uniformly (paper 3.3, maxitwo)."""
 
-    def _next_road(self) -> Road:
+    def _next(self) -> Candidate:
         """Return a mutant; a cell whose elite has no valid mutant is skipped."""
         for cell in self._choices():
             try:
-                mutant = mutate(
-                    self.archive[cell].road,
-                    self._rng,
-                    extent=self._settings.extent,
-                    maxitwo_compatible=self._settings.maxitwo_compatible,
-                )
+                mutant = self._mutant(self.archive[cell])
             except MutationError:
                 continue
             self._parent = cell
             return mutant
-        return self._random_road()
+        return self._random()
+
+    def _mutant(self, elite: Elite) -> Candidate:
+        """Mutate a condition of an elite, or else its road."""
+        space = self._settings.conditions
+        if space and self._rng.random() < self._settings.mutate_conditions:
+            return Candidate(elite.road, space.mutated(elite.conditions, self._rng))
+        road = mutate(
+            elite.road,
+            self._rng,
+            extent=self._settings.extent,
+            maxitwo_compatible=self._settings.maxitwo_compatible,
+        )
+        return Candidate(road, elite.conditions)
 
     def _choices(self) -> Iterator[Cell]:
         """Yield the cells of the archive in the order in which to try them."""

@@ -6,21 +6,24 @@ from dataclasses import dataclass
 
 from ds_orchestrator.search.features import Cell
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 
 
 @dataclass(frozen=True, kw_only=True)
 class Elite:
-    """Road of a cell on which the driver failed first, or else the one with the lowest fitness.
+    """Test of a cell on which the driver failed first, or else the one with the lowest fitness.
 
     Attributes:
-        road: road of the cell.
-        fitness: smallest lateral distance on it, m.
-        failed: whether the driver failed on it.
+        road: road of the test.
+        fitness: smallest lateral distance on it, m, or what another objective says.
+        failed: whether the driver failed on it, or it is what another objective looks for.
+        conditions: operating conditions of the test.
     """
 
     road: Road
     fitness: float
     failed: bool
+    conditions: Conditions = DEFAULT
 
 
 class Archive(dict[Cell, Elite]):
@@ -38,15 +41,16 @@ class Archive(dict[Cell, Elite]):
         1.5
     """
 
-    def place(self, cell: Cell, road: Road, fitness: float, *, failed: bool) -> bool:
+    def place(self, cell: Cell, road: Road, fitness: float, *, failed: bool, conditions: Conditions = DEFAULT) -> bool:
         """Compete for a cell (paper 3.3): the lower fitness wins, and an elite on which the driver failed stays.
 
         Args:
             cell: cell of the feature map.
-            road: candidate.
+            road: road of the candidate.
             fitness: smallest lateral distance on the candidate, m.
             failed: whether the driver failed; a fitness below 0 always counts as a failure, and a car that stopped in
                 its lane failed as well.
+            conditions: operating conditions of the candidate.
 
         Returns:
             Whether the candidate is now the elite of the cell.
@@ -55,5 +59,5 @@ class Archive(dict[Cell, Elite]):
         elite = self.get(cell)
         placed = elite is None or (not elite.failed and (failed or fitness < elite.fitness))
         if placed:
-            self[cell] = Elite(road=road, fitness=fitness, failed=failed)
+            self[cell] = Elite(road=road, fitness=fitness, failed=failed, conditions=conditions)
         return placed

@@ -9,8 +9,10 @@ import numpy as np
 from scipy.special import softmax
 
 from ds_orchestrator.search.archive import Archive
+from ds_orchestrator.search.condition_space import ConditionSpace
 from ds_orchestrator.search.features import Cell, cell_of
 from ds_road import Road, Side, generate
+from ds_sim.conditions.model import DEFAULT, Conditions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +28,9 @@ class SearchSettings:
         maxitwo_compatible: behave as maxitwo does: one iteration more than configured, mutants whose spline ignores
             the first control point, and turns counted with its constants.
         lane: lane in which the roads are driven.
+        conditions: operating conditions to search, and those that are fixed; by default roads alone are searched, as in
+            the paper, with the same random numbers.
+        mutate_conditions: probability with which a mutation changes a condition, and not the road.
     """
 
     population: int = 20
@@ -35,6 +40,8 @@ class SearchSettings:
     extent: int = 6
     maxitwo_compatible: bool = False
     lane: Side = "right"
+    conditions: ConditionSpace = ConditionSpace()
+    mutate_conditions: float = 0.5
 
     @property
     def budget(self) -> int:
@@ -42,10 +49,23 @@ class SearchSettings:
         return self.population + self.iterations + self.maxitwo_compatible
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """Test that a search asks for.
+
+    Attributes:
+        road: road to drive.
+        conditions: operating conditions to drive it under.
+    """
+
+    road: Road
+    conditions: Conditions = DEFAULT
+
+
 class Search(ABC):
     """Base class of searches with an ask/tell interface, as in pyribs and Optuna.
 
-    `ask` returns the next road, the caller drives it in any way, and `tell` reports its fitness. The search owns no
+    `ask` returns the next road (`ask_test` the next road with its conditions), the caller drives it in any way, and `tell` reports its fitness. The search owns no
     simulator: what it asks for depends on its settings, the generator's seed and the reported outcomes alone.
     `archive` maps each cell of the feature map to its elite.
 
@@ -77,7 +97,7 @@ class Search(ABC):
         self._angles = np.arange(settings.min_angle, settings.max_angle + 1, 10)
         self._angle_weights = np.ones(len(self._angles))
         self._asked = 0
-        self._pending: Road | None = None
+        self._pending: Candidate | None = None
         self._parent: Cell | None = None
         self.archive = Archive()
 
@@ -92,10 +112,20 @@ class Search(ABC):
         return self._asked == self.budget and self._pending is None
 
     def ask(self) -> Road:
-        """Return the next road to drive.
+        """Return the next road to drive; `ask_test` does it for a search of conditions, too.
 
         Raises:
-            RuntimeError: the outcome of the last road is missing, or the budget is spent.
+            RuntimeError: the outcome of the last road is missing, the budget is spent, or conditions are searched.
+        """
+        if self._settings.conditions:
+            raise RuntimeError("this search has conditions, too: ask for a test, not for a road")
+        return self.ask_test().road
+
+    def ask_test(self) -> Candidate:
+        """Return the next test to drive: a road, and operating conditions.
+
+        Raises:
+            RuntimeError: the outcome of the last test is missing, or the budget is spent.
         """
         if self._pending is not None:
             raise RuntimeError("tell the fitness of the last road before asking for another one")
@@ -103,39 +133,44 @@ class Search(ABC):
             raise RuntimeError("the search is done: its budget is spent")
         self._parent = None
         starting = self._asked < self._settings.population or not self.archive
-        self._pending = self._random_road() if starting else self._next_road()
+        self._pending = self._random() if starting else self._next()
         self._asked += 1
         return self._pending
 
     def tell(self, fitness: float | None, *, failed: bool = False, cell: Cell | None = None) -> None:
-        """Report the outcome of the last road.
+        """Report the outcome of the last test.
 
         Args:
-            fitness: smallest lateral distance, m, or None if the execution ended in an error.
+            fitness: smallest lateral distance, m, or what another objective says (`search.objectives`); None if the
+                execution ended in an error.
             failed: whether the driver failed; see `Archive.place`.
             cell: cell of the feature map; computed from turns count and curvature if None.
 
         Raises:
             RuntimeError: no road was asked for.
         """
-        road = self._pending
-        if road is None:
+        test = self._pending
+        if test is None:
             raise RuntimeError("there is no road to tell about: ask for one first")
         self._pending = None
         if fitness is None:
             return
-        place = cell if cell is not None else cell_of(road, maxitwo_compatible=self._settings.maxitwo_compatible)
+        place = cell if cell is not None else cell_of(test.road, maxitwo_compatible=self._settings.maxitwo_compatible)
         assert place is not None
-        placed = self.archive.place(place, road, fitness, failed=failed)
+        placed = self.archive.place(place, test.road, fitness, failed=failed, conditions=test.conditions)
         self._learn(place, placed)
 
     @abstractmethod
-    def _next_road(self) -> Road:
-        """Return the next road after the initial population; the archive is not empty."""
+    def _next(self) -> Candidate:
+        """Return the next test after the initial population; the archive is not empty."""
 
     def _learn(self, cell: Cell, placed: bool) -> None:
         """Update state that a search keeps in addition to the archive; none by default."""
         return
+
+    def _random(self) -> Candidate:
+        """Draw a random test."""
+        return Candidate(self._random_road(), self._settings.conditions.draw(self._rng))
 
     def _random_road(self) -> Road:
         """Draw a random road; a drawn angle becomes less likely, so that the range is covered (maxitwo)."""

@@ -1,6 +1,6 @@
 """Features that span a feature map, by name, and the cell of a test (paper 3.3).
 
-Some features depend on the road alone, others on a run, which differs between simulators. The union of two maps needs
+Some features depend on the road or the conditions alone, others on a run, which differs between simulators. The union of two maps needs
 the same tests in the same cells (paper 3.4), so a test has one cell on all simulators: that of its run on the sibling
 whose search generated it. A test without that run has no cell yet and enters no map.
 """
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_road.features import direction_coverage, largest_lane_curvature, minimum_radius
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
+from ds_sim.conditions.scales import between, share_of
 
 Cell = tuple[int, ...]
 """Cell of a feature map: one bin index per feature."""
@@ -51,6 +53,8 @@ class Feature:
         of_road: computes the bin of a road; None for a feature of the run.
         of_road_maxitwo: the same as the authors' package computes it, where that differs.
         of_run: computes the bin of a run; None for a feature of the road.
+        of_conditions: computes the bin of operating conditions; None for any other feature.
+        edge: computes the lower edge of a bin of width 1; None where bins are of equal size `unit`.
         width: number of bins joined into one.
     """
 
@@ -60,15 +64,24 @@ class Feature:
     of_road: Callable[[Road], int] | None = None
     of_road_maxitwo: Callable[[Road], int] | None = None
     of_run: Callable[[Drive], int] | None = None
+    of_conditions: Callable[[Conditions], int | None] | None = None
+    edge: Callable[[int], float] | None = None
     width: int = 1
 
     def label(self, bin_: int) -> str:
         """Format the lower edge of a bin in the unit of the title: `0.17` for curvature 17."""
         begin = bin_ * self.width
+        if self.edge is not None:
+            return f"{self.edge(begin):.3g}"
         return str(begin) if self.unit == 1.0 else f"{begin * self.unit:.2f}"
 
-    def bin_of(self, road: Road, drive: Drive | None, *, maxitwo_compatible: bool) -> int | None:
-        """Compute the bin of a test; None if the feature needs a run and there is none."""
+    def bin_of(
+        self, road: Road, drive: Drive | None, *, maxitwo_compatible: bool, conditions: Conditions = DEFAULT
+    ) -> int | None:
+        """Compute the bin of a test; None if the feature needs a run, or a condition's value, and there is none."""
+        if self.of_conditions is not None:
+            bin_ = self.of_conditions(conditions)
+            return None if bin_ is None else bin_ // self.width
         of_road = self.of_road_maxitwo if maxitwo_compatible and self.of_road_maxitwo else self.of_road
         if of_road is not None:
             return of_road(road) // self.width
@@ -108,6 +121,12 @@ _ALL = (
     ),
     # Bins as wide as those of the curvature, so that the axes compare.
     Feature(
+        name="lane_curvature",
+        title="lane curvature, 1/m",
+        unit=0.01,
+        of_road=lambda road: int(100 * max(road.lane_curvature_max_right, road.lane_curvature_max_left)),
+    ),
+    Feature(
         name="lane_curvature_max_right",
         title="lane curvature to the right, 1/m",
         unit=0.01,
@@ -139,8 +158,34 @@ _ALL = (
         of_road_maxitwo=lambda road: road.turns_count_maxitwo,
     ),
 )
-FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in _ALL}
-"""Every feature by name: DeepHyperion's seven (paper 3.3 uses the first two), and the curvature of each lane."""
+
+
+def _of_condition(name: str) -> Feature:
+    """Axis of an operating condition: `CONDITION_BINS` bins over its whole range, of equal size on its scale."""
+    condition = FIELDS[name]
+
+    def bin_of(conditions: Conditions) -> int | None:
+        value = getattr(conditions, name)
+        if value is None:  # as the simulator has it, which differs between simulators
+            return None
+        share = share_of(name, condition.low, condition.high, value)
+        return min(int(CONDITION_BINS * share + _ROUNDING), CONDITION_BINS - 1)
+
+    return Feature(
+        name=name,
+        title=f"{name.replace('_', ' ')}{f', {condition.unit}' if condition.unit else ''}",
+        of_conditions=bin_of,
+        edge=lambda bin_: between(name, condition.low, condition.high, min(bin_ / CONDITION_BINS, 1.0)),
+    )
+
+
+CONDITION_BINS = 10
+"""Bins of a condition's range; chosen: as many as the curvature usually fills."""
+_ROUNDING = 1e-9
+"""Added before rounding down, so that the lower edge of a bin lies in it."""
+FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in (*_ALL, *map(_of_condition, FIELDS))}
+"""Every feature by name: DeepHyperion's seven (paper 3.3 uses the first two), the curvature of each lane, and every
+operating condition."""
 DEFAULT_FEATURES = ("turns_count", "curvature")
 """The paper's (3.3)."""
 
@@ -172,6 +217,7 @@ def cell_of(
     *,
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
+    conditions: Conditions = DEFAULT,
 ) -> Cell | None:
     """Compute the cell of a test.
 
@@ -180,13 +226,14 @@ def cell_of(
         drive: run on the sibling whose search generated the test; only features of the run need it.
         features: names of the features; see `feature_of`.
         maxitwo_compatible: count turns as the authors' package does.
+        conditions: operating conditions of the test.
 
     Returns:
         One bin per feature, or None if a feature needs the run and there is none.
     """
     cell = []
     for name in features:
-        bin_ = feature_of(name).bin_of(road, drive, maxitwo_compatible=maxitwo_compatible)
+        bin_ = feature_of(name).bin_of(road, drive, maxitwo_compatible=maxitwo_compatible, conditions=conditions)
         if bin_ is None:
             return None
         cell.append(bin_)
