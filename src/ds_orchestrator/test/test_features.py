@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.search.features import FEATURES, FeatureError, cell_of, feature_of
 from ds_road import Road, generate
+from ds_sim.conditions.model import Conditions
 
 STRAIGHT = Road([(125.0, 25.0 * k) for k in range(9)])
 
@@ -86,3 +88,21 @@ def test_maxitwo_compatible_counts_turns_with_its_own_constants() -> None:
     assert cells == [(road.turns_count_maxitwo, road.curvature_bin) for road in roads]
     assert cells != [cell_of(road) for road in roads]
     assert set(FEATURES) >= {"turns_count", "curvature"}
+
+
+def test_an_axis_of_a_condition_is_even_on_its_scale() -> None:
+    def bins(name: str, **values: float) -> int | None:
+        cell = cell_of(STRAIGHT, features=[name, "turns_count"], conditions=Conditions(**values))
+        return None if cell is None else cell[0]
+
+    assert [bins("line_contrast", line_contrast=v) for v in (0.0, 0.09, 0.1, 0.3, 1.0)] == [0, 0, 1, 3, 9]
+    # Even in the extinction of the air, 1 / V: 40 m is half of it, clear air none of it.
+    assert [bins("visibility", visibility=v) for v in (20.0, 40.0, 200.0, 1e6, math.inf)] == [0, 5, 9, 9, 9]
+    assert bins("exposure", exposure=1.0) == 5 and bins("line_contrast:5", line_contrast=0.6) == 1
+    assert [feature_of("visibility").label(k) for k in (0, 5, 10)] == ["20", "40", "inf"]
+    assert feature_of("line_contrast:5").label(1) == "0.5"
+    assert bins("pavement_reflectance") is None  # as each simulator has it: no value, no cell
+    lanes = [
+        cell_of(circle(20.0).in_lane(lane), features=["lane_curvature", "turns_count"]) for lane in ("right", "left")
+    ]
+    assert lanes == [(int(100 / 22), 1), (int(100 / 18), 1)]

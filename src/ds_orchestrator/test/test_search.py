@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import doctest
+import math
+from collections import Counter
 from types import ModuleType
 
 import numpy as np
@@ -10,11 +13,17 @@ import pytest
 
 from ds_orchestrator.search import archive as archive_module
 from ds_orchestrator.search import base as base_module
+from ds_orchestrator.search import features
 from ds_orchestrator.search.algorithms import SEARCHES, DeepHyperion, DeepHyperionCS, RandomSearch
 from ds_orchestrator.search.archive import Archive
-from ds_orchestrator.search.base import Search, SearchSettings
+from ds_orchestrator.search.base import Candidate, Search, SearchSettings
+from ds_orchestrator.search.condition_space import ConditionSpace, SearchedCondition
 from ds_orchestrator.search.features import Cell
+from ds_orchestrator.search.objectives import OBJECTIVES, Score
 from ds_road import Road, generate
+from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
+from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 
 SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=120)
 
@@ -240,3 +249,114 @@ def test_the_archive_keeps_the_elites_that_pyribs_keeps() -> None:
 def test_the_examples_in_the_docstrings_run(module: ModuleType) -> None:
     found = doctest.testmod(module)
     assert found.attempted > 3 and not found.failed
+
+
+SPACE = ConditionSpace((
+    SearchedCondition(name="line_contrast", low=0.05, high=1.0),
+    SearchedCondition(name="visibility", low=20.0, high=200.0, step=0.1),
+    SearchedCondition(name="camera_pitch", low=-0.1, high=0.05),
+), Conditions(payload=0.2))  # fmt: skip
+
+
+def fogged(kind: type[Search], seed: int) -> tuple[Search, list[Candidate]]:
+    settings = SearchSettings(population=8, iterations=60, min_angle=60, max_angle=120, conditions=SPACE)
+    search, tests = kind(settings, np.random.default_rng(seed)), []
+    while not search.done:
+        tests.append(search.ask_test())
+        contrast = tests[-1].conditions.line_contrast
+        cell = features.cell_of(
+            tests[-1].road, features=["curvature", "line_contrast"], conditions=tests[-1].conditions
+        )
+        search.tell(fitness_of(tests[-1].road) + contrast, cell=cell)
+    return search, tests
+
+
+@pytest.mark.parametrize("kind", SEARCHES.values())
+def test_a_search_of_conditions_is_replayed_and_stays_in_range(kind: type[Search]) -> None:
+    search, tests = fogged(kind, 5)
+    again, same = fogged(kind, 5)
+    assert tests == same and search.archive == again.archive and tests != fogged(kind, 6)[1]
+    for test in tests:
+        for one in SPACE.searched:
+            assert one.low <= getattr(test.conditions, one.name) <= one.high
+        assert set(test.conditions.changed) <= {"payload", *(one.name for one in SPACE.searched)}
+        assert test.conditions.payload == 0.2
+    for cell, elite in search.archive.items():
+        assert cell[1] == min(int(10 * elite.conditions.line_contrast + 1e-9), 9)
+    with pytest.raises(RuntimeError, match="ask for a test"):
+        kind(SearchSettings(conditions=SPACE), np.random.default_rng(1)).ask()
+
+
+def test_a_mutation_changes_the_road_or_one_condition() -> None:
+    _, tests = fogged(DeepHyperion, 7)
+    kinds = Counter()  # type: ignore[var-annotated]
+    for index, test in enumerate(tests[8:], start=8):
+        changes = []
+        for parent in tests[:index]:
+            names = {n for n in FIELDS if getattr(parent.conditions, n) != getattr(test.conditions, n)}
+            changes.append((parent.road != test.road, len(names)))
+        closest = min(changes, key=sum)
+        assert closest in ((True, 0), (False, 1))
+        kinds[closest] += 1
+    assert all(count > 10 for count in kinds.values()) and len(kinds) == 2
+
+
+def test_conditions_that_are_not_searched_draw_no_random_numbers() -> None:
+    """The paper's search asks for the same roads, whatever conditions are fixed."""
+    _, plain = run(3)
+    search = DeepHyperion(dataclasses.replace(SETTINGS, conditions=ConditionSpace(())), np.random.default_rng(3))
+    fixed = ConditionSpace((), Conditions(visibility=60.0))
+    foggy = DeepHyperion(dataclasses.replace(SETTINGS, conditions=fixed), np.random.default_rng(3))
+    for road in plain:
+        test = foggy.ask_test()
+        assert search.ask() == test.road == road and test.conditions.visibility == 60.0
+        search.tell(fitness_of(road))
+        foggy.tell(fitness_of(road))
+
+
+def test_steps_are_within_a_share_of_the_scale_and_reflected() -> None:
+    rng = np.random.default_rng(2)
+    fog = SearchedCondition(name="visibility", low=20.0, high=200.0, step=0.1)
+    steps = [1.0 / fog.mutated(50.0, rng) - 1.0 / 50.0 for _ in range(400)]
+    assert 0.9 < max(map(abs, steps)) / (0.1 * (1 / 20 - 1 / 200)) <= 1.0 + 1e-9  # even in the extinction of the air
+    ends = [fog.mutated(20.0, rng) for _ in range(400)]
+    assert len(set(ends)) == 400 and min(ends) >= 20.0  # not held at the end
+    drawn = [fog.draw(rng) for _ in range(400)]
+    assert abs(np.mean([1.0 / value for value in drawn]) - (1 / 20 + 1 / 200) / 2) < 0.002
+
+
+@pytest.mark.parametrize(
+    ("searched", "fixed", "problem"),
+    [
+        ([("rain", 0.0, 1.0)], {}, "unknown condition 'rain'"),
+        ([("visibility", 20.0, math.inf)], {}, "finite range within 20 or more m"),
+        ([("friction", 0.5, 0.2)], {}, "within 0.1 to 1"),
+        ([("friction", 0.2, 0.5), ("friction", 0.2, 0.6)], {}, "searched twice"),
+        ([("friction", 0.2, 0.5)], {"friction": 0.3}, "fixed and searched"),
+        ([("shadow_depth", 0.0, 0.5)], {}, "give shadow_density too"),
+    ],
+)
+def test_ranges_that_cannot_be_searched_are_refused(
+    searched: list[tuple[str, float, float]], fixed: dict[str, float], problem: str
+) -> None:
+    with pytest.raises(ConditionsError, match=problem):
+        ConditionSpace(tuple(SearchedCondition(name=n, low=a, high=b) for n, a, b in searched), Conditions(**fixed))
+
+
+def test_objectives_score_what_they_look_for() -> None:
+    def driven(lateral: float) -> RunRecord:
+        lane = LaneState(
+            lateral_position=lateral, lateral_distance=2.0 - abs(lateral), preview_lateral_position=0.0, arc_length=0.0
+        )
+        state = VehicleState(x=0.0, y=0.0, yaw=0.0, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
+        outcome = Outcome.OUT_OF_BOUNDS if abs(lateral) > 2.0 else Outcome.COMPLETED
+        seen = Observation(image=NO_IMAGE, step=0, time=0.0, vehicle=state, lane=lane, outcome=outcome)
+        return RunRecord(road=generate(np.random.default_rng(1)), seed=0, observations=[seen], outcome=outcome)
+
+    runs = {"bullet": driven(-0.5), "softbody": driven(1.75), "panda": driven(2.25)}
+    assert OBJECTIVES["lateral_distance"].score(runs) == Score(1.5, found=False)
+    assert OBJECTIVES["lateral_distance"].score({"panda": runs["panda"]}) == Score(-0.25, found=True)
+    assert OBJECTIVES["boundary"].score(runs) == Score(0.25, found=False)
+    assert OBJECTIVES["disagreement"].score(runs) == Score(0.5, found=True)
+    del runs["panda"]
+    assert OBJECTIVES["disagreement"].score(runs) == Score(0.75, found=False)

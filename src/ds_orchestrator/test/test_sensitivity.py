@@ -15,6 +15,7 @@ from ds_orchestrator.sensitivity import analysis, measurement
 from ds_orchestrator.sensitivity.bisection import Bracket, first_failure
 from ds_orchestrator.sensitivity.factors import LEVELS, Factor, all_factors, factors_named
 from ds_orchestrator.sensitivity.measurement import (
+    GATE,
     MOST_SEGMENTS,
     TESTED,
     RoadResult,
@@ -74,7 +75,7 @@ def test_on_a_road_that_is_not_monotone_failing_begins_at_the_result() -> None:
 
 def made_up(driver: list[float], autopilot: float = math.inf) -> measurement.Fails:
     """Drivers that fail from a steering lag on, the tested one from another lag on each road."""
-    return lambda who, road, conditions: conditions.steering_lag >= (autopilot if who == AUTOPILOT else driver[road])
+    return lambda who, road, conditions: conditions.steering_lag >= (driver[road] if who == TESTED else autopilot)
 
 
 def test_the_median_road_decides_and_the_roads_span_the_interval() -> None:
@@ -99,8 +100,25 @@ def test_never_always_and_infeasible_are_told_apart() -> None:
     assert (bound.verdict, bound.text, bound.fails) == ("infeasible", "infeasible from 0.5", None)
     assert [road.feasible for road in bound.roads] == [7, 7, 7]
     below = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.3] * 3, autopilot=0.5)))
-    assert (below.verdict, below.fails, below.infeasible) == ("fails", 5, 8)
+    assert (below.verdict, below.fails, below.excluded) == ("fails", 5, 8)
     assert threshold_of("bullet", LAG, (), "sim_error: diverged").verdict == "error"
+
+
+def test_a_failure_where_nobody_sees_the_lines_is_not_the_drivers() -> None:
+    (contrast,) = factors_named(["line_contrast"])
+    driven: list[str] = []
+
+    def drivers(tested: float, visible: float) -> measurement.Fails:
+        def fails(who: str, _road: int, conditions: Conditions) -> bool:
+            driven.append(who)
+            return conditions.line_contrast < {TESTED: tested, GATE: visible}[who]
+
+        return fails
+
+    judged = threshold_of("bullet", contrast, measure(contrast, 1, drivers(tested=0.5, visible=0.2)))
+    assert (judged.verdict, judged.text) == ("fails", "0.438") and driven.count(GATE) == 1
+    blind = threshold_of("bullet", contrast, measure(contrast, 3, drivers(tested=0.2, visible=0.5)))
+    assert (blind.verdict, blind.text, blind.fails) == ("lines invisible", "lines invisible from 0.438", None)
 
 
 def test_the_autopilot_drives_only_where_the_vehicle_changes() -> None:
@@ -156,7 +174,10 @@ def test_an_analysis_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytes
             outcome = Outcome.SIM_ERROR
         else:
             outcome = Outcome.OUT_OF_BOUNDS if drive.conditions.steering_lag > 0.3 else Outcome.COMPLETED
-        return RunRecord(road=drive.road, seed=drive.seed, conditions=drive.conditions, outcome=outcome)
+        seen = [1.0] if drive.probed else []
+        return RunRecord(
+            road=drive.road, seed=drive.seed, conditions=drive.conditions, outcome=outcome, line_contrasts=seen
+        )
 
     monkeypatch.setattr(kept_drives, "run_drive", make_up)
     monkeypatch.setattr(kept_drives, "driver_sha256", lambda driver: "0")

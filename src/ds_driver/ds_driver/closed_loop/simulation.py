@@ -35,6 +35,7 @@ class Drive:
         road: road to drive.
         seed: seed of the run.
         conditions: operating conditions of the run.
+        probed: measure the contrast of the lines; see `ds_sim.gates`.
     """
 
     simulator: str
@@ -42,6 +43,7 @@ class Drive:
     road: Road
     seed: int
     conditions: Conditions = DEFAULT
+    probed: bool = False
 
 
 def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
@@ -139,5 +141,5 @@ def run_drive(drive: Drive) -> RunRecord:
         driver = _steered_by(network, simulator.spec)
         rows = network.rows_seen(crop, camera.height_px, simulator.spec.name) or (0, camera.height_px)
     if isinstance(simulator, DrawsRows):
-        simulator.draw_rows(*rows)
-    return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions)
+        simulator.draw_rows(*(rows if not drive.probed else (0, camera.height_px)))
+    return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions, probed=drive.probed)

@@ -13,10 +13,12 @@ from ds_orchestrator.maps.campaign_maps import MapPlan
 from ds_orchestrator.maps.merge_operators import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.base import SearchSettings
+from ds_orchestrator.search.condition_space import STEP, ConditionSpace, SearchedCondition
 from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, feature_of
+from ds_orchestrator.search.objectives import OBJECTIVES
 from ds_road import Side
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
-from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.registry import SIMULATORS
 
@@ -27,6 +29,9 @@ MOST_WORKERS = 64
 """Chosen: each worker is four processes or more."""
 MOST_NAMES = 20
 """Siblings or operators; chosen: each pair of siblings adds a map."""
+USUAL_AXES = ("line_contrast", "visibility", "veiling_luminance")
+"""Conditions that become the second axis of the maps if they are searched, in this order; chosen: they decide
+whether lines are seen. The first one is the curvature of the driven lane."""
 
 RENAMED_KEYS = {"published": "maxitwo_compatible", "operators.quality": "operators.quality_loss"}
 """Key of an earlier version, still accepted -> present name."""
@@ -46,6 +51,20 @@ def _one_of(value: str, allowed: Any, what: str) -> str:
     return value
 
 
+class SearchedConditionConfig(_Strict):
+    """Operating condition that a search varies.
+
+    Attributes:
+        low: smallest value.
+        high: largest value.
+        step: largest mutation, as a share of the range on the condition's scale.
+    """
+
+    low: float
+    high: float
+    step: float = STEP
+
+
 class SearchConfig(_Strict):
     """Search on each sibling (paper 4.2.4: DeepHyperion, population 20, iterations 150, 5 runs).
 
@@ -58,6 +77,10 @@ class SearchConfig(_Strict):
         min_angle: degrees, smallest maximum angle of random roads.
         max_angle: degrees, largest maximum angle of random roads.
         extent: m, largest displacement of a control point.
+        conditions: operating conditions to search beside roads, by name; none is the paper's search.
+        mutate_conditions: probability with which a mutation changes a condition, and not the road.
+        objective: what is looked for: `lateral_distance`, the paper's fitness; `boundary`, tests whose largest lateral
+            position is that of the lane's edge on some sibling; or `disagreement`, tests on which the siblings differ.
     """
 
     method: str = "deephyperion"
@@ -67,6 +90,14 @@ class SearchConfig(_Strict):
     min_angle: Annotated[int, Field(ge=1, le=360)] = 100
     max_angle: Annotated[int, Field(ge=1, le=360)] = 300
     extent: Annotated[int, Field(ge=1, le=25)] = 6
+    conditions: dict[str, SearchedConditionConfig] = {}
+    mutate_conditions: Annotated[float, Field(ge=0, le=1)] = 0.5
+    objective: str = next(iter(OBJECTIVES))
+
+    @field_validator("objective")
+    @classmethod
+    def _known_objective(cls, value: str) -> str:
+        return _one_of(value, OBJECTIVES, "objective")
 
     @field_validator("method")
     @classmethod
@@ -79,10 +110,18 @@ class SearchConfig(_Strict):
             raise ValueError(f"min_angle {self.min_angle} is above max_angle {self.max_angle}")
         return self
 
-    def settings(self, *, maxitwo_compatible: bool = False, lane: Side = "right") -> SearchSettings:
+    def space(self, fixed: Conditions) -> ConditionSpace:
+        """Conditions to search, beside fixed ones."""
+        searched = [SearchedCondition(name=name, **one.model_dump()) for name, one in self.conditions.items()]
+        return ConditionSpace(tuple(searched), fixed)
+
+    def settings(
+        self, *, maxitwo_compatible: bool = False, lane: Side = "right", fixed: Conditions = DEFAULT
+    ) -> SearchSettings:
         """Hyper-parameters of one run."""
-        own = self.model_dump(exclude={"runs", "method"})
-        return SearchSettings(**own, maxitwo_compatible=maxitwo_compatible, lane=lane)
+        own = self.model_dump(exclude={"runs", "method", "conditions", "objective"})
+        space = self.space(fixed)
+        return SearchSettings(**own, maxitwo_compatible=maxitwo_compatible, lane=lane, conditions=space)
 
 
 class OperatorsConfig(_Strict):
@@ -217,6 +256,33 @@ class CampaignConfig(_Strict):
             raise ValueError(f"twin: {self.twin} is a sibling too, expected another simulator, or none")
         return self
 
+    @model_validator(mode="before")
+    @classmethod
+    def _axes_of_conditions(cls, raw: Any) -> Any:
+        """Choose the default axes of a search of conditions: curvature, and the first of the usual conditions."""
+        search = raw.get("search") if isinstance(raw, dict) else None
+        searched = search.get("conditions") if isinstance(search, dict) else None
+        if not isinstance(searched, dict) or not searched or "features" in raw:
+            return raw
+        axes = [name for name in (*USUAL_AXES, *FIELDS) if name in searched]
+        return {**raw, "features": ["lane_curvature", axes[0]]} if axes else raw
+
+    @model_validator(mode="after")
+    def _conditions_that_can_be(self) -> CampaignConfig:
+        self.search.space(self.fixed_conditions)
+        for name in (feature.partition(":")[0] for feature in self.features):
+            if name in FIELDS and name not in self.search.conditions:
+                raise ValueError(f"features: {name} is not searched, expected it among search.conditions")
+        if OBJECTIVES[self.search.objective].everywhere:
+            wrong = ["migration of elites alone"] if self.elites_only else []
+            wrong += ["one sibling"] if len(self.siblings) < 2 else []
+            if wrong:
+                raise ValueError(
+                    f"search.objective: {self.search.objective} drives every test on every sibling during the search: "
+                    f"expected two siblings or more and migration: all, not {', '.join(wrong)}"
+                )
+        return self
+
     @property
     def simulators(self) -> list[str]:
         """Siblings, then the twin if there is one."""
@@ -230,7 +296,7 @@ class CampaignConfig(_Strict):
     @property
     def has_gates(self) -> bool:
         """Whether tests may have conditions or gates."""
-        return bool(self.conditions) or self.gates == "all"
+        return bool(self.conditions) or bool(self.search.conditions) or self.gates == "all"
 
     @property
     def elites_only(self) -> bool:
@@ -240,7 +306,9 @@ class CampaignConfig(_Strict):
     @property
     def settings(self) -> SearchSettings:
         """Hyper-parameters of one search run."""
-        return self.search.settings(maxitwo_compatible=self.maxitwo_compatible, lane=self.lane)
+        return self.search.settings(
+            maxitwo_compatible=self.maxitwo_compatible, lane=self.lane, fixed=self.fixed_conditions
+        )
 
     @property
     def executions_at_most(self) -> int:
@@ -265,16 +333,23 @@ class CampaignConfig(_Strict):
 
         Defaults of later keys are left out: campaigns of versions that knew no others have the same text.
         """
-        lane = {"lane"} if self.lane == "right" else set()
-        return self.model_dump_json(exclude={"engine", "workers"} | lane | self._unset())
+        lane = {"lane": True} if self.lane == "right" else {}
+        return self.model_dump_json(exclude={"engine": True, "workers": True, **lane, **self._unset()})
 
     def shown(self) -> dict[str, Any]:
-        """Every key as a report shows it; conditions and gates only where they are set."""
+        """Every key as a report shows it; conditions, gates and objective only where they are set."""
         return self.model_dump(exclude=self._unset())
 
-    def _unset(self) -> set[str]:
+    def _unset(self) -> dict[str, Any]:
         later = {"conditions": "", "gates": "conditions"}
-        return {key for key, default in later.items() if getattr(self, key) == default}
+        default = SearchConfig()
+        of_search = {
+            key
+            for key in ("conditions", "mutate_conditions", "objective")
+            if getattr(self.search, key) == getattr(default, key)
+        }
+        unset: dict[str, Any] = {key: True for key, value in later.items() if getattr(self, key) == value}
+        return {**unset, "search": of_search} if of_search else unset
 
 
 def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:

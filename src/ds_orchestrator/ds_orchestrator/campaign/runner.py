@@ -25,6 +25,7 @@ from ds_orchestrator.campaign.gatekeeper import GateDriver, GateError, Gatekeepe
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import cell_of
+from ds_orchestrator.search.objectives import OBJECTIVES
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.store import Execution, Store, Test
 from ds_road import Road
@@ -119,6 +120,7 @@ class Campaign:
         self._executor = executor
         self._listener = listener
         self._namespaces = namespaces
+        self._objective = OBJECTIVES[config.search.objective]
         self._gatekeeper = Gatekeeper(config, store, gate_driver)
         self._stop = threading.Event()
         self._lock = threading.Lock()
@@ -139,7 +141,7 @@ class Campaign:
         """
         config = self._config
         own = config.search.runs * config.settings.budget
-        search = dict.fromkeys(config.siblings, own)
+        search = dict.fromkeys(config.siblings, own * len(self._searched_on(config.siblings[0])))
         everything = own * len(config.siblings)
         self._listener.expect([search, {name: everything - search.get(name, 0) for name in config.simulators}])
         self._listener.stage("search")
@@ -155,7 +157,9 @@ class Campaign:
             raise
         tests = self._store.tests()
         chosen = self._migrated(tests)
-        foreign = {name: [test for test in chosen if test.sibling != name] for name in config.simulators}
+        foreign = {
+            name: [test for test in chosen if name not in self._searched_on(test.sibling)] for name in config.simulators
+        }
         self._listener.expect([search, {name: len(migrated) for name, migrated in foreign.items()}])
         self._listener.stage("migration and twin" if config.twin else "migration")
         # Every test runs on the siblings that did not generate it (paper 3.4), all of them on the twin (paper 3.6).
@@ -214,26 +218,40 @@ class Campaign:
         search = SEARCHES[config.search.method](config.settings, np.random.default_rng(seed))
         for number in range(search.budget):
             test_id = f"{label_of(sibling)}-{run}-{number:04d}"
-            road = search.ask()
+            candidate = search.ask_test()
             test_seed = _seed(config.seed, "test", test_id)
             test = Test(
                 test_id=test_id,
                 sibling=sibling,
                 run=run,
                 number=number,
-                road=road,
+                road=candidate.road,
                 seed=test_seed,
-                conditions=config.fixed_conditions,
+                conditions=candidate.conditions,
             )
             self._store.add_test(test)
-            execution = self._execute(test, sibling)
-            if execution is None:
+            executions = {name: self._execute(test, name) for name in self._searched_on(sibling)}
+            without_outcome = any(execution is None for execution in executions.values())
+            if without_outcome:
                 self._store.give_up(test_id)
-            if not isinstance(execution, Execution) or test_id in self._given_up:
+            driven = {name: e for name, e in executions.items() if isinstance(e, Execution)}
+            if sibling not in driven or without_outcome or test_id in self._given_up:
                 search.tell(None)
-            else:
-                cell = cell_of(road, execution, features=config.features, maxitwo_compatible=config.maxitwo_compatible)
-                search.tell(execution.fitness, failed=execution.outcome.is_failure, cell=cell)
+                continue
+            cell = cell_of(
+                test.road,
+                driven[sibling],
+                features=config.features,
+                maxitwo_compatible=config.maxitwo_compatible,
+                conditions=test.conditions,
+            )
+            score = self._objective.score(driven)
+            search.tell(score.fitness, failed=score.found, cell=cell)
+
+    def _searched_on(self, sibling: str) -> list[str]:
+        """Simulators on which the search of a sibling drives its tests, that sibling first."""
+        others = [name for name in self._config.siblings if name != sibling] if self._objective.everywhere else []
+        return [sibling, *others]
 
     def _check_stop(self) -> None:
         if self._stop.is_set():

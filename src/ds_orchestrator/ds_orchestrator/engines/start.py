@@ -11,6 +11,7 @@ from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.gatekeeper import GateDriver
 from ds_orchestrator.campaign.runner import Executor
 from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.search.objectives import OBJECTIVES
 
 
 def check_engine(config: CampaignConfig, cluster: ClusterOptions, *, attach: bool) -> None:
@@ -20,6 +21,11 @@ def check_engine(config: CampaignConfig, cluster: ClusterOptions, *, attach: boo
         ConfigError: an option does not go with the engine.
         ds_orchestrator.engines.cluster.ClusterError: the cluster's options do not go together.
     """
+    if config.engine == "graph" and OBJECTIVES[config.search.objective].everywhere:
+        raise ConfigError(
+            f"search.objective: {config.search.objective} drives a test on several simulators at once, which the "
+            "engine graph does not: expected engine: local or dask"
+        )
     if attach and config.engine != "graph":
         raise ConfigError(f"engine: {config.engine} starts no nodes: leave out --attach, or set it to graph")
     if attach and config.workers > 1:

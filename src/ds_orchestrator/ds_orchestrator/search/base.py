@@ -65,9 +65,9 @@ class Candidate:
 class Search(ABC):
     """Base class of searches with an ask/tell interface, as in pyribs and Optuna.
 
-    `ask` returns the next road (`ask_test` the next road with its conditions), the caller drives it in any way, and `tell` reports its fitness. The search owns no
-    simulator: what it asks for depends on its settings, the generator's seed and the reported outcomes alone.
-    `archive` maps each cell of the feature map to its elite.
+    `ask` returns the next road (`ask_test` the next road with its conditions), the caller drives it in any way, and
+    `tell` reports its fitness. The search owns no simulator: what it asks for depends on its settings, the generator's
+    seed and the reported outcomes alone. `archive` maps each cell of the feature map to its elite.
 
     A search with a synthetic fitness:
 

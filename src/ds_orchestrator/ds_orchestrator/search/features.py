@@ -1,8 +1,8 @@
 """Features that span a feature map, by name, and the cell of a test (paper 3.3).
 
-Some features depend on the road or the conditions alone, others on a run, which differs between simulators. The union of two maps needs
-the same tests in the same cells (paper 3.4), so a test has one cell on all simulators: that of its run on the sibling
-whose search generated it. A test without that run has no cell yet and enters no map.
+Some features depend on the road or the conditions alone, others on a run, which differs between simulators. The union
+of two maps needs the same tests in the same cells (paper 3.4), so a test has one cell on all simulators: that of its
+run on the sibling whose search generated it. A test without that run has no cell yet and enters no map.
 """
 
 from __future__ import annotations

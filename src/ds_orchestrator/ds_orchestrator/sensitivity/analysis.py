@@ -11,7 +11,16 @@ from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_driver.process_pool import map_in_processes
 from ds_orchestrator.evaluation.table import Column, Table, Value
 from ds_orchestrator.sensitivity.factors import Factor
-from ds_orchestrator.sensitivity.measurement import SEGMENTS, Task, candidate_roads, do, is_applicable, tasks_of
+from ds_orchestrator.sensitivity.measurement import (
+    GATE,
+    SEGMENTS,
+    TESTED,
+    Task,
+    candidate_roads,
+    do,
+    is_applicable,
+    tasks_of,
+)
 from ds_orchestrator.sensitivity.thresholds import Threshold, coverage, threshold_of
 from ds_orchestrator.siblings.kept_drives import check_settings
 from ds_road import Road
@@ -97,7 +106,7 @@ class Sensitivity:
             first, last = values["interval"]
             rows.append([
                 one.factor.name, one.factor.unit, one.factor.end, one.simulator, one.verdict, values["first_fails"],
-                first, last, values["completes"], values["autopilot_fails"], one.withstood, len(one.roads),
+                first, last, values["completes"], values["excluded_from"], one.withstood, len(one.roads),
             ])  # fmt: skip
         return Table(
             name="sensitivity_values",
@@ -106,7 +115,7 @@ class Sensitivity:
                 Column("condition"), Column("unit"), Column("hardest", "number"), Column("simulator"),
                 Column("verdict"), Column("first fails", "number"), Column("first road fails", "number"),
                 Column("last road fails", "number"), Column("completes", "number"),
-                Column("autopilot fails", "number"), Column("share of range", "number"), Column("roads", "count"),
+                Column("excluded from", "number"), Column("share of range", "number"), Column("roads", "count"),
             ],
             rows=rows,
         )  # fmt: skip
@@ -143,8 +152,8 @@ def analyse_sensitivity(
         ds_orchestrator.siblings.kept_drives.KeptDrivesError: the folder holds drives of another driver.
     """
     if folder is not None:
-        check_settings(folder / "driver", driver, simulators, say)
-        check_settings(folder / AUTOPILOT, AUTOPILOT, simulators, say)
+        for kind, named in ((TESTED, driver), (AUTOPILOT, AUTOPILOT), (GATE, AUTOPILOT)):
+            check_settings(folder / kind, named, simulators, say)
     candidates = tuple(candidate_roads(roads, seed, segments=segments))
     chosen = _choose(driver, simulators, candidates, roads, workers, folder, say)
     enough = {name: of for name, of in chosen.items() if len(of) == roads}

@@ -1,4 +1,4 @@
-"""Measures on each road the level of one factor at which a driver first fails, as far as the autopilot completes."""
+"""Measures on each road the level of one factor at which a driver first fails, as far as it can be judged by that."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ds_orchestrator.sensitivity.factors import LEVELS, Factor
 from ds_orchestrator.siblings.kept_drives import run_kept
 from ds_road import Road, generate
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.gates.gate import gate_of
 from ds_sim.oracle import OracleLimits
 from ds_sim.registry import spec_of
 
@@ -33,8 +34,9 @@ CANDIDATES = 3
 fail."""
 
 Fails = Callable[[str, int, Conditions], bool]
-"""Whether a driver (`autopilot` or the one under test) fails on the road of a number under conditions."""
-TESTED = "tested"
+"""Whether a driver (`autopilot` or `TESTED`) fails on the road of a number under conditions; `GATE`: whether no driver
+can be judged there, as the autopilot fails or the lines are invisible (`ds_sim.gates`)."""
+TESTED, GATE = "tested", "gate"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +44,8 @@ class RoadResult:
     """One factor on one road.
 
     Attributes:
-        feasible: highest level that the autopilot completes; the driver is not tested above it.
+        feasible: highest level by which the driver can be judged: the autopilot completes it, and the lines are visible
+            where the driver would fail.
         completes: highest level that the driver completes below `fails`.
         fails: next level, at which it fails; None if it completes `feasible`.
     """
@@ -129,8 +132,9 @@ def choose_roads(count: int, needed: int, fails: Fails) -> tuple[int, ...]:
 def measure(factor: Factor, roads: int, fails: Fails) -> tuple[RoadResult, ...]:
     """Bisect a factor on each road.
 
-    The autopilot knows the road and sees no picture: where a factor changes pictures alone, its drive is the one that
-    it completed under default conditions.
+    Where a factor moves the vehicle, levels that the autopilot does not complete are not driven. The autopilot sees no
+    picture: where a factor changes pictures alone, its drive is the one that it completed under default conditions, but
+    the lines may be invisible; that is measured at the level at which the driver fails, and below it if they are.
 
     Args:
         factor: what is varied.
@@ -149,6 +153,9 @@ def measure(factor: Factor, roads: int, fails: Fails) -> tuple[RoadResult, ...]:
     for road in range(roads):
         feasible = bracket(AUTOPILOT, road, LEVELS).completes if factor.moves_vehicle else LEVELS
         found = bracket(TESTED, road, feasible)
+        if not factor.moves_vehicle and found.fails is not None and fails(GATE, road, factor.conditions(found.fails)):
+            feasible = bracket(GATE, road, found.completes).completes
+            found = Bracket(feasible, None)
         results.append(RoadResult(feasible=feasible, completes=found.completes, fails=found.fails))
     return tuple(results)
 
@@ -166,14 +173,14 @@ def do(task: Task) -> TaskResult:
 
 def _fails(task: Task, driver: str, number: int, conditions: Conditions) -> bool:
     road, seed = task.roads[number]
-    named = AUTOPILOT if driver == AUTOPILOT else task.driver
-    drive = Drive(task.simulator, named, road, seed, conditions)
-    folder = None if task.folder is None else task.folder / (AUTOPILOT if named == AUTOPILOT else "driver")
+    named = task.driver if driver == TESTED else AUTOPILOT
+    drive = Drive(task.simulator, named, road, seed, conditions, probed=driver == GATE)
+    folder = None if task.folder is None else task.folder / driver
     run = run_drive(drive) if folder is None else run_kept(folder, drive)
     if not run.outcome.is_verdict:
         message = f": {run.message}" if run.message else ""
         raise DriverError(f"{task.simulator}, road {road.road_id}, seed {seed}: {run.outcome.name.lower()}{message}")
-    return run.outcome.is_failure
+    return run.outcome.is_failure if driver != GATE else not gate_of(run).is_valid
 
 
 def tasks_of(

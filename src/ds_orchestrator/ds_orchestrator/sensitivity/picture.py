@@ -18,7 +18,7 @@ def draw_sensitivity(found: Sensitivity) -> Picture:
     """Draw one group of bars for each factor, one bar for each simulator.
 
     A bar reaches to the strength at which the median road fails; a thin line spans the roads. A hollow bar has no
-    failure in its end: hollow to the hardest value, or to where the autopilot fails.
+    failure in its end: hollow to the hardest value, or to where no driver can be judged.
 
     Returns:
         (rows, columns, 3) uint8 RGB.

@@ -12,10 +12,13 @@ import numpy as np
 from ds_orchestrator.sensitivity.factors import LEVELS, Factor
 from ds_orchestrator.sensitivity.measurement import RoadResult
 
-Verdict = Literal["fails", "completes", "infeasible", "not applicable", "fails by default", "error"]
+Verdict = Literal[
+    "fails", "completes", "infeasible", "lines invisible", "not applicable", "fails by default", "error"
+]  # fmt: skip
 """fails: on the median road; completes: it does not, up to the hardest value; infeasible: it does not as far as the
-autopilot completes, which is not up to there; not applicable: the simulator cannot realise the condition; fails by
-default: too few roads are completed without any condition; error: a drive ended in an error."""
+autopilot completes, which is not up to there; lines invisible: nor as far as the lines are visible; not applicable: the
+simulator cannot realise the condition; fails by default: too few roads are completed without any condition; error: a
+drive ended in an error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +51,8 @@ class Threshold:
         return (levels[0], levels[-1]) if levels else (None, None)
 
     @property
-    def infeasible(self) -> int | None:
-        """Lowest level at which the autopilot fails on at least half of the roads; the driver is not tested there."""
+    def excluded(self) -> int | None:
+        """Lowest level by which the driver cannot be judged on at least half of the roads."""
         return _median([None if road.feasible == LEVELS else road.feasible + 1 for road in self.roads])
 
     @property
@@ -57,18 +60,19 @@ class Threshold:
         """Share of the range up to the failure of the median road, or as far as it was tested; None without roads."""
         if not self.roads:
             return None
-        return (self.fails or self.infeasible or LEVELS) / LEVELS
+        return (self.fails or self.excluded or LEVELS) / LEVELS
 
     @property
     def text(self) -> str:
         """What was found, in a few words: the value at which the driver first fails, and the values of all roads."""
         if self.verdict == "fails" and self.fails:
             values = [_plain(self.factor.value(level)) if level else "never" for level in self.interval]
-            return f"{_plain(self.factor.value(self.fails))} ({' to '.join(dict.fromkeys(values))})"
+            median = _plain(self.factor.value(self.fails))
+            return median if values == [median, median] else f"{median} ({' to '.join(dict.fromkeys(values))})"
         if self.verdict == "completes":
             return "no failure"
-        if self.verdict == "infeasible" and self.infeasible:
-            return f"infeasible from {_plain(self.factor.value(self.infeasible))}"
+        if self.verdict in ("infeasible", "lines invisible") and self.excluded:
+            return f"{self.verdict} from {_plain(self.factor.value(self.excluded))}"
         return self.verdict
 
     def document(self) -> dict[str, Any]:
@@ -84,14 +88,14 @@ class Threshold:
             "first_fails": self._value(self.fails),
             "interval": [self._value(first), self._value(last)],
             "completes": None if not self.fails else self._value(self.fails - 1),
-            "autopilot_fails": self._value(self.infeasible),
+            "excluded_from": self._value(self.excluded),
             "share_of_range": self.withstood,
             "message": self.message,
             "roads": [
                 {
                     "completes": self._value(road.completes),
                     "fails": self._value(road.fails),
-                    "autopilot_fails": None if road.feasible == LEVELS else self._value(road.feasible + 1),
+                    "excluded_from": None if road.feasible == LEVELS else self._value(road.feasible + 1),
                 }
                 for road in self.roads
             ],
@@ -108,7 +112,9 @@ def threshold_of(simulator: str, factor: Factor, roads: Sequence[RoadResult], er
         return replace(found, verdict="error")
     if found.fails is not None:
         return replace(found, verdict="fails")
-    return found if found.infeasible is None else replace(found, verdict="infeasible")
+    if found.excluded is None:
+        return found
+    return replace(found, verdict="infeasible" if factor.moves_vehicle else "lines invisible")
 
 
 def coverage(roads: int) -> float:

@@ -1,0 +1,82 @@
+"""Campaigns whose search varies conditions, or looks for something else than the paper's; made-up drives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
+from tests.campaign.test_gates import GatedExecutor, run
+
+from ds_orchestrator.campaign.campaign_data import read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
+from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.engines.start import check_engine
+from ds_orchestrator.evaluation.campaign_evaluation import maps_of
+
+SEARCHED = {"line_contrast": {"low": 0.1, "high": 0.9}, "visibility": {"low": 20.0, "high": 200.0, "step": 0.5}}
+
+
+def config_of(**search: Any) -> CampaignConfig:
+    raw = json.loads(CONFIG.identity())
+    return parse_config({**raw, "engine": "local", "search": {**raw["search"], **search}}, "here")
+
+
+@pytest.mark.parametrize("objective", ["lateral_distance", "disagreement"])
+def test_a_stopped_search_of_conditions_goes_on_and_ends_the_same(tmp_path: Path, objective: str) -> None:
+    config = config_of(population=3, iterations=4, objective=objective)
+    raw = json.loads(config.identity())
+    del raw["features"]
+    raw["search"]["conditions"] = SEARCHED
+    config = parse_config({**raw, "engine": "local"}, "here")
+    assert config.features == ["lane_curvature", "line_contrast"]
+    executor = GatedExecutor()
+    _, undisturbed = run(tmp_path / "whole", executor, config)
+    first, second = GatedExecutor(runs=5), GatedExecutor()
+    run(tmp_path / "parts", first, config)[1].close()
+    _, store = run(tmp_path / "parts", second, config)
+    assert maps_text(store) == maps_text(undisturbed)
+    assert sorted(first.roads + second.roads) == sorted(executor.roads)
+    data = read_campaign(store)
+    conditions = [test.conditions for test in data.tests]
+    assert len(set(conditions)) > len(conditions) / 2
+    assert all(0.1 <= one.line_contrast <= 0.9 and 20.0 <= one.visibility <= 200.0 for one in conditions)
+    cells = {cell for feature_map in maps_of(data).values() for cell in feature_map.cells}
+    assert {cell[1] for cell in cells} <= set(range(1, 10)) and len({cell[1] for cell in cells}) > 1
+    # Each test is driven on each simulator at which it is valid, whatever the order.
+    assert {(e.test_id, e.simulator) for e in data.executions} == {k for k, gate in data.gates.items() if gate.is_valid}
+    assert len(data.gates) == len(data.tests) * len(config.simulators)
+
+
+def test_a_search_without_conditions_has_the_text_of_earlier_versions() -> None:
+    assert set(json.loads(CONFIG.identity())["search"]) == {
+        "method", "population", "iterations", "runs", "min_angle", "max_angle", "extent",
+    }  # fmt: skip
+    assert "objective" in json.loads(config_of(objective="boundary").identity())["search"]
+
+
+@pytest.mark.parametrize(
+    ("raw", "problem"),
+    [
+        ({"search": {"conditions": {"rain": {"low": 0.0, "high": 1.0}}}}, "unknown condition 'rain'"),
+        ({"search": {"conditions": {"visibility": {"low": 5.0, "high": 50.0}}}}, "expected a finite range within 20"),
+        ({"search": {"conditions": SEARCHED}, "conditions": "visibility=40"}, "visibility is fixed and searched"),
+        ({"features": ["curvature", "visibility"]}, "visibility is not searched"),
+        ({"search": {"objective": "fame"}}, "expected one of lateral_distance, boundary, disagreement"),
+        ({"search": {"objective": "boundary"}, "migration": "elites"}, "migration: all, not migration of elites"),
+        ({"search": {"objective": "boundary"}, "siblings": [DONKEYS[0]]}, "not one sibling"),
+        ({"search": {"conditions": {"visibility": {"low": 20.0}}}}, "search.conditions.visibility.high"),
+    ],
+)
+def test_a_search_that_cannot_be_is_refused(raw: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem) as refused:
+        parse_config(raw, "here")
+    assert "\n" not in str(refused.value)
+
+
+def test_nodes_drive_one_simulator_each_and_not_whole_objectives() -> None:
+    config = config_of(objective="boundary").model_copy(update={"engine": "graph"})
+    with pytest.raises(ConfigError, match="expected engine: local or dask"):
+        check_engine(config, ClusterOptions(), attach=False)
