@@ -19,7 +19,8 @@ import numpy as np
 from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
-from ds_driver.networks.weights import SHIPPED, load_weights
+from ds_driver.networks.weights import SHIPPED, generators_in, load_weights
+from ds_driver.sim2real.generator_set import FOLDER, shipped_set_of
 from ds_orchestrator.evaluation.open_loop import Answers, predict
 from ds_sim.registry import SIMULATORS
 
@@ -27,8 +28,11 @@ PAPER = {
     "dave2": {"mean_squared_error": 0.08, "success": 0.84},
     "chauffeur": {"mean_squared_error": 0.07, "success": 0.72},
     "epoch": {"mean_squared_error": 0.09, "success": 0.52},
+    "dave2_real": {"mean_squared_error": 0.07, "success": 0.96},
+    "chauffeur_real": {"mean_squared_error": 0.07, "success": 0.92},
+    "epoch_real": {"mean_squared_error": 0.07, "success": 0.96},
 }
-"""Paper, Table 1, networks for plain images, on the twin; steering is in [-1, 1] there, too."""
+"""Paper, Table 1, on the twin, networks for plain and for translated images; steering is in [-1, 1] there, too."""
 
 
 def main() -> None:
@@ -47,6 +51,10 @@ def main() -> None:
     manifest = json.loads((arguments.data / "manifest.json").read_text())
     offline = json.loads((arguments.offline / "manifest.json").read_text())
     training = json.loads((arguments.training / "training.json").read_text())
+    generators = generators_in(str(weights))
+    shipped_set = shipped_set_of(generators) if generators else None
+    if generators and shipped_set is None:
+        sys.exit(f"the generators of {weights} are not shipped: put them into {SHIPPED / FOLDER}/NAME first")
     roads = roads_both_ways(arguments.roads, arguments.seed)
     trained_on = road_ids(arguments.data)
     overlap = sorted(trained_on & ({road.road_id for road in roads} | road_ids(arguments.offline)))
@@ -76,9 +84,11 @@ def main() -> None:
             "offline": offline["plan"]["seed"],
             "assessment": arguments.seed,
         },
+        "sim2real": {"set": shipped_set, "generators": generators} if generators else None,
         "commands": [
-            f"./ds collect --out data --roads {collection['roads']} --every {collection['every']}"
-            f" --seed {collection['seed']}",
+            f"./ds collect --out {'plain' if generators else 'data'} --roads {collection['roads']}"
+            f" --every {collection['every']} --seed {collection['seed']}",
+            *([f"./ds sim2real translate plain --generator {shipped_set} --out data"] if generators else []),
             f"./ds collect --out offline --roads {offline['plan']['roads']} --seed {offline['plan']['seed']}",
             f"./ds train --data data --out training --network {arguments.network} --epochs {plan['epochs']}"
             f" --seed {plan['seed']} --learning-rate {plan['learning_rate']:g} --threads {plan['threads']}"

@@ -31,6 +31,7 @@ from ds_driver.networks.preprocessing import Crop
 from ds_driver.networks.received import received_driver
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import architecture_in, generators_in, load_weights
+from ds_driver.sim2real import generator_set
 from ds_driver.sim2real.evaluation.reality import agreements, matched_windows, read_human_drive
 from ds_driver.sim2real.generator_file import load_generator, save_generator
 from ds_driver.sim2real.generator_set import FOLDER
@@ -154,6 +155,21 @@ def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> N
     pilot = load_pilot(str(folder / "real.safetensors"))
     with pytest.raises(DriverError, match="does not name its simulator"):
         pilot.predict(replace(frames(1)[0], simulator=None))
+
+
+def test_a_shipped_set_is_found_by_its_name_and_by_a_networks_generators(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generator_set, "SHIPPED", tmp_path / "models")
+    network = tmp_path / "moved.safetensors"
+    network.write_bytes((folder / "real.safetensors").read_bytes())
+    digests = generators_in(str(network))
+    assert generator_set.shipped_set_of(digests) is None
+    shutil.copytree(folder / FOLDER, tmp_path / "models" / FOLDER / "track")
+    assert generator_set.shipped_set_of(digests) == "track" and list(generator_set.shipped_sets()) == ["track"]
+    by_name, by_network = generators_of("dave2+track"), generators_of(str(network))
+    assert by_name is not None and by_network is not None and by_name.files == by_network.files
+    by_network.check(WINDOWS)
 
 
 def test_another_generator_is_another_driver(folder: Path, tmp_path: Path) -> None:

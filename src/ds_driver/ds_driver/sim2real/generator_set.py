@@ -86,6 +86,15 @@ def shipped_sets() -> dict[str, Path]:
     return {path.name: path for path in sorted((SHIPPED / FOLDER).glob("*")) if _files_in(path)}
 
 
+def shipped_set_of(digests: Mapping[str, str]) -> str | None:
+    """Return the shipped set that holds generators, simulator -> SHA-256; None if none holds all."""
+    for name, folder in shipped_sets().items():
+        files = _files_in(folder)
+        if all(label in files and _sha256(files[label]) == d for label, d in _by_label(digests).items()):
+            return name
+    return None
+
+
 def open_set(name: str) -> GeneratorSet:
     """Open a set of generators.
 
@@ -131,7 +140,11 @@ def set_of_network(name: str, weights: Path, digests: Mapping[str, str]) -> Gene
                 f"to {beside}/{label}.safetensors"
             )
         found[label] = match
-    return GeneratorSet(name, found, {label_of(simulator): digest for simulator, digest in digests.items()})
+    return GeneratorSet(name, found, _by_label(digests))
+
+
+def _by_label(digests: Mapping[str, str]) -> dict[str, str]:
+    return {label_of(simulator): digest for simulator, digest in digests.items()}
 
 
 def _files_in(folder: Path) -> dict[str, Path]:
