@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from contextlib import closing
 from pathlib import Path
@@ -17,7 +16,6 @@ from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.folder import open_store
 from ds_orchestrator.campaign.road_selection import roads_of
 from ds_orchestrator.campaign.runner import trajectory_sha256
-from ds_orchestrator.cli.campaigns import status
 from ds_orchestrator.run import run_campaign
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.gates import GateState, gate_of
@@ -31,7 +29,7 @@ CONFIG = parse_config(
         "driver": "autopilot",
         "engine": "local",
         "seed": 7,
-        "search": {"population": 2, "iterations": 0, "runs": 1, "min_angle": 40, "max_angle": 90},
+        "search": {"population": 1, "iterations": 0, "runs": 1, "min_angle": 40, "max_angle": 90},
         "conditions": TEXT,
     },
     "test",
@@ -87,23 +85,3 @@ def test_the_report_shows_them_and_resuming_drives_nothing(folder: Path, data: C
     before = (folder / "report.html").stat().st_mtime_ns
     assert run_campaign(CONFIG, folder).executions == len(data.executions)
     assert (folder / "report.html").stat().st_mtime_ns == before
-
-
-def test_excluded_tests_are_shown_apart(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The lines of a second campaign are nowhere to be seen."""
-    out = folder.parent / "unseen"
-    outcome = run_campaign(CONFIG.model_copy(update={"conditions": "line_contrast=0"}), out)
-    assert outcome.executions == outcome.executions_in_error == 0
-    found = status(out)
-    assert found.document["excluded"] == {"donkey": {"out_of_odd": 2}}
-    assert [s["state"] for s in found.document["stages"]] == ["done"] * 4
-    found.show()
-    line = "donkey: 2 of 2 gated tests enter no map: 2 out of the operational design domain"
-    assert line in capsys.readouterr().out and line in outcome.report.read_text()
-    with (out / "evaluation" / "excluded_tests.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["state"] for row in rows] == ["out of the operational design domain"] * 2
-    assert all(
-        float(row["line contrast at the start"]) < 0.05 and row["conditions"] == "line_contrast=0" for row in rows
-    )
-    assert {tuple(road["excluded"].items()) for road in roads_of(out)} == {(("donkey", "out_of_odd"),)}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import sqlite3
+from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +17,12 @@ from tests.campaign.test_campaign import CONFIG, DONKEYS, SPACES, maps_text
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, parse_config
 from ds_orchestrator.campaign.folder import store_of
+from ds_orchestrator.campaign.road_selection import roads_of
 from ds_orchestrator.campaign.runner import Campaign, Stopped
 from ds_orchestrator.campaign.status import stages_of
+from ds_orchestrator.cli.campaigns import status
 from ds_orchestrator.evaluation.campaign_evaluation import maps_of
+from ds_orchestrator.evaluation.exclusions import excluded_table
 from ds_orchestrator.run import SilentListener, run_campaign
 from ds_orchestrator.store.store import Store, StoreError
 from ds_road import Road
@@ -87,6 +92,27 @@ def test_only_valid_tests_are_driven_and_the_others_enter_no_map(tmp_path: Path)
     driving = [stage for stage in stages_of(data) if stage.failures is not None]
     assert all(stage.state == "done" for stage in driving)
     assert sum(stage.excluded for stage in driving) == 16 - len(valid)
+
+
+def test_excluded_tests_are_shown_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, store = run(tmp_path / "a", GatedExecutor())
+    data = read_campaign(store)
+    excluded = {key: gate.state.value for key, gate in data.gates.items() if not gate.is_valid}
+    counts = {name: Counter(state for (_, n), state in excluded.items() if n == name) for name in DONKEYS}
+    found = status(tmp_path / "a")
+    assert found.document["excluded"] == counts
+    found.show()
+    shown = capsys.readouterr().out
+    for name, of in counts.items():
+        line = f"{name}: {of.total()} of 8 gated tests enter no map: {of['infeasible']} infeasible, "
+        assert f"{line}{of['out_of_odd']} out of the operational design domain" in shown
+    rows = list(csv.DictReader(excluded_table(data).csv().splitlines()))
+    assert {(row["test"], row["simulator"]): row["state"] for row in rows} == {
+        key: state.replace("out_of_odd", "out of the operational design domain") for key, state in excluded.items()
+    }
+    assert {row["conditions"] for row in rows} == {"visibility=60"}
+    states = {(road["test_id"], n): s for road in roads_of(tmp_path / "a") for n, s in road.get("excluded", {}).items()}
+    assert states == excluded
 
 
 @pytest.mark.parametrize("stop_after", [0, 2])
