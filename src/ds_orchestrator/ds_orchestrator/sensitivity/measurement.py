@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -184,7 +184,7 @@ def _fails(task: Task, driver: str, number: int, conditions: Conditions) -> bool
 
 
 def tasks_of(
-    driver: str, roads: dict[str, Sequence[tuple[Road, int]]], factors: Sequence[Factor], folder: Path | None
+    driver: str, roads: Mapping[str, Sequence[tuple[Road, int]]], factors: Sequence[Factor], folder: Path | None
 ) -> list[Task]:
     """Every factor on every simulator that realises it, in the order of the factors."""
     return [
