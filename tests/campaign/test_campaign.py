@@ -30,6 +30,7 @@ from ds_orchestrator.run import SilentListener
 from ds_orchestrator.store.store import Execution, Store, StoreError, Test
 from ds_road import Road
 from ds_sim.conditions import DEFAULT, Conditions
+from ds_sim.gates.gate import Gate
 from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -83,7 +84,7 @@ def test_what_is_finished_survives_a_kill(tmp_path: Path, count: int) -> None:
     class Killer(SilentListener):
         left = count
 
-        def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+        def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
             self.left -= 1
             if not self.left:
                 os.kill(os.getpid(), signal.SIGKILL)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ds_orchestrator.campaign.stage_timer import StageTimer, seconds_of
 from ds_orchestrator.store.store import Execution, Store, Test
+from ds_sim.gates.gate import Gate
 
 
 class Silent:
@@ -21,7 +22,7 @@ class Silent:
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         self.told.append(stages)
 
-    def finished(self, test: Test, simulator: str, execution: Execution | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         self.told.append(simulator)
 
 
