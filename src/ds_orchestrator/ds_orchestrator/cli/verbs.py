@@ -84,7 +84,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "sim2real",
                 "sim2real",
                 "Make simulated images look like photographs of a real track.",
-                ("train", "show", "assess", "translate"),
+                ("train", "show", "assess", "translate", "reality"),
             ),
             Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
         ),
