@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The tests in parallel, one worker per core, and the linters beside them; arguments go to pytest (`-n 0`: one process).
+# The tests in parallel, one worker per core and one more, as many tests wait for processes; at most four. The linters run
+# beside them. Arguments go to pytest (`-n 0`: one process).
 # Tests marked `long` run only when asked for: `make test-long`, or ARGS="-m long".
 set -euo pipefail
 cd "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")/.."
@@ -10,7 +11,8 @@ linters=$!
 . .venv/env.sh
 # Files stay whole, as their tests share graphs; conftest.py puts the longest files first.
 status=0
-python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations=25 "$@" || status=$?
+workers=$(nproc)
+python -m pytest -n $((workers < 4 ? workers + 1 : 4)) --dist loadfile --no-loadscope-reorder --durations=25 "$@" || status=$?
 wait "$linters" || { linted=$?; [[ $status -ne 0 ]] || status=$linted; }
 echo "linters (tools/lint.sh):"
 cat "$findings"
