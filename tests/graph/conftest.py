@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -50,6 +51,7 @@ def join() -> Iterator[Callable[..., None]]:
 
     yield start
     rclpy.try_shutdown()
+    gc.collect()  # entities in a reference cycle keep the participant, and with it shared memory of its domain
 
 
 @pytest.fixture

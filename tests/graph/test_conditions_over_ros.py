@@ -96,6 +96,7 @@ def test_loaded_conditions_hold_for_the_goal_that_brings_no_road(graph: Any, joi
         answer = load(Condition(name=bad, value=9.0))
         assert not answer.accepted and answer.reason.value == Reason.BAD_GOAL and named in answer.message
     run = wait(wait(action.send_goal_async(DriveRoad.Goal())).get_result_async()).result
+    action.destroy()
     node.destroy_node()
     assert messages.conditions_from_messages(run.conditions) == OF_GOAL
     columns = (run.trajectory.x, run.trajectory.y, run.trajectory.yaw, run.trajectory.speed)
