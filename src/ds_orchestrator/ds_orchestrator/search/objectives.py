@@ -30,7 +30,7 @@ class Driven(Protocol):
 
 @dataclass(frozen=True)
 class Score:
-    """What a search is told about a test.
+    """Score of a test, as a search learns it.
 
     Attributes:
         fitness: lower is better, m; below 0 only where `found`.
