@@ -1,8 +1,8 @@
 """Ships a trained network with ds_driver, with a card on its training data and performance.
 
 `python tools/ship_network.py --data DATA --offline DATA2 --training DIR [--network dave2] [--name NAME] [--roads 25]
-[--seed 424242]` drives roads not seen in training on every simulator in both directions, compares the network with the
-autopilot on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
+[--seed 424242] [--eight-bit]` drives roads not seen in training on every simulator in both directions, compares the
+network with the autopilot on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
+from ds_driver.networks.eight_bit import compress
 from ds_driver.networks.weights import SHIPPED, generators_in, load_weights
 from ds_driver.sim2real.generator_set import FOLDER, shipped_set_of
 from ds_orchestrator.evaluation.open_loop import Answers, predict
@@ -45,9 +46,12 @@ def main() -> None:
     parser.add_argument("--name", help="name to ship it under; that of the architecture if omitted")
     parser.add_argument("--roads", type=int, default=25)
     parser.add_argument("--seed", type=int, default=424242)
+    parser.add_argument("--eight-bit", action="store_true", help="store, and assess, large layers in 8 bits")
     arguments = parser.parse_args()
     name = arguments.name or arguments.network
     weights = arguments.training / f"{arguments.network}.safetensors"
+    if arguments.eight_bit:
+        compress(weights, weights)
     manifest = json.loads((arguments.data / "manifest.json").read_text())
     offline = json.loads((arguments.offline / "manifest.json").read_text())
     training = json.loads((arguments.training / "training.json").read_text())
@@ -95,7 +99,7 @@ def main() -> None:
             + (f" --images {plan['images_per_simulator']}" if plan["images_per_simulator"] else ""),
             f"python tools/ship_network.py --data data --offline offline --training training --network"
             f" {arguments.network}{f' --name {name}' if arguments.name else ''} --roads {arguments.roads}"
-            f" --seed {arguments.seed}",
+            f" --seed {arguments.seed}{' --eight-bit' if arguments.eight_bit else ''}",
         ],
         "training": plan,
         "seconds": round(sum(epoch["seconds"] for epoch in history)),

@@ -13,11 +13,12 @@ import torch
 from safetensors.torch import save_file
 
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
+from ds_driver.networks.eight_bit import compress
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.preprocessing import Crop, ImageError, prepare
 from ds_driver.networks.torch_networks import FastDropout, disable_dropout, load_network, make_network, save_weights
-from ds_driver.networks.weights import Weights, WeightsError, load_weights, shipped_networks
+from ds_driver.networks.weights import Weights, WeightsError, generators_in, load_weights, shipped_networks
 from ds_sim.registry import SIMULATORS
 
 
@@ -50,6 +51,38 @@ def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
             network(image).item(), abs=1e-3
         )
     assert not list(tmp_path.glob("*.partial"))
+
+
+def test_eight_bits_halve_the_file_and_keep_the_steering(tmp_path: Path) -> None:
+    whole, small = tmp_path / "whole.safetensors", tmp_path / "small.safetensors"
+    torch.manual_seed(1)
+    save_weights(make_network("epoch"), whole, architecture="epoch", generators={"bullet": "0" * 64})
+    layers = compress(whole, small)
+
+    assert small.stat().st_size < 0.52 * whole.stat().st_size
+    assert generators_in(str(small)) == {"bullet": "0" * 64}
+    before, after = (load_weights(str(path)).tensors for path in (whole, small))
+    assert set(after) == set(before)
+    for key, value in before.items():
+        # Rounding moves a weight by half a step of its row at most.
+        step = np.abs(value).max(axis=1, keepdims=True) / 127 if key in layers else np.zeros(1)
+        assert (np.abs(after[key] - value) <= 0.5001 * step).all()
+    images = torch.rand(8, 3, 160, 320) * 255
+    with torch.inference_mode():
+        steering = [load_network(str(path))(images) for path in (whole, small)]
+    assert torch.allclose(*steering, atol=2e-3)
+
+
+@pytest.mark.parametrize("missing", ["scale", "matrix"])
+def test_integers_without_scales_for_their_rows_are_refused(tmp_path: Path, missing: str) -> None:
+    tensors = {key: torch.zeros(shape) for key, shape in NETWORKS["chauffeur"].shapes().items()}
+    key = next(key for key, value in tensors.items() if (value.ndim == 2) == (missing == "scale"))
+    tensors[key] = tensors[key].to(torch.int8)
+    if missing == "matrix":
+        tensors[key + ".scale"] = torch.ones(tensors[key].shape[0])
+    save_file(tensors, tmp_path / "a.safetensors", metadata={"architecture": "chauffeur"})
+    with pytest.raises(WeightsError, match="do not fit chauffeur"):
+        load_weights(str(tmp_path / "a.safetensors"))
 
 
 EXPORTS = {

@@ -1,4 +1,4 @@
-"""Reads network weights from safetensors, without pickle: half precision, the architecture in the metadata."""
+"""Reads network weights from safetensors, without pickle; the architecture is in the metadata."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from safetensors import deserialize, safe_open
 
 from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError
+from ds_driver.networks.eight_bit import SCALE, expand
 
 SHIPPED = Path(__file__).parents[1] / "models"
 """Folder of the shipped networks."""
@@ -27,6 +28,8 @@ _FLOAT32: dict[str, Callable[[bytes], NDArray[np.float32]]] = {
     "BF16": lambda data: (np.frombuffer(data, "<u2").astype(np.uint32) << 16).view(np.float32),
     "F32": lambda data: np.frombuffer(data, "<f4").astype(np.float32),
     "F64": lambda data: np.frombuffer(data, "<f8").astype(np.float32),
+    # One byte each, with scales: `ds_driver.networks.eight_bit`.
+    "I8": lambda data: np.frombuffer(data, np.int8).astype(np.float32),
 }
 """Number type in a file -> what reads it."""
 
@@ -150,13 +153,18 @@ def load_weights(name_or_path: str) -> Weights:
             slices = {key: file.get_slice(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
             found = {key: tuple(part.get_shape()) for key, part in slices.items()}
             types = {part.get_dtype() for part in slices.values()}
-        if found != NETWORKS[name].shapes() or not types <= set(_FLOAT32):
+            eight_bit = [key for key, part in slices.items() if part.get_dtype() == "I8"]
+        shapes = NETWORKS[name].shapes()
+        # Matrices of 8 bits, and no other tensors, have scales, one per row.
+        shapes |= {key + SCALE: shapes.get(key, ())[:-1] for key in eight_bit}
+        if found != shapes or not types <= set(_FLOAT32):
             raise WeightsError(f"weights {path.name} do not fit {name}: they belong to another network")
         with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinity, which is refused below
-            tensors = {
+            stored = {
                 key: _FLOAT32[part["dtype"]](part["data"]).reshape(part["shape"])
                 for key, part in deserialize(path.read_bytes())  # type: ignore[no-untyped-call]
             }
+            tensors = expand(stored)
     except WeightsError:
         raise
     except Exception as error:  # damaged files make the reader raise arbitrary errors
