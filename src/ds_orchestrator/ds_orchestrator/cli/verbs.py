@@ -52,6 +52,11 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."
             ),
+            Verb(
+                "predict",
+                "prediction.predict",
+                "Predict where a car, or a simulator that was never driven, fails.",
+            ),
             Verb("report", "campaigns", "Rebuild a campaign's maps, tables and HTML report."),
             Verb("offline", "evaluations", "Compare a network's steering errors on two sets of images (RQ1)."),
         ),

@@ -1,0 +1,1 @@
+"""Verbs that predict a car, or a simulator that was never driven."""

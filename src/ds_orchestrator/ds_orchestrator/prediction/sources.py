@@ -1,0 +1,56 @@
+"""Reads the tests of a folder: a campaign, or a comparison of siblings."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from ds_orchestrator.prediction.outcome_table import (
+    OutcomeTable,
+    OutcomeTableError,
+    table_of_campaign,
+    table_of_comparison,
+)
+from ds_orchestrator.search.features import DEFAULT_FEATURES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Tests of a folder.
+
+    Attributes:
+        table: tests, features and outcomes.
+        features: names of the axes of its feature map.
+    """
+
+    table: OutcomeTable
+    features: tuple[str, ...]
+
+
+def read_source(folder: Path, *, twin: str | None = None) -> Source:
+    """Read a folder of `ds campaign run`, finished or running, or of `ds siblings compare --out`.
+
+    Args:
+        folder: the folder.
+        twin: simulator that plays the twin; the campaign's own twin if None.
+
+    Raises:
+        OutcomeTableError: the folder holds neither, or has no such simulator, or no verdict yet.
+        ds_orchestrator.store.sqlite_file.StoreError: the campaign's file is damaged.
+        ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
+    """
+    if (folder / "campaign.sqlite").exists():
+        from ds_orchestrator.campaign.campaign_data import read_campaign
+        from ds_orchestrator.campaign.folder import open_store
+
+        with closing(open_store(folder)) as store:
+            data = read_campaign(store)
+        table = table_of_campaign(data)
+        return Source(table=table.with_twin(twin) if twin else table, features=tuple(data.config.features))
+    if (folder / "comparison.json").exists():
+        return Source(table=table_of_comparison(folder, twin=twin), features=DEFAULT_FEATURES)
+    raise OutcomeTableError(
+        f"{folder} holds no campaign.sqlite and no comparison.json: expected a folder of `ds campaign run` or of "
+        "`ds siblings compare --out`"
+    )

@@ -1,0 +1,301 @@
+"""Predictions of a simulator that was never driven, on populations whose boundaries are known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from prediction_tables import made_up, table_of_margins
+from scipy.integrate import quad
+from scipy.stats import norm
+from sklearn.metrics import average_precision_score
+
+from ds_orchestrator.prediction import (
+    MarginDrive,
+    OutcomeTableError,
+    TwinPrediction,
+    compare_predictors,
+    comparison_tables,
+    forecast_cells,
+    judge,
+    predict_twin,
+)
+from ds_orchestrator.prediction import weighted_scores as scores
+from ds_orchestrator.prediction.margins import _log_posterior, fit_margins, margins_of
+from ds_orchestrator.prediction.undriven import undriven_probabilities
+from ds_orchestrator.prediction.verdicts import TOLERATED_RATE, drives_needed
+
+Array = NDArray[np.float64]
+
+
+def test_weighted_scores_are_those_of_repeated_rows() -> None:
+    rng = np.random.default_rng(4)
+    predicted, truth = np.round(rng.random(60), 1), (rng.random(60) < 0.4).astype(float)
+    weights = scores.family_weights(np.arange(60) // 4, 5, 1)
+    assert weights.shape == (6, 60) and (weights[0] == 1).all()
+    assert (weights.sum(axis=1) == 60).all() and (weights.reshape(6, 15, 4).std(axis=2) == 0).all()
+    for k, row in enumerate(weights):
+        again = np.repeat(np.arange(60), row.astype(int))
+        p, y = predicted[again], truth[again]
+        assert scores.brier(predicted, truth, weights)[k] == pytest.approx(np.mean((p - y) ** 2))
+        assert scores.pearson(predicted, truth, weights)[k] == pytest.approx(np.corrcoef(p, y)[0, 1])
+        area = average_precision_score(y, p)
+        assert scores.average_precision(predicted, truth, weights)[k] == pytest.approx(area)
+        stacked = np.tile(predicted, (6, 1)), np.tile(truth, (6, 1))
+        assert scores.average_precision(*stacked, weights)[k] == pytest.approx(area)
+        assert scores.recall(predicted, truth, weights, 0.5)[k] == pytest.approx(np.mean(p[y > 0] >= 0.5))
+        assert scores.false_alarms(predicted, truth, weights, 0.5)[k] == pytest.approx(np.mean(p[y == 0] >= 0.5))
+
+
+def test_the_likelihood_is_that_of_numerical_integration() -> None:
+    """Test effects integrated out by scipy's adaptive quadrature, for tests with 0 to 3 failures."""
+    table, truth = made_up(1, tests=12)
+    margins = margins_of(table)
+    p = margins.predictors.shape[1]
+    theta, log_spreads = truth.coefficients[:3] + 0.1, np.log([0.2, 0.3, 0.4, 0.25])
+    parameters = np.concatenate((theta.ravel(), log_spreads))
+    sigma, omega = np.exp(log_spreads[:3]), float(np.exp(log_spreads[3]))
+
+    def density(effect: float, test: int) -> float:
+        found = norm.pdf(effect, scale=omega)
+        for s in range(3):
+            centre = float(margins.predictors[test] @ theta[s]) + effect
+            if margins.observed[test, s]:
+                found *= norm.pdf(margins.values[test, s], centre, sigma[s])
+            else:
+                found *= norm.sf(0.0, centre, sigma[s])
+        return float(found)
+
+    assert len(set(margins.censored.sum(axis=1).tolist())) >= 3
+    likelihood = sum(np.log(quad(density, -3, 3, args=(k,), points=[-0.5, 0, 0.5])[0]) for k in range(12))
+    prior = -0.5 * float((theta**2).sum()) / 4 - 0.5 * float(((log_spreads - np.log(0.3)) ** 2).sum())
+    value, gradient = _log_posterior(margins, parameters)
+    assert value == pytest.approx(likelihood + prior, abs=1e-4)
+    for k in range(3 * p + 4):
+        step = 1e-5 * np.eye(len(parameters))[k]
+        slope = (_log_posterior(margins, parameters + step)[0] - _log_posterior(margins, parameters - step)[0]) / 2e-5
+        assert gradient[k] == pytest.approx(slope, abs=2e-4)
+
+
+def test_the_siblings_boundaries_come_back() -> None:
+    table, truth = made_up(5, tests=3000)
+    found = fit_margins(margins_of(table))
+    centred = truth.coefficients[:3].copy()  # features are standardised before the fit
+    centred[:, 0] += centred[:, 1:] @ table.features.mean(axis=0)
+    centred[:, 1:] *= table.features.std(axis=0)
+    errors = np.sqrt(np.diag(np.linalg.inv(found.information))).reshape(centred.shape)
+    assert np.abs((found.mode - centred) / errors).max() < 3.5 and errors.max() < 0.05
+    assert found.omega == pytest.approx(truth.omega, abs=0.03)
+    assert np.exp(found.log_sigma) == pytest.approx(np.full(3, truth.sigma), abs=0.03)
+    known = found.effect_mean - (truth.effects - 0.0)
+    assert np.std(known) == pytest.approx(np.sqrt(found.effect_variance.mean()), rel=0.1)
+
+
+def test_one_more_simulator_is_what_brute_force_says() -> None:
+    """Without features: prior draws of mean and spread, weighted by the likelihood of the siblings' intercepts."""
+    rng = np.random.default_rng(6)
+    levels = np.array([-1.0, -0.6, -0.5])
+    margins = np.column_stack([level + 0.2 * rng.normal(size=80) for level in (*levels, -0.7)])
+    table = table_of_margins(margins, np.zeros((80, 1)))
+    prediction = predict_twin(table)
+    errors = np.sqrt(np.diag(np.linalg.inv(prediction.likelihood.information[::2, ::2])))
+    mean, tau = rng.normal(np.log(0.25), 1.0, 400_000), np.abs(rng.normal(0.0, 0.5, 400_000))
+    total = np.sqrt(tau[:, None] ** 2 + errors**2)
+    weight = np.exp(norm.logpdf(prediction.likelihood.mode[:, 0], mean[:, None], total).sum(axis=1))
+    # Given mean and spread, one more simulator is a draw from the population.
+    first = float(weight @ mean / weight.sum())
+    second = float(np.sqrt(weight @ ((mean - first) ** 2 + tau**2) / weight.sum()))
+    mixture = prediction.coefficients
+    ours = float(mixture.weights @ mixture.means[:, 0])
+    spread = np.sqrt(mixture.weights @ (mixture.covariances[:, 0, 0] + (mixture.means[:, 0] - ours) ** 2))
+    assert ours == pytest.approx(first, abs=0.02) and spread == pytest.approx(second, rel=0.06)
+    # It reaches beyond the siblings, either way.
+    assert ours - spread < levels.min() and ours + spread > levels.max()
+
+
+def test_intervals_of_a_simulator_that_was_never_driven_hold_what_they_say() -> None:
+    """A known population, drawn twenty times: 90 % intervals hold 85 to 95 % of the rates of cells."""
+    forecasts = []
+    for seed in range(20):
+        table, _ = made_up(100 + seed, tests=120)
+        forecasts += forecast_cells(table, predict_twin(table), fewest=5)
+    assert len(forecasts) > 150
+    ranks = np.array([one.rank for one in forecasts])
+    assert 0.85 <= np.mean((ranks >= 0.05) & (ranks <= 0.95)) <= 0.95
+    # Rates of few tests take few values, so that intervals of them hold more than they say.
+    assert np.mean([bool(one.holds) for one in forecasts]) >= 0.88
+
+
+def test_the_prediction_is_the_same_on_every_call() -> None:
+    table, _ = made_up(7, tests=60)
+    one, two = predict_twin(table), predict_twin(table)
+    assert (
+        one.probabilities().tobytes() == two.probabilities().tobytes()
+        and one.draws().tobytes() == two.draws().tobytes()
+    )
+    assert one.draws().mean(axis=0) == pytest.approx(one.probabilities(), abs=0.02)
+
+
+def test_the_twin_s_outcomes_are_never_looked_at() -> None:
+    table, _ = made_up(8, tests=60)
+    states, lateral = table.states.copy(), table.lateral.copy()
+    states[:, -1], lateral[:, -1] = 3 - states[:, -1], 1.0
+    other = replace(table, states=states, lateral=lateral)
+    assert (predict_twin(table).probabilities() == predict_twin(other).probabilities()).all()
+    assert (undriven_probabilities(table, "all") == undriven_probabilities(other, "all")).all()
+
+
+def test_drives_update_as_a_bayesian_regression_does() -> None:
+    """Every component against the textbook's formula; the order of the drives does not matter."""
+    table, truth = made_up(9, tests=60)
+    prediction = predict_twin(table)
+    rows = [int(k) for k in np.flatnonzero(truth.margins[:, 3] < 0)[:4]]
+    drives = [MarginDrive(row=k, failed=False, margin=float(truth.margins[k, 3])) for k in rows]
+    found = prediction.updated(drives)
+    x, before = prediction.margins.predictors[rows], prediction.coefficients
+    for k in range(0, len(before.sigmas), 97):
+        noise = np.diag(prediction.likelihood.effect_variance[rows] + before.sigmas[k] ** 2)
+        y = truth.margins[rows, 3] - prediction.likelihood.effect_mean[rows]
+        precision = np.linalg.inv(before.covariances[k]) + x.T @ np.linalg.inv(noise) @ x
+        right = np.linalg.inv(before.covariances[k]) @ before.means[k] + x.T @ np.linalg.inv(noise) @ y
+        assert found.coefficients.means[k] == pytest.approx(np.linalg.solve(precision, right), abs=1e-8)
+        assert found.coefficients.covariances[k] == pytest.approx(np.linalg.inv(precision), abs=1e-8)
+    again = prediction.updated(drives[2:]).updated(drives[:2])
+    assert again.coefficients.means == pytest.approx(found.coefficients.means)
+    assert again.log_evidence == pytest.approx(found.log_evidence)
+
+
+def test_a_verdict_alone_updates_as_weighted_draws_do() -> None:
+    table, _ = made_up(10, tests=60)
+    prediction = predict_twin(table)
+    row = int(np.argmin(np.abs(prediction.probabilities() - 0.4)))
+    draws = prediction.draws(20_000)
+    weights = draws[:, row] / draws[:, row].sum()
+    found = prediction.updated([MarginDrive(row=row, failed=True)]).probabilities()
+    assert found[row] == 1.0
+    others = np.arange(60) != row
+    assert found[others] == pytest.approx((weights @ draws)[others], abs=0.02)
+    assert prediction.updated([MarginDrive(row=row, failed=True)]).log_evidence == pytest.approx(
+        np.log(prediction.probabilities()[row])
+    )
+
+
+def briers(prediction: TwinPrediction, truth: Array, driven: NDArray[np.intp]) -> tuple[float, float]:
+    drives = [
+        MarginDrive(row=int(k), failed=bool(truth[k] > 0), margin=float(truth[k]) if truth[k] <= 0 else None)
+        for k in driven
+    ]
+    left = np.setdiff1d(np.arange(len(truth)), driven)
+    failed = (truth > 0)[left]
+    before, after = prediction.probabilities()[left], prediction.updated(drives).probabilities()[left]
+    return float(np.mean((before - failed) ** 2)), float(np.mean((after - failed) ** 2))
+
+
+def test_a_few_drives_help_with_a_twin_outside_and_do_no_harm_with_a_twin_like_a_sibling() -> None:
+    outside, same = [], []
+    for seed in range(12):
+        table, truth = made_up(200 + seed, tests=120, twin=np.array([0.5, 0.3, 0.2, -0.2, 0.1]))
+        chosen = np.random.default_rng(seed).permutation(120)[:4]
+        outside.append(briers(predict_twin(table), truth.margins[:, 3], chosen))
+        copy = truth.margins[:, 0] + 0.05 * np.random.default_rng(seed).normal(size=120)
+        same.append(briers(predict_twin(table), copy, chosen))
+    before, after = np.mean(outside, axis=0)
+    assert after < before - 0.05
+    before, after = np.mean(same, axis=0)
+    assert after < before + 0.005
+
+
+def test_predictors_are_scored_and_only_those_that_beat_the_baseline_add() -> None:
+    """A twin equal to a sibling, whose failures no feature predicts: the sibling adds. One made of noise does not."""
+    rng = np.random.default_rng(11)
+    features, hidden = rng.normal(size=(200, 2)), rng.normal(size=200)
+    margins = np.column_stack((hidden, rng.normal(size=200), hidden + 0.05 * rng.normal(size=200)))
+    found = compare_predictors(table_of_margins(margins, features))
+    by_name = {one.predictor: one for one in found.scores if one.level == "test"}
+    assert by_name["a"].verdict == "adds" and by_name["b"].verdict == "worse"
+    assert by_name["undriven features"].verdict == "baseline" and by_name["best single feature"].verdict == "undriven"
+    truth = np.asarray(margins[:, 2] > 0)
+    assert by_name["a"].brier == pytest.approx(np.mean((margins[:, 0] > 0) != truth))
+    both = (margins[:, :2] > 0).all(axis=1)
+    assert by_name["product"].recall[0] == pytest.approx(both[truth].mean())
+    assert by_name["maximum"].false_alarms[0] == pytest.approx(((margins[:, :2] > 0).any(axis=1))[~truth].mean())
+    assert {one.level for one in found.scores} == {"test", "cell"}
+    json.dumps(found.document(), allow_nan=False)
+    for table in comparison_tables(found):
+        assert table.csv() and table.latex() and all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_undriven_probabilities_come_from_other_families() -> None:
+    """One family fails everywhere, for no reason that a feature tells; it cannot predict itself."""
+    rng = np.random.default_rng(12)
+    margins = -np.ones((100, 3))
+    margins[:20] = 1.0
+    features = rng.normal(size=(100, 1))
+    features[:20] = 9.0
+    found = undriven_probabilities(table_of_margins(margins, features, family=20), "all")
+    assert found[:20].max() < 0.1
+
+
+def test_a_campaign_of_one_sibling_and_one_without_a_twin_are_predicted() -> None:
+    table, _ = made_up(13, tests=60, siblings=1)
+    alone = predict_twin(table).probabilities()
+    assert np.isfinite(alone).all() and alone.min() > 0.0 and alone.max() < 1.0
+    untwinned = table.with_twin(None)
+    assert untwinned.twin is None and untwinned.simulators == ("a",)
+    assert (predict_twin(untwinned).probabilities() == alone).all()
+    with pytest.raises(OutcomeTableError, match="there is no twin to compare predictions with"):
+        compare_predictors(untwinned)
+    with pytest.raises(OutcomeTableError, match="5 tests have a verdict on a sibling, expected at least 10"):
+        predict_twin(table.select(np.arange(5)))
+
+
+@pytest.mark.parametrize("level", [-1.5, 1.5])
+def test_siblings_that_all_agree_are_predicted(level: float) -> None:
+    """No failure at all, or nothing else: no boundary is seen, and the prediction stays finite and on its side."""
+    rng = np.random.default_rng(14)
+    margins = level + 0.2 * rng.normal(size=(60, 4))
+    found = predict_twin(table_of_margins(margins, rng.normal(size=(60, 3)))).probabilities()
+    assert np.isfinite(found).all() and ((found < 0.3) if level < 0 else (found > 0.6)).all()
+
+
+def test_verdicts_keep_their_error_rates() -> None:
+    """On known populations, of the tests called `fails` or `safe` at most one in twenty does otherwise."""
+    calls, wrong = 0, 0
+    for seed in range(12):
+        table, truth = made_up(300 + seed, tests=120)
+        found = judge(table, predict_twin(table), ("turns_count", "curvature"))
+        for one, margin in zip(found.tests, truth.margins[:, 3], strict=True):
+            if one.verdict in ("fails", "safe"):
+                calls += 1
+                wrong += (margin > 0) != (one.verdict == "fails")
+    assert calls > 100 and wrong / calls <= 0.05
+
+
+def test_cells_without_tests_are_untested_and_disputed_ones_say_what_they_need() -> None:
+    table, _ = made_up(15, tests=60)
+    cells = tuple((0, 0) if cell == (1, 1) else cell for cell in table.cells)
+    table = replace(table, cells=cells)
+    found = judge(table, predict_twin(table), ("turns_count", "curvature"))
+    by_cell = {one.cell: one for one in found.cells}
+    assert by_cell[(1, 1)].verdict == "untested" and by_cell[(1, 1)].rate is None
+    disputed = [one for one in found.cells if one.verdict == "disputed"]
+    assert disputed and all(one.drives_needed is None or one.drives_needed > 0 for one in disputed)
+    assert sum(found.counts.values()) == len(found.cells) and "untested" in found.sentence
+    json.dumps(found.document(), allow_nan=False)
+
+
+def needed(mean: float, variance: float) -> int | None:
+    return drives_needed(mean, variance, TOLERATED_RATE)
+
+
+def test_drives_needed_are_those_that_a_binomial_needs() -> None:
+    """A flat prior, and a rate of 0: one needs 28 tests without a failure for 95 % below 0.1 (0.9^29 < 0.05)."""
+    assert needed(1e-6, 1e-13) == 0
+    mean, variance = 0.5, 1 / 12  # the uniform distribution
+    assert needed(mean, variance) is not None and needed(mean, variance) < 10  # type: ignore[operator]
+    assert needed(0.1, 0.001) is None  # on the tolerated rate itself
+    small = needed(0.03, 0.03 * 0.97 / 3)
+    assert small is not None and 20 < small < 200
