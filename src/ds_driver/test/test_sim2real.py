@@ -133,6 +133,15 @@ def test_the_learning_rate_is_constant_and_then_falls_to_nothing() -> None:
     assert np.diff(shares[9:]) == pytest.approx(-1 / 11) and shares[-1] == pytest.approx(1 / 11)
 
 
+def test_a_stored_generator_has_the_weights_that_were_trained(tmp_path: Path) -> None:
+    train(domains(np.random.default_rng(3)), SETTINGS, tmp_path, lambda line: None)
+    trained = torch.load(tmp_path / CHECKPOINT, weights_only=True)["networks"][0]
+    stored = load_generator(tmp_path / EPOCHS / "epoch_002.safetensors").tensors
+    assert stored.keys() == trained.keys()
+    for name, value in trained.items():
+        assert np.array_equal(stored[name], value.to(torch.float16).float().numpy()), name
+
+
 def test_a_stopped_training_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
     data = domains(np.random.default_rng(3))
     for name in ("whole", "stopped"):

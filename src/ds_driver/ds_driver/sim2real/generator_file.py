@@ -89,7 +89,9 @@ def save_generator(
     }
     # One entry, as the order of several is that of a hash table, which differs between processes.
     metadata = {KIND: json.dumps(about)}
-    write_whole(path, save({name: value.astype(np.float16) for name, value in tensors.items()}, metadata=metadata))
+    # The format has no strides and its writer does not look at them: weights trained channels last would be permuted.
+    halves = {name: np.ascontiguousarray(value, np.float16) for name, value in tensors.items()}
+    write_whole(path, save(halves, metadata=metadata))
 
 
 def load_generator(path: Path) -> StoredGenerator:
