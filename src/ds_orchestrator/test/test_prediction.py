@@ -24,7 +24,7 @@ from ds_orchestrator.prediction import (
     predict_twin,
 )
 from ds_orchestrator.prediction import weighted_scores as scores
-from ds_orchestrator.prediction.margins import _log_posterior, fit_margins, margins_of
+from ds_orchestrator.prediction.margins import INSIDE, curvature_of, margins_of
 from ds_orchestrator.prediction.undriven import undriven_probabilities
 from ds_orchestrator.prediction.verdicts import TOLERATED_RATE, drives_needed
 
@@ -51,67 +51,75 @@ def test_weighted_scores_are_those_of_repeated_rows() -> None:
 
 
 def test_the_likelihood_is_that_of_numerical_integration() -> None:
-    """Test effects integrated out by scipy's adaptive quadrature, for tests with 0 to 3 failures."""
-    table, truth = made_up(1, tests=12)
+    """Test effects integrated out by scipy's adaptive quadrature; derivatives by differences of the result."""
+    table, truth = made_up(1, tests=14)
     margins = margins_of(table)
-    p = margins.predictors.shape[1]
-    theta, log_spreads = truth.coefficients[:3] + 0.1, np.log([0.2, 0.3, 0.4, 0.25])
-    parameters = np.concatenate((theta.ravel(), log_spreads))
-    sigma, omega = np.exp(log_spreads[:3]), float(np.exp(log_spreads[3]))
+    linear = margins.predictors @ (truth.coefficients[:3] + 0.1).T
+    sigma, omega = 0.3, 0.25
+    assert {-1, 0, 1} == set(margins.signs.ravel().tolist())
 
-    def density(effect: float, test: int) -> float:
+    def density(effect: float, test: int, shift: Array) -> float:
         found = norm.pdf(effect, scale=omega)
         for s in range(3):
-            centre = float(margins.predictors[test] @ theta[s]) + effect
-            if margins.observed[test, s]:
-                found *= norm.pdf(margins.values[test, s], centre, sigma[s])
-            else:
-                found *= norm.sf(0.0, centre, sigma[s])
+            centre, sign = float(linear[test, s] + shift[s]) + effect, int(margins.signs[test, s])
+            off = (margins.values[test, s] - centre) / sigma
+            found *= norm.pdf(off) / sigma if sign == 0 else norm.cdf(-sign * off)
         return float(found)
 
-    assert len(set(margins.censored.sum(axis=1).tolist())) >= 3
-    likelihood = sum(np.log(quad(density, -3, 3, args=(k,), points=[-0.5, 0, 0.5])[0]) for k in range(12))
-    prior = -0.5 * float((theta**2).sum()) / 4 - 0.5 * float(((log_spreads - np.log(0.3)) ** 2).sum())
-    value, gradient = _log_posterior(margins, parameters)
-    assert value == pytest.approx(likelihood + prior, abs=1e-4)
-    for k in range(3 * p + 4):
-        step = 1e-5 * np.eye(len(parameters))[k]
-        slope = (_log_posterior(margins, parameters + step)[0] - _log_posterior(margins, parameters - step)[0]) / 2e-5
-        assert gradient[k] == pytest.approx(slope, abs=2e-4)
+    def log_density(test: int, shift: Array) -> float:
+        return float(np.log(quad(density, -2, 2, args=(test, shift), points=[-0.3, 0, 0.3], epsabs=1e-12)[0]))
+
+    found = curvature_of(margins, linear, sigma, omega)
+    assert found.log_likelihood == pytest.approx(sum(log_density(k, np.zeros(3)) for k in range(14)), abs=1e-4)
+    step = 1e-2 * np.eye(3)
+    for k in range(14):
+        at = log_density(k, np.zeros(3))
+        for s in range(3):
+            above, below = log_density(k, step[s]), log_density(k, -step[s])
+            assert found.gradient[k, s] == pytest.approx((above - below) / 2e-2, abs=5e-3)
+            assert found.information[k, s, s] == pytest.approx(-(above - 2 * at + below) / 1e-4, abs=2e-2)
+        mixed = log_density(k, step[0] + step[1]) - log_density(k, step[0] - step[1])
+        mixed -= log_density(k, step[1] - step[0]) - log_density(k, -step[0] - step[1])
+        assert found.information[k, 0, 1] == pytest.approx(-mixed / 4e-4, abs=2e-2)
 
 
 def test_the_siblings_boundaries_come_back() -> None:
     table, truth = made_up(5, tests=3000)
-    found = fit_margins(margins_of(table))
+    found = predict_twin(table).population
     centred = truth.coefficients[:3].copy()  # features are standardised before the fit
     centred[:, 0] += centred[:, 1:] @ table.features.mean(axis=0)
     centred[:, 1:] *= table.features.std(axis=0)
-    errors = np.sqrt(np.diag(np.linalg.inv(found.information))).reshape(centred.shape)
-    assert np.abs((found.mode - centred) / errors).max() < 3.5 and errors.max() < 0.05
+    errors = np.sqrt(np.diagonal(found.sibling_covariances, axis1=1, axis2=2).mean(axis=0)).reshape(centred.shape)
+    assert np.abs((found.sibling_means - centred) / errors).max() < 3.5 and errors.max() < 0.05
     assert found.omega == pytest.approx(truth.omega, abs=0.03)
-    assert np.exp(found.log_sigma) == pytest.approx(np.full(3, truth.sigma), abs=0.03)
-    known = found.effect_mean - (truth.effects - 0.0)
-    assert np.std(known) == pytest.approx(np.sqrt(found.effect_variance.mean()), rel=0.1)
+    assert found.sigma == pytest.approx(truth.sigma, abs=0.03)
+    off = found.effect_mean - truth.effects
+    assert np.std(off) == pytest.approx(np.sqrt(found.effect_variance.mean()), rel=0.1)
+    # The population's own parameters are within what three siblings can tell.
+    assert (np.abs(found.mean - [-0.5, 0.3, 0.2, -0.2, 0.1]) < 3 * found.mean_error).all()
 
 
 def test_one_more_simulator_is_what_brute_force_says() -> None:
-    """Without features: prior draws of mean and spread, weighted by the likelihood of the siblings' intercepts."""
+    """Without features: prior draws of mean and spread, weighted by the likelihood of the siblings' mean margins."""
     rng = np.random.default_rng(6)
-    levels = np.array([-1.0, -0.6, -0.5])
-    margins = np.column_stack([level + 0.2 * rng.normal(size=80) for level in (*levels, -0.7)])
-    table = table_of_margins(margins, np.zeros((80, 1)))
-    prediction = predict_twin(table)
-    errors = np.sqrt(np.diag(np.linalg.inv(prediction.likelihood.information[::2, ::2])))
-    mean, tau = rng.normal(np.log(0.25), 1.0, 400_000), np.abs(rng.normal(0.0, 0.5, 400_000))
-    total = np.sqrt(tau[:, None] ** 2 + errors**2)
-    weight = np.exp(norm.logpdf(prediction.likelihood.mode[:, 0], mean[:, None], total).sum(axis=1))
+    levels = np.array([-0.45, -0.3, -0.25])
+    shared, own = 0.05 * rng.normal(size=(80, 1)), 0.03 * rng.normal(size=(80, 4))
+    margins = np.array([*levels, -0.3]) + shared + own  # all known: within the lane, but not well within
+    prediction = predict_twin(table_of_margins(margins, np.zeros((80, 1))))
+    population, known = prediction.population, margins[:, :3].mean(axis=0)
+    error = (population.omega**2 * np.ones((3, 3)) + population.sigma**2 * np.eye(3)) / 80
+    mean, tau = rng.normal(np.log(0.25), 2.0, 200_000), np.abs(rng.normal(0.0, 0.5, 200_000))
+    total = error + tau[:, None, None] ** 2 * np.eye(3)
+    off = known - mean[:, None]
+    log_weight = -0.5 * np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off) - 0.5 * np.linalg.slogdet(total)[1]
+    weight = np.exp(log_weight - log_weight.max())
     # Given mean and spread, one more simulator is a draw from the population.
     first = float(weight @ mean / weight.sum())
     second = float(np.sqrt(weight @ ((mean - first) ** 2 + tau**2) / weight.sum()))
     mixture = prediction.coefficients
     ours = float(mixture.weights @ mixture.means[:, 0])
     spread = np.sqrt(mixture.weights @ (mixture.covariances[:, 0, 0] + (mixture.means[:, 0] - ours) ** 2))
-    assert ours == pytest.approx(first, abs=0.02) and spread == pytest.approx(second, rel=0.06)
+    assert ours == pytest.approx(first, abs=0.02) and spread == pytest.approx(second, rel=0.15)
     # It reaches beyond the siblings, either way.
     assert ours - spread < levels.min() and ours + spread > levels.max()
 
@@ -152,13 +160,13 @@ def test_drives_update_as_a_bayesian_regression_does() -> None:
     """Every component against the textbook's formula; the order of the drives does not matter."""
     table, truth = made_up(9, tests=60)
     prediction = predict_twin(table)
-    rows = [int(k) for k in np.flatnonzero(truth.margins[:, 3] < 0)[:4]]
+    rows = [int(k) for k in np.flatnonzero((truth.margins[:, 3] < 0) & (truth.margins[:, 3] > INSIDE))[:4]]
     drives = [MarginDrive(row=k, failed=False, margin=float(truth.margins[k, 3])) for k in rows]
     found = prediction.updated(drives)
     x, before = prediction.margins.predictors[rows], prediction.coefficients
-    for k in range(0, len(before.sigmas), 97):
-        noise = np.diag(prediction.likelihood.effect_variance[rows] + before.sigmas[k] ** 2)
-        y = truth.margins[rows, 3] - prediction.likelihood.effect_mean[rows]
+    for k in range(0, len(before.sigmas), 17):
+        noise = np.diag(prediction.population.effect_variance[rows] + before.sigmas[k] ** 2)
+        y = truth.margins[rows, 3] - prediction.population.effect_mean[rows]
         precision = np.linalg.inv(before.covariances[k]) + x.T @ np.linalg.inv(noise) @ x
         right = np.linalg.inv(before.covariances[k]) @ before.means[k] + x.T @ np.linalg.inv(noise) @ y
         assert found.coefficients.means[k] == pytest.approx(np.linalg.solve(precision, right), abs=1e-8)

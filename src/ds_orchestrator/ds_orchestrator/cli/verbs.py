@@ -57,6 +57,12 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "prediction.predict",
                 "Predict where a car, or a simulator that was never driven, fails.",
             ),
+            Verb(
+                "real",
+                "prediction.real",
+                "Choose, record and use a few drives on a real car.",
+                ("propose", "record", "update"),
+            ),
             Verb("report", "campaigns", "Rebuild a campaign's maps, tables and HTML report."),
             Verb("offline", "evaluations", "Compare a network's steering errors on two sets of images (RQ1)."),
         ),

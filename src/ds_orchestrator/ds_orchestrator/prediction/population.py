@@ -1,11 +1,11 @@
 """Simulators as draws from a population: what three siblings say about a simulator, or a car, that was never driven.
 
 Coefficients of simulator s (see `ds_orchestrator.prediction.margins`) are draws theta_s ~ N(beta, T), with T diagonal:
-tau_a^2 for the intercept, tau_b^2 for every slope; log sigma_s ~ N(gamma, tau_s^2). The twin is one more draw, so its
-boundary may lie outside of what the siblings span. With few siblings the between-simulator standard deviations are
-hardly identified: they get weakly informative half-normal priors, and are integrated out over a grid; given them
-everything is normal and exact (the nested integration of INLA: Rue, Martino, Chopin, J. R. Stat. Soc. B 2009, and of
-bayesmeta: Roever, J. Stat. Softw. 2020). The result is a mixture of normals, without random numbers.
+tau_a^2 for the intercept, tau_b^2 for every slope. The twin is one more draw, so its boundary may lie outside of what
+the siblings span. With few siblings the between-simulator standard deviations are hardly identified: they get weakly
+informative half-normal priors, and are integrated out over a grid. At each of its points the coefficients are
+approximated by a normal distribution around their mode (the nested Laplace approximation, INLA: Rue, Martino, Chopin,
+J. R. Stat. Soc. B 2009). The result is a mixture of normals, without random numbers.
 """
 
 from __future__ import annotations
@@ -15,32 +15,38 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from ds_orchestrator.prediction.margins import Likelihood
+from ds_orchestrator.prediction.margins import Curvature, Margins, curvature_of
 
 Array = NDArray[np.float64]
 
 INTERCEPT_SCALE = 0.5
-"""Scale of the half-normal prior of tau_a: of the sizes that Roever et al. (Res. Synth. Methods 2021, section 4)
-recommend for logarithms of ratios; simulators' typical lateral positions then differ by a factor of 2.7 at most (one
-standard deviation either way) in two of three populations."""
+"""Scale of the half-normal prior of tau_a: the one that Roever et al. (Res. Synth. Methods 2021) recommend for
+logarithms of ratios; lateral positions of two simulators on the same test then differ by a factor of 2.7 at most in two
+of three populations."""
 SLOPE_SCALE = 0.25
 """Scale of the half-normal prior of tau_b, for standardised features: half of `INTERCEPT_SCALE`, so that at a feature
 two standard deviations from its mean a slope matters as much as the intercept."""
 SPREAD_SCALE = 0.25
-"""Scale of the half-normal prior of tau_s: residual spreads of simulators within a factor of 1.6 of each other; chosen,
-as `SLOPE_SCALE`."""
-_MEAN_CENTRE, _MEAN_SCALE = np.log(0.25), 1.0
-"""Prior of the population's mean margin of a typical test: 3 % to 180 % of half a lane (two standard deviations)."""
-_SLOPE_SCALE_OF_MEAN = 1.0
-"""Standard deviation of the population's mean slopes: lateral positions that a feature multiplies by up to 7 from one
-standard deviation to the next."""
-_GRID = 12
+"""Standard deviation of the twin's log sigma around that of the siblings: a factor of 1.6 either way (two standard
+deviations); chosen, as `SLOPE_SCALE`."""
+_MEAN_CENTRE, _MEAN_SCALE = float(np.log(0.25)), 2.0
+"""Prior of the population's mean margin of a typical test: from tests that nobody fails to tests that all fail."""
+_MEAN_SLOPE_SCALE = 1.0
+"""Standard deviation of the prior of the population's mean slopes: lateral positions that a feature multiplies by up to
+7 (two standard deviations) from one standard deviation to the next."""
+_NOISE_CENTRE, _NOISE_SCALE = float(np.log(0.3)), 0.5
+"""Prior of log sigma and log omega: ratios of lateral positions of repeated or similar tests between 1.1 and 2.3 (two
+standard deviations either way of 0.3). It decides where few margins are known."""
+_GRID = 6
 """Values of each between-simulator standard deviation: midpoints of as many equally probable parts of its prior."""
-_SPREAD_NODES = 5
+_SPREAD_NODES = 3
 """Gauss-Hermite nodes of the twin's log sigma."""
+_STEPS, _CLOSE = 50, 1e-8
+"""Newton's steps at most, and the decrement at which they end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,75 +73,125 @@ class CoefficientMixture:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Population:
-    """Posterior of the population and of one more simulator.
+    """Posterior of the population, of its siblings, and of one more simulator.
 
     Attributes:
         twin: coefficients of a simulator that was never driven.
+        siblings: (k, siblings p) means of the siblings' coefficients, at the grid's points.
+        sibling_covariances: (k, siblings p, siblings p) their covariances.
+        grid_weights: (k,) weights of the grid's points.
         mean: (p,) posterior mean of the population's mean coefficients.
         mean_error: (p,) posterior standard deviations of those.
         tau_intercept: posterior mean of tau_a.
         tau_slope: posterior mean of tau_b.
+        sigma: residual standard deviation of the siblings' margins.
+        omega: standard deviation of the test effects.
+        effect_mean: (tests,) posterior means of the test effects, given all siblings.
+        effect_variance: (tests,) their posterior variances.
     """
 
     twin: CoefficientMixture
+    siblings: Array
+    sibling_covariances: Array
+    grid_weights: Array
     mean: Array
     mean_error: Array
     tau_intercept: float
     tau_slope: float
+    sigma: float
+    omega: float
+    effect_mean: Array
+    effect_variance: Array
+
+    @property
+    def sibling_means(self) -> Array:
+        """(siblings, p) posterior means of the siblings' coefficients."""
+        return np.asarray((self.grid_weights @ self.siblings).reshape(-1, len(self.mean)))
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values; coefficients belong to a 1 and the standardised features."""
         return {
             "mean": self.mean.tolist(),
             "mean_error": self.mean_error.tolist(),
+            "siblings": self.sibling_means.tolist(),
             "tau_intercept": self.tau_intercept,
             "tau_slope": self.tau_slope,
+            "sigma": self.sigma,
+            "omega": self.omega,
         }
 
 
-def fit_population(likelihood: Likelihood) -> Population:
-    """Integrate the population out; deterministic, in milliseconds."""
-    siblings, p = likelihood.mode.shape
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Point:
+    """Normal approximation at one point of the grid: siblings' coefficients, then the population's mean."""
+
+    log_evidence: float
+    mode: Array
+    covariance: Array
+
+
+def fit_population(margins: Margins) -> Population:
+    """Fit the population to the siblings' margins; deterministic.
+
+    Sigma and omega are the mode of their posterior at the medians of the between-simulator standard deviations.
+    """
+    siblings, p = margins.values.shape[1], margins.predictors.shape[1]
+    start = np.tile(np.concatenate(([_MEAN_CENTRE], np.zeros(p - 1))), siblings + 1)
+    medians = tuple(float(scale * norm.ppf(0.75)) for scale in (INTERCEPT_SCALE, SLOPE_SCALE))
+    last = {"mode": start}
+
+    def loss(log_noise: Array) -> float:
+        sigma, omega = np.exp(log_noise)
+        point = _point(margins, *medians, float(sigma), float(omega), last["mode"])
+        last["mode"] = point.mode
+        return -point.log_evidence + 0.5 * float((((log_noise - _NOISE_CENTRE) / _NOISE_SCALE) ** 2).sum())
+
+    simplex = _NOISE_CENTRE + 0.3 * np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+    options = {"xatol": 0.01, "fatol": 0.01, "initial_simplex": simplex}
+    noise = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
+    sigma, omega = (float(value) for value in np.exp(noise.x))
     taus = _half_normal_nodes(INTERCEPT_SCALE), _half_normal_nodes(SLOPE_SCALE)
-    prior_mean = np.concatenate(([_MEAN_CENTRE], np.zeros(p - 1)))
-    of_mean = np.diag(np.concatenate(([_MEAN_SCALE**2], np.full(p - 1, _SLOPE_SCALE_OF_MEAN**2))))
-    groups = siblings + 2  # siblings, the twin, and the population's mean itself
-    size, driven = groups * p, siblings * p
-    shift = np.tile(prior_mean, siblings)
-    linear = np.zeros(size)
-    linear[:driven] = likelihood.linear - likelihood.information @ shift
-    information = np.zeros((size, size))
-    information[:driven, :driven] = likelihood.information
-    log_weights, means, covariances = [], [], []
-    own = np.diag(np.concatenate((np.ones(siblings + 1), [0.0])))
+    points, mode = [], last["mode"]
     for tau_a in taus[0]:
         for tau_b in taus[1]:
-            between = np.diag(np.concatenate(([tau_a**2], np.full(p - 1, tau_b**2))))
-            prior = np.kron(np.ones((groups, groups)), of_mean) + np.kron(own, between)
-            # (information + prior^-1)^-1 without inverting the prior, which may be singular.
-            inner = np.eye(size) + information @ prior
-            covariance = prior @ np.linalg.inv(inner)
-            mean = covariance @ linear
-            log_weights.append(0.5 * float(linear @ mean) - 0.5 * float(np.linalg.slogdet(inner)[1]))
-            means.append(mean[driven:] + np.tile(prior_mean, 2))
-            covariances.append((covariance + covariance.T)[driven:, driven:] / 2.0)
-    grid = np.array(log_weights) - logsumexp(log_weights)
-    weights, mean, covariance = np.exp(grid), np.array(means), np.array(covariances)
-    sigmas, sigma_weights = _spread_nodes(likelihood)
-    of_mean_mean = weights @ mean[:, p:]
-    second = np.diagonal(covariance[:, p:, p:], axis1=1, axis2=2) + mean[:, p:] ** 2
-    by_tau = weights.reshape(_GRID, _GRID)
+            points.append(_point(margins, float(tau_a), float(tau_b), sigma, omega, mode))
+            mode = points[-1].mode
+    return _population(margins, points, taus, sigma, omega)
+
+
+def _population(
+    margins: Margins, points: list[_Point], taus: tuple[Array, Array], sigma: float, omega: float
+) -> Population:
+    p = margins.predictors.shape[1]
+    grid = np.array([point.log_evidence for point in points])
+    grid = grid - logsumexp(grid)
+    weights = np.exp(grid)
+    modes, covariances = np.array([q.mode for q in points]), np.array([q.covariance for q in points])
+    between = np.array([_between(a, b, p) for a in taus[0] for b in taus[1]])
+    means, errors = modes[:, -p:], covariances[:, -p:, -p:]
+    nodes, node_weights = np.polynomial.hermite_e.hermegauss(_SPREAD_NODES)
+    mean = weights @ means
+    second = np.diagonal(errors, axis1=1, axis2=2) + means**2
+    by_tau = weights.reshape(len(taus[0]), -1)
+    effects = _curvature(margins, weights @ modes, sigma, omega)
     return Population(
         twin=CoefficientMixture(
-            log_weights=(grid[:, None] + np.log(sigma_weights)).ravel(),
-            means=np.repeat(mean[:, :p], _SPREAD_NODES, axis=0),
-            covariances=np.repeat(covariance[:, :p, :p], _SPREAD_NODES, axis=0),
-            sigmas=np.tile(sigmas, len(grid)),
+            log_weights=(grid[:, None] + np.log(node_weights / node_weights.sum())).ravel(),
+            means=np.repeat(means, _SPREAD_NODES, axis=0),
+            covariances=np.repeat(errors + np.einsum("kp,pq->kpq", between, np.eye(p)), _SPREAD_NODES, axis=0),
+            sigmas=np.tile(sigma * np.exp(SPREAD_SCALE * nodes), len(grid)),
         ),
-        mean=of_mean_mean,
-        mean_error=np.sqrt(np.maximum(weights @ second - of_mean_mean**2, 0.0)),
+        siblings=modes[:, :-p],
+        sibling_covariances=covariances[:, :-p, :-p],
+        grid_weights=weights,
+        mean=mean,
+        mean_error=np.sqrt(np.maximum(weights @ second - mean**2, 0.0)),
         tau_intercept=float(by_tau.sum(axis=1) @ taus[0]),
         tau_slope=float(by_tau.sum(axis=0) @ taus[1]),
+        sigma=sigma,
+        omega=omega,
+        effect_mean=effects.effect_mean,
+        effect_variance=effects.effect_variance,
     )
 
 
@@ -144,20 +200,56 @@ def _half_normal_nodes(scale: float) -> Array:
     return np.asarray(scale * norm.ppf(0.5 + 0.5 * (np.arange(_GRID) + 0.5) / _GRID))
 
 
-def _spread_nodes(likelihood: Likelihood) -> tuple[Array, Array]:
-    """Residual standard deviations of the twin and their weights: another draw from the siblings' population."""
-    values, errors = likelihood.log_sigma, likelihood.log_sigma_error
-    log_weights, means, variances = [], [], []
-    for tau in _half_normal_nodes(SPREAD_SCALE):
-        precision = 1.0 / (errors**2 + tau**2)
-        mean = float(precision @ values / precision.sum())
-        log_weights.append(
-            0.5 * float(np.log(precision).sum() - np.log(precision.sum()) - precision @ (values - mean) ** 2)
-        )
-        means.append(mean)
-        variances.append(1.0 / precision.sum() + tau**2)
-    weights = np.exp(np.array(log_weights) - logsumexp(log_weights))
-    centre = float(weights @ means)
-    spread = float(np.sqrt(weights @ (np.array(variances) + np.array(means) ** 2) - centre**2))
-    nodes, node_weights = np.polynomial.hermite_e.hermegauss(_SPREAD_NODES)
-    return np.exp(centre + spread * nodes), node_weights / node_weights.sum()
+def _between(tau_a: float, tau_b: float, p: int) -> Array:
+    """(p,) variances of coefficients between simulators."""
+    return np.concatenate(([tau_a**2], np.full(p - 1, tau_b**2)))
+
+
+def _curvature(margins: Margins, state: Array, sigma: float, omega: float) -> Curvature:
+    theta = state.reshape(-1, margins.predictors.shape[1])[:-1]
+    return curvature_of(margins, margins.predictors @ theta.T, sigma, omega)
+
+
+def _point(margins: Margins, tau_a: float, tau_b: float, sigma: float, omega: float, start: Array) -> _Point:
+    """Find the mode of the coefficients by Newton's method, and approximate their posterior around it."""
+    siblings, p = margins.values.shape[1], margins.predictors.shape[1]
+    precision = 1.0 / _between(tau_a, tau_b, p)
+    prior_mean = np.concatenate(([_MEAN_CENTRE], np.zeros(p - 1)))
+    of_mean = 1.0 / np.concatenate(([_MEAN_SCALE**2], np.full(p - 1, _MEAN_SLOPE_SCALE**2)))
+    links = np.vstack((np.hstack((np.eye(siblings), -np.ones((siblings, 1)))), np.zeros((1, siblings + 1))))
+    prior = np.kron(links.T @ links, np.diag(precision))
+    prior[-p:, -p:] += np.diag(of_mean)
+    centre = np.tile(prior_mean, siblings + 1)  # the prior's mean, for siblings and population alike
+    state = start
+
+    def objective(at: Array) -> tuple[float, Curvature]:
+        found = _curvature(margins, at, sigma, omega)
+        return found.log_likelihood - 0.5 * float((at - centre) @ prior @ (at - centre)), found
+
+    value, found = objective(state)
+    x = margins.predictors
+    for _ in range(_STEPS):
+        gradient = -prior @ (state - centre)
+        gradient[:-p] += (found.gradient.T @ x).ravel()
+        information = prior.copy()
+        blocks = np.einsum("np,nsz,nq->spzq", x, found.information, x, optimize=True)
+        information[:-p, :-p] += blocks.reshape(siblings * p, siblings * p)
+        step = np.linalg.solve(information, gradient)
+        decrement = float(gradient @ step)
+        if decrement < _CLOSE:
+            break
+        size = 1.0
+        while size > 1e-6:
+            tried, other = objective(state + size * step)
+            if tried >= value:
+                state, value, found = state + size * step, tried, other
+                break
+            size *= 0.5
+        else:
+            break
+    log_prior = 0.5 * (siblings * float(np.log(precision).sum()) + float(np.log(of_mean).sum()))
+    return _Point(
+        log_evidence=value + log_prior - 0.5 * float(np.linalg.slogdet(information)[1]),
+        mode=state,
+        covariance=np.linalg.inv(information),
+    )

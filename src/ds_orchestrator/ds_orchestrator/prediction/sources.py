@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ds_orchestrator.prediction.outcome_table import (
@@ -54,3 +54,16 @@ def read_source(folder: Path, *, twin: str | None = None) -> Source:
         f"{folder} holds no campaign.sqlite and no comparison.json: expected a folder of `ds campaign run` or of "
         "`ds siblings compare --out`"
     )
+
+
+def read_population(folder: Path) -> Source:
+    """Read a folder for the prediction of a car: all its simulators are siblings, a digital twin among them.
+
+    Raises:
+        OutcomeTableError: as `read_source`.
+    """
+    source = read_source(folder)
+    table = source.table
+    if table.twin is None or not table.known(table.twin).any():
+        return Source(table=table.with_twin(None), features=source.features)
+    return Source(table=replace(table, siblings=table.simulators, twin=None), features=source.features)

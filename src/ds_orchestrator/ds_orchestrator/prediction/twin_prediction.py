@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp, ndtr
 
-from ds_orchestrator.prediction.margins import Likelihood, Margins, fit_margins, margins_of
+from ds_orchestrator.prediction.margins import INSIDE, Margins, margins_of
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
 from ds_orchestrator.prediction.population import CoefficientMixture, Population, fit_population
 
@@ -36,6 +36,13 @@ class MarginDrive:
     failed: bool
     margin: float | None = None
 
+    @property
+    def bound(self) -> float | None:
+        """Bound of a margin that is not known: failed runs are above it, others below; None for a known margin."""
+        if self.failed or self.margin is None:
+            return 0.0
+        return INSIDE if self.margin < INSIDE else None
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwinPrediction:
@@ -43,7 +50,6 @@ class TwinPrediction:
 
     Attributes:
         margins: margins of the siblings.
-        likelihood: what the siblings' outcomes say.
         population: posterior of the population.
         coefficients: distribution of the twin's coefficients, given the siblings and the twin's drives so far.
         drives: the twin's drives so far.
@@ -51,7 +57,6 @@ class TwinPrediction:
     """
 
     margins: Margins
-    likelihood: Likelihood
     population: Population
     coefficients: CoefficientMixture
     drives: tuple[MarginDrive, ...] = ()
@@ -66,8 +71,8 @@ class TwinPrediction:
         ):
             if weight > _NEGLIGIBLE:
                 variance = np.einsum("np,pq,nq->n", predictors, covariance, predictors, optimize=True)
-                variance += self.likelihood.effect_variance + sigma**2
-                found += weight * ndtr((predictors @ mean + self.likelihood.effect_mean) / np.sqrt(variance))
+                variance += self.population.effect_variance + sigma**2
+                found += weight * ndtr((predictors @ mean + self.population.effect_mean) / np.sqrt(variance))
         return self._with_drives(np.clip(found, 0.0, 1.0))
 
     def draws(self, count: int = DRAWS, *, rows: Indices | None = None) -> Array:
@@ -85,14 +90,14 @@ class TwinPrediction:
         roots = np.array([_root(mixture.covariances[k]) for k in used])
         theta = mixture.means[chosen] + np.einsum("mpq,mq->mp", roots[index], normal)
         rows = np.arange(len(self.margins.predictors)) if rows is None else rows
-        linear = theta @ self.margins.predictors[rows].T + self.likelihood.effect_mean[rows]
-        spread = np.sqrt(self.likelihood.effect_variance[rows] + mixture.sigmas[chosen][:, None] ** 2)
+        linear = theta @ self.margins.predictors[rows].T + self.population.effect_mean[rows]
+        spread = np.sqrt(self.population.effect_variance[rows] + mixture.sigmas[chosen][:, None] ** 2)
         return self._with_drives(np.asarray(ndtr(linear / spread)), rows)
 
     def updated(self, drives: Sequence[MarginDrive]) -> TwinPrediction:
         """Add drives of the twin; the population stays as the siblings say.
 
-        A known margin updates every component of the mixture exactly; one that is only known to be positive or negative
+        A known margin updates every component of the mixture exactly; one of which only a bound is known
         by its first two moments (assumed density filtering), drives in the order of their tests.
         """
         mixture, evidence = self.coefficients, self.log_evidence
@@ -105,8 +110,8 @@ class TwinPrediction:
     def _updated_by(self, mixture: CoefficientMixture, drive: MarginDrive) -> tuple[CoefficientMixture, float]:
         x = self.margins.predictors[drive.row]
         across = mixture.covariances @ x
-        mean = mixture.means @ x + self.likelihood.effect_mean[drive.row]
-        variance = across @ x + self.likelihood.effect_variance[drive.row] + mixture.sigmas**2
+        mean = mixture.means @ x + self.population.effect_mean[drive.row]
+        variance = across @ x + self.population.effect_variance[drive.row] + mixture.sigmas**2
         log_density, moved, shrunk = _observation(drive, mean, variance)
         gain = across / variance[:, None]
         log_weights = mixture.log_weights + log_density
@@ -138,9 +143,8 @@ def predict_twin(table: OutcomeTable) -> TwinPrediction:
         ds_orchestrator.prediction.outcome_table.OutcomeTableError: too few tests.
     """
     margins = margins_of(table)
-    likelihood = fit_margins(margins)
-    population = fit_population(likelihood)
-    return TwinPrediction(margins=margins, likelihood=likelihood, population=population, coefficients=population.twin)
+    population = fit_population(margins)
+    return TwinPrediction(margins=margins, population=population, coefficients=population.twin)
 
 
 def _root(covariance: Array) -> Array:
@@ -156,12 +160,13 @@ def _observation(drive: MarginDrive, mean: Array, variance: Array) -> tuple[Arra
         Log probability (density); how far the margin's mean moves; the share of its variance that is left.
     """
     deviation = np.sqrt(variance)
-    if drive.margin is not None:
-        off = drive.margin - mean
+    bound = drive.bound
+    if bound is None:
+        off = float(drive.margin or 0.0) - mean
         log_density = -0.5 * (off**2 / variance + np.log(2.0 * np.pi * variance))
         return log_density, off, np.zeros_like(mean)
     sign = 1.0 if drive.failed else -1.0
-    standard = sign * mean / deviation
+    standard = sign * (mean - bound) / deviation
     log_probability = log_ndtr(standard)
     hazard = np.exp(-0.5 * standard**2 - 0.5 * np.log(2.0 * np.pi) - log_probability)
     return np.asarray(log_probability), sign * deviation * hazard, 1.0 - hazard * (hazard + standard)

@@ -46,7 +46,7 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
     say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
     prediction = predict_twin(table)
     verdicts = judge(table, prediction, source.features, tolerated=tolerated)
-    tables: list[Table] = [cell_table(verdicts, _labels(verdicts))]
+    tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts))]
     document: dict[str, Any] = {
         "siblings": list(table.siblings),
         "twin": table.twin,
@@ -82,7 +82,8 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
     return Result(document=document, show=show)
 
 
-def _labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
+def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
+    """Format the bins of every cell, one text per axis."""
     from ds_orchestrator.search.features import feature_of
 
     axes = [feature_of(name) for name in verdicts.features]

@@ -1,0 +1,216 @@
+"""Proposes drives on a real car, as files that a person can use, and remembers what was proposed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.prediction.outcome_table import OutcomeTable, State
+from ds_orchestrator.prediction.real.records import COLUMNS, FOLDER, OPTIONAL, RecordError
+from ds_orchestrator.prediction.real.road_sheet import draw_sheet, sheet_of
+from ds_orchestrator.prediction.real.selection import Choice, choose
+from ds_orchestrator.prediction.twin_prediction import MarginDrive, TwinPrediction
+from ds_orchestrator.prediction.verdicts import ERROR_RATE
+from ds_road import Road, RoadError, road_from_json, road_to_json
+from ds_sim.camera.png import png
+from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
+from ds_sim.conditions.text import format_conditions, parse_conditions
+
+PROPOSAL = "proposal.json"
+TO_FILL = "outcomes.csv"
+SCALE = 16.0
+"""Metres of the road per metre of the car's: the twin is a car of 1:16 (paper 4.1)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposedDrive:
+    """A test to drive on the car.
+
+    Attributes:
+        test_id: id of the test.
+        road: road to tape out.
+        conditions: conditions to set.
+        scale: metres of the road per metre of the car's.
+        probability: predicted probability that the car fails.
+        gain: expected reduction of the mean squared error of all predicted probabilities, by this drive after those
+            before it.
+        siblings: simulator -> outcome of this test there: `failed`, `completed` or `not driven`.
+        if_fails: mean predicted failure probability of all other tests if the car fails.
+        if_completes: the same if it completes.
+        decided: number of other tests called `fails` or `safe` now; if the car fails; if it completes.
+    """
+
+    test_id: str
+    road: Road
+    conditions: Conditions
+    scale: float
+    probability: float
+    gain: float
+    siblings: dict[str, str]
+    if_fails: float
+    if_completes: float
+    decided: tuple[int, int, int]
+
+    @property
+    def sentence(self) -> str:
+        """What the drive decides, in one line."""
+        now, fails, completes = self.decided
+        return (
+            f"if the car fails (probability {self.probability:.2f}), {self.if_fails:.0%} of the other tests are "
+            f"expected to fail, and {fails} are decided; if it completes, {self.if_completes:.0%}, and {completes} (now {now})"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        road = road_to_json(self.road)
+        fields = {key: value for key, value in asdict(self).items() if key not in ("road", "conditions")}
+        return {**fields, "road": road, "conditions": format_conditions(self.conditions), "decides": self.sentence}
+
+
+def propose(
+    table: OutcomeTable, prediction: TwinPrediction, drives: int, *, scale: float = SCALE
+) -> list[ProposedDrive]:
+    """Choose drives, and compute what each would decide.
+
+    Raises:
+        ds_orchestrator.prediction.real.selection.BudgetError: there are not so many tests to choose from.
+    """
+    now = prediction.probabilities()
+    return [_proposed(table, prediction, choice, now, scale) for choice in choose(table, prediction, drives)]
+
+
+def _proposed(table: OutcomeTable, prediction: TwinPrediction, choice: Choice, now: Any, scale: float) -> ProposedDrive:
+    others = np.arange(len(table)) != choice.row
+    fails, completes = (
+        prediction.updated([MarginDrive(row=choice.row, failed=failed)]).probabilities()[others]
+        for failed in (True, False)
+    )
+
+    def decided(probabilities: Any) -> int:
+        return int(((probabilities <= ERROR_RATE) | (probabilities >= 1.0 - ERROR_RATE)).sum())
+
+    words = {State.FAILED: "failed", State.COMPLETED: "completed"}
+    return ProposedDrive(
+        test_id=table.test_ids[choice.row],
+        road=table.roads[choice.row],
+        conditions=table.conditions[choice.row],
+        scale=scale,
+        probability=float(now[choice.row]),
+        gain=choice.gain,
+        siblings={
+            name: words.get(State(table.states[choice.row, table.column(name)]), "not driven")
+            for name in table.siblings
+        },
+        if_fails=float(fails.mean()),
+        if_completes=float(completes.mean()),
+        decided=(decided(now[others]), decided(fails), decided(completes)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposed:
+    """What was proposed for a folder so far.
+
+    Attributes:
+        half_lanes: test -> half the width of its lane, m of the road frame.
+        scale: metres of the road per metre of the car's; None before the first proposal.
+        rounds: proposals, as JSON values.
+    """
+
+    half_lanes: dict[str, float]
+    scale: float | None
+    rounds: list[list[dict[str, Any]]]
+
+
+def read_proposed(folder: Path) -> Proposed:
+    """Read what was proposed for a campaign's folder.
+
+    Raises:
+        RecordError: the file is damaged.
+    """
+    path = folder / FOLDER / PROPOSAL
+    try:
+        document = json.loads(path.read_text("utf-8"))
+        scale, rounds = float(document["scale"]), list(document["rounds"])
+        lanes = {row["test_id"]: road_from_json(row["road"]).lane_width / 2 for row in sum(rounds, [])}
+        for row in sum(rounds, []):
+            parse_conditions(row["conditions"])
+    except FileNotFoundError:
+        return Proposed(half_lanes={}, scale=None, rounds=[])
+    except (OSError, ValueError, TypeError, KeyError, RoadError, ConditionsError):
+        raise RecordError(f"{path} cannot be read: restore it, or remove it and propose again") from None
+    return Proposed(half_lanes=lanes, scale=scale, rounds=rounds)
+
+
+def write_proposal(folder: Path, drives: Sequence[ProposedDrive]) -> list[Path]:
+    """Write a proposal into a campaign's folder.
+
+    Writes, in `real/`, `round_<n>/`: per drive a drawing and a CSV with the points to tape out, `README.md` with what
+    to set and what each drive decides, `outcomes.csv` to fill in; and `proposal.json` with all rounds.
+
+    Raises:
+        RecordError: drives of another scale were proposed before.
+    """
+    before = read_proposed(folder)
+    scale = drives[0].scale
+    if before.scale is not None and before.scale != scale:
+        raise RecordError(
+            f"drives of a car of 1:{before.scale:g} were proposed before, not 1:{scale:g}: keep the scale, or copy the "
+            "folder for another car"
+        )
+    number = len(before.rounds) + 1
+    place = folder / FOLDER / f"round_{number}"
+    place.mkdir(parents=True, exist_ok=True)
+    lines = [f"# Drives on the car, round {number}", "", f"Scale 1:{scale:g}. {_HOW}", ""]
+    for rank, drive in enumerate(drives, start=1):
+        stem = f"{rank}_{drive.test_id}"
+        sheet = sheet_of(drive.road, scale)
+        title = f"{rank}. test {drive.test_id}, drive in the {drive.road.lane} lane"
+        write_whole(place / f"{stem}.png", png(draw_sheet(sheet, title)))
+        write_whole(place / f"{stem}.csv", sheet.csv().encode())
+        lines += _section(rank, drive, stem, f"{sheet.width:.1f} x {sheet.height:.1f} m")
+    write_whole(place / "README.md", "\n".join(lines).encode())
+    write_whole(place / TO_FILL, _to_fill(drives).encode())
+    rounds = [*before.rounds, [drive.document() for drive in drives]]
+    text = json.dumps({"scale": scale, "rounds": rounds}, indent=1, allow_nan=False) + "\n"
+    write_whole(folder / FOLDER / PROPOSAL, text.encode())
+    return [place, folder / FOLDER / PROPOSAL]
+
+
+_HOW = (
+    "Tape each road out by its drawing or its CSV (metres on the floor, origin at the lower left), set the conditions, "
+    "start at the arrow in the marked lane, and let the network drive once. The drive fails if the middle of the car "
+    "leaves the lane, or if it stops. Note the largest distance of the car's middle from the middle of its lane if you "
+    "can measure it: it tells more than the verdict. Then fill in `outcomes.csv`."
+)
+
+
+def _section(rank: int, drive: ProposedDrive, stem: str, size: str) -> list[str]:
+    changed = drive.conditions.changed
+    conditions = [
+        f"- set {name} to {value:g} {FIELDS[name].unit}: {FIELDS[name].doc}" for name, value in changed.items()
+    ]
+    said = ", ".join(f"{name} {outcome}" for name, outcome in drive.siblings.items())
+    return [
+        f"## {rank}. {drive.test_id}", "", f"![road]({stem}.png)", "",
+        f"- road: `{stem}.csv`, {size}; drive in the {drive.road.lane} lane",
+        *(conditions or ["- conditions: none to set, a dry road in even light"]),
+        f"- in simulation: {said}", f"- decides: {drive.sentence}", "",
+    ]  # fmt: skip
+
+
+def _to_fill(drives: Sequence[ProposedDrive]) -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*COLUMNS, *OPTIONAL])
+    for drive in drives:
+        writer.writerow([drive.test_id, *[""] * (len(COLUMNS) + len(OPTIONAL) - 1)])
+    return out.getvalue()
