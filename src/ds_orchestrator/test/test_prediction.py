@@ -225,11 +225,10 @@ def test_predictors_are_scored_and_only_those_that_beat_the_baseline_add() -> No
     by_name = {one.predictor: one for one in found.scores if one.level == "test"}
     assert by_name["a"].verdict == "adds" and by_name["b"].verdict == "worse"
     assert by_name["undriven features"].verdict == "baseline" and by_name["best single feature"].verdict == "undriven"
-    truth = np.asarray(margins[:, 2] > 0)
+    truth: NDArray[np.bool_] = margins[:, 2] > 0
     assert by_name["a"].brier == pytest.approx(np.mean((margins[:, 0] > 0) != truth))
-    both = (margins[:, :2] > 0).all(axis=1)
-    assert by_name["product"].recall[0] == pytest.approx(both[truth].mean())
-    assert by_name["maximum"].false_alarms[0] == pytest.approx(((margins[:, :2] > 0).any(axis=1))[~truth].mean())
+    assert by_name["product"].recall[0] == pytest.approx((margins[truth, :2] > 0).all(axis=1).mean())
+    assert by_name["maximum"].false_alarms[0] == pytest.approx((margins[~truth, :2] > 0).any(axis=1).mean())
     assert {one.level for one in found.scores} == {"test", "cell"}
     json.dumps(found.document(), allow_nan=False)
     for table in comparison_tables(found):

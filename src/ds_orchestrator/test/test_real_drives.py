@@ -77,7 +77,8 @@ def test_a_driven_or_excluded_test_is_not_proposed() -> None:
 
 
 def test_chosen_drives_tell_more_than_random_ones() -> None:
-    chosen, random = [], []
+    chosen: list[float] = []
+    random: list[float] = []
     for seed in range(10):
         table, truth = made_up(400 + seed, tests=120, twin=np.array([0.4, 0.3, 0.2, -0.2, 0.1]))
         twin = truth.margins[:, 3]
@@ -88,7 +89,7 @@ def test_chosen_drives_tell_more_than_random_ones() -> None:
             (random, np.random.default_rng(seed).permutation(120)[:4]),
         ):
             after = prediction.updated([MarginDrive(row=int(k), failed=bool(failed[k])) for k in rows])
-            found.append(np.mean((after.probabilities() - failed) ** 2))
+            found.append(float(np.mean((after.probabilities() - failed) ** 2)))
     assert np.mean(chosen) < np.mean(random)
 
 

@@ -137,12 +137,12 @@ def fit_population(margins: Margins) -> Population:
     """
     siblings, p = margins.values.shape[1], margins.predictors.shape[1]
     start = np.tile(np.concatenate(([_MEAN_CENTRE], np.zeros(p - 1))), siblings + 1)
-    medians = tuple(float(scale * norm.ppf(0.75)) for scale in (INTERCEPT_SCALE, SLOPE_SCALE))
+    median_a, median_b = (float(scale * norm.ppf(0.75)) for scale in (INTERCEPT_SCALE, SLOPE_SCALE))
     last = {"mode": start}
 
     def loss(log_noise: Array) -> float:
         sigma, omega = np.exp(log_noise)
-        point = _point(margins, *medians, float(sigma), float(omega), last["mode"])
+        point = _point(margins, median_a, median_b, float(sigma), float(omega), last["mode"])
         last["mode"] = point.mode
         return -point.log_evidence + 0.5 * float((((log_noise - _NOISE_CENTRE) / _NOISE_SCALE) ** 2).sum())
 

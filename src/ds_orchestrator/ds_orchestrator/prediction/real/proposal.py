@@ -65,7 +65,8 @@ class ProposedDrive:
         now, fails, completes = self.decided
         return (
             f"if the car fails (probability {self.probability:.2f}), {self.if_fails:.0%} of the other tests are "
-            f"expected to fail, and {fails} are decided; if it completes, {self.if_completes:.0%}, and {completes} (now {now})"
+            f"expected to fail, and {fails} are decided; if it completes, {self.if_completes:.0%}, and {completes} "
+            f"(now {now})"
         )
 
     def document(self) -> dict[str, Any]:
