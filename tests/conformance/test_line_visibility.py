@@ -14,9 +14,9 @@ from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
 from ds_road import Road
 from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.gates import GateState, LineContrast, gate_of
+from ds_sim.gates import GateState, LineContrast, LineProbe, gate_of
 from ds_sim.registry import make_simulator, spec_of
-from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.session import NO_IMAGE, RunRecord, Session
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
@@ -106,6 +106,41 @@ def test_a_picture_without_lines_has_no_contrast() -> None:
         assert measured.of(np.full((160, 320, 3), level, np.uint8), state, 35.0) == 0.0
     backwards = replace(state, yaw=-math.pi / 2)
     assert measured.of(np.zeros((160, 320, 3), np.uint8), backwards, 35.0) == 0.0
+
+
+@pytest.mark.parametrize("name", ["bullet", "softbody", "panda", "donkey"])
+def test_noise_gives_no_line_contrast(name: str) -> None:
+    """Nor does it take any: under noise the image of the camera differs, the contrast of what it shows does not."""
+    simulator = make_simulator(name)
+    drive = make_driver(AUTOPILOT, simulator.spec)
+    found, images = [], []
+    for noise in (0.0, 40.0):
+        session = Session(simulator)
+        seen = session.start(STRAIGHT, 3, Conditions(line_contrast=0.02, sensor_noise=noise))
+        assert session.run is not None and seen is not None
+        images.append(seen.image)
+        probe = LineProbe(session.run, simulator)
+        while seen is not None and seen.step <= 20:
+            probe.see(seen)
+            seen = session.advance(drive(seen))
+        found.append(session.run.line_contrasts)
+    simulator.close()
+    assert not np.array_equal(images[0], images[1])
+    assert len(found[0]) == 3 and found[0] == found[1]
+
+
+def test_a_still_is_what_a_camera_without_noise_shows() -> None:
+    """Whatever rows the run draws, with the same dirt on the lens."""
+    spec = spec_of("bullet")
+    scene = PaintedScene(replace(spec.camera, noise=0.0), spec.look)
+    state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=7.0, yaw_rate=0.1, steering_angle=0.0)
+    conditions = Conditions(lens_dirt=0.3, visibility=60.0, camera_pitch=0.05)
+    scene.load(STRAIGHT, np.random.default_rng(1), conditions)
+    whole = scene.image(state)
+    scene.draw_rows(61, 62)
+    scene.load(STRAIGHT, np.random.default_rng(1), conditions)
+    assert not scene.image(state)[:61].any()
+    np.testing.assert_array_equal(scene.still(state), whole)
 
 
 def a_run(contrasts: list[float], outcome: Outcome = Outcome.COMPLETED) -> RunRecord:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ds_road import Road, RoadError
 from ds_sim.camera.painted_scene import PaintedScene
@@ -28,7 +29,7 @@ from ds_sim.vehicle import VEHICLE_CONDITIONS, AdjustableVehicle, Vehicle
 
 
 class RoadSimulator:
-    """Implements `ds_sim.simulator.Simulator` and `DrawsRows` for any vehicle model.
+    """Implements `ds_sim.simulator.Simulator`, `DrawsRows` and `TakesStills` for any vehicle model.
 
     Args:
         spec: description of the simulator; `conditions` is filled in from what vehicle and scene realise.
@@ -61,6 +62,10 @@ class RoadSimulator:
     def draw_rows(self, top: int, bottom: int) -> None:
         """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
         self.scene.draw_rows(top, bottom)
+
+    def still(self) -> NDArray[np.uint8]:
+        """Take an image without noise and latency; see `TakesStills.still`."""
+        return self.scene.still(self.vehicle.state())
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""

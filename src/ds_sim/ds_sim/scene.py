@@ -34,12 +34,12 @@ class Scene(Protocol):
         """Deliver the next camera image, read-only; called once a frame, as a sensor may have noise and latency."""
         ...
 
-    def still(self, state: VehicleState, rng: np.random.Generator) -> NDArray[np.uint8]:
+    def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Take one image from any pose in the loaded world, without latency; a run in progress is not affected.
 
         Args:
             state: pose and motion of the vehicle.
-            rng: source of sensor noise.
+            rng: source of sensor noise; None for an image without noise, of which all rows are drawn.
         """
         ...
 

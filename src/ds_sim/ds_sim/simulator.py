@@ -281,3 +281,19 @@ class DrawsRows(Protocol):
             ValueError: not 0 <= top < bottom <= rows of the image.
         """
         ...
+
+
+@runtime_checkable
+class TakesStills(Protocol):
+    """Simulator that can take an image for measurements beside those of its camera."""
+
+    def still(self) -> NDArray[np.uint8]:
+        """Take an image of the present state, without sensor noise and latency; the run is not affected.
+
+        Returns:
+            (rows, columns, 3) uint8 RGB, of which all rows are drawn, whatever `DrawsRows.draw_rows` says.
+
+        Raises:
+            SimulatorError: no road is loaded.
+        """
+        ...

@@ -32,6 +32,7 @@ from ds_sim.simulator import (
     Outcome,
     Simulator,
     SimulatorError,
+    TakesStills,
 )
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
@@ -370,6 +371,33 @@ def _drawn_rows_are_the_same(simulator: Simulator) -> None:
     _expect(np.array_equal(images(), whole), f"draw_rows(0, {IMAGE_HEIGHT}) does not bring all rows back")
 
 
+def _stills_change_nothing(simulator: Simulator) -> None:
+    if not isinstance(simulator, TakesStills):
+        return
+    taking, pilot = simulator, reference_driver(simulator.spec.autopilot)
+
+    def driven(*, stills: bool) -> tuple[str, NDArray[np.uint8]]:
+        taken = []
+
+        def command(seen: Observation) -> Command:
+            if stills:
+                taken.append(np.stack((taking.still(), taking.still())))
+            return pilot(seen)
+
+        run = digest(drive(simulator, WINDING, command, steps=15))
+        return run, np.array(taken)
+
+    without, _ = driven(stills=False)
+    with_stills, whole = driven(stills=True)
+    _expect(with_stills == without, "still() changes the images or the states of the run: expected the same bits")
+    _expect(np.array_equal(whole[:, 0], whole[:, 1]), "two stills of one moment differ: expected no noise in them")
+    if isinstance(simulator, DrawsRows):
+        simulator.draw_rows(61, 62)
+        _, part = driven(stills=True)
+        simulator.draw_rows(0, IMAGE_HEIGHT)
+        _expect(np.array_equal(part, whole), "draw_rows(61, 62) changes stills: expected all of their rows")
+
+
 def _reference_driver_completes(simulator: Simulator) -> None:
     for road, way in ((WINDING, "forwards"), (WINDING.reversed(), "backwards")):
         outcome = drive(simulator, road, reference_driver(simulator.spec.autopilot))[-1].outcome
@@ -433,6 +461,7 @@ CHECKS: Mapping[str, Callable[[Factory], None]] = {
     "image_has_the_right_type": _on_one(_image_has_the_right_type),
     "image_shows_the_scene": _on_one(_image_shows_the_scene),
     "drawn_rows_are_the_same": _on_one(_drawn_rows_are_the_same),
+    "stills_change_nothing": _on_one(_stills_change_nothing),
     "reference_driver_completes": _on_one(_reference_driver_completes),
     "speed_has_a_limit": _on_one(_speed_has_a_limit),
     "memory_does_not_grow": _on_one(_memory_does_not_grow),

@@ -16,7 +16,7 @@ from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.line_contrast import LineProbe
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator
+from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, TakesStills
 
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
@@ -85,16 +85,18 @@ class InterleavedDrives:
     def _started(self, made: Simulator, task: DriveTask) -> _Drive:
         network, spec = self._network, made.spec
         crop = Crop(spec.crop_top, spec.crop_bottom)
-        rows: tuple[int, int] | None = (0, spec.camera.height_px)
-        if not task.gate:
-            rows = ROWS_SEEN if network is None else network.rows_seen(crop, spec.camera.height_px, spec.name)
-        if rows is not None and isinstance(made, DrawsRows):
-            made.draw_rows(*rows)
+        if isinstance(made, DrawsRows):
+            rows: tuple[int, int] | None = ROWS_SEEN
+            if network is not None and not task.gate:
+                rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
+            elif task.gate and not isinstance(made, TakesStills):
+                rows = None
+            made.draw_rows(*(rows or (0, spec.camera.height_px)))
         session = Session(made)
         autopilot = make_driver(AUTOPILOT, spec) if task.gate or self._network is None else None
         seen = session.start(task.road, task.seed, task.conditions)
         assert session.run is not None
-        probe = LineProbe(session.run, spec) if task.gate else None
+        probe = LineProbe(session.run, made) if task.gate else None
         if probe is not None:
             probe.see(seen)
         return _Drive(task.simulator, session, crop, autopilot, seen, probe)

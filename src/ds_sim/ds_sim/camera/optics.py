@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -148,6 +151,26 @@ class Optics:
         cosine = (axes @ self._sun).astype(np.float32) @ self._rays
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
         return np.asarray(self._sun_veil / np.maximum(angle, SMALLEST_ANGLE) ** 2, np.float32).reshape(self._shape)
+
+
+def optics_of(
+    spec: CameraSpec,
+    conditions: Conditions,
+    rng: np.random.Generator,
+    *,
+    sun: tuple[float, float],
+    haze: Colour | None = None,
+) -> Callable[[tuple[int, int]], Optics]:
+    """Return a function that gives the optics of a run for some rows of the image, with the same smudges for any rows.
+
+    The arguments are those of `Optics`.
+    """
+
+    @cache
+    def of_rows(rows: tuple[int, int]) -> Optics:
+        return Optics(spec, conditions, copy.deepcopy(rng), sun=sun, rows=rows, haze=haze)
+
+    return of_rows
 
 
 def _smudges(rng: np.random.Generator, spec: CameraSpec, share: float) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,15 @@ from ds_road import Road
 from ds_sim.camera.atlas import AtlasMemory
 from ds_sim.camera.ground import Ground, paint_ground
 from ds_sim.camera.look import Look
-from ds_sim.camera.optics import LENS_CONDITIONS, MOUNT_CONDITIONS, SENSOR_CONDITIONS, Optics, mounted, noise_of
+from ds_sim.camera.optics import (
+    LENS_CONDITIONS,
+    MOUNT_CONDITIONS,
+    SENSOR_CONDITIONS,
+    Optics,
+    mounted,
+    noise_of,
+    optics_of,
+)
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import CameraSpec
@@ -38,21 +47,23 @@ class PaintedScene:
     def __init__(self, camera: CameraSpec, look: Look) -> None:
         self._spec = camera
         self._look = look
-        self._rows = (0, camera.height_px)
+        self._rows = self._camera_rows = (0, camera.height_px)
         self._camera = Camera(camera, look)
         self._memory = AtlasMemory()
         self._view: _View | None = None
+        self._whole: _View | None = None
 
     def draw_rows(self, top: int, bottom: int) -> None:
         """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
         check_rows(top, bottom, self._spec)
-        if (top, bottom) != self._rows:
-            self._rows = (top, bottom)
-            self._camera = Camera(self._spec, self._look, scene_rows(self._spec, self._rows))
+        self._rows = (top, bottom)
 
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Paint the ground of a road; see `Scene.load`."""
-        self._view = None
+        self._view = self._whole = None
+        if self._camera_rows != self._rows:
+            self._camera_rows = self._rows
+            self._camera = Camera(self._spec, self._look, scene_rows(self._spec, self._rows))
         if conditions.is_default:
             self._view = _View(
                 camera=self._camera,
@@ -71,8 +82,8 @@ class PaintedScene:
             camera = Camera(spec, look, rows)
         optics = None
         if (LENS_CONDITIONS | {"visibility"}) & conditions.changed.keys():
-            optics = Optics(
-                spec, conditions, lens_rng, sun=(look.sun_azimuth, look.sun_elevation), rows=rows, haze=look.horizon
+            optics = optics_of(
+                spec, conditions, lens_rng, sun=(look.sun_azimuth, look.sun_elevation), haze=look.horizon
             )
         self._view = _View(
             camera=camera,
@@ -88,15 +99,31 @@ class PaintedScene:
         view = self._loaded()
         return view.sensor.deliver(view.scene(state))
 
-    def still(self, state: VehicleState, rng: np.random.Generator) -> NDArray[np.uint8]:
+    def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Take one image from any pose; see `Scene.still`."""
         view = self._loaded()
-        return Sensor(replace(view.spec, latency=0), rng, view.rows).deliver(view.scene(state))
+        if rng is not None:
+            return Sensor(replace(view.spec, latency=0), rng, view.rows).deliver(view.scene(state))
+        if self._whole is None:
+            self._whole = self._whole_of(view)
+        return self._whole.sensor.deliver(self._whole.scene(state))
 
     def close(self) -> None:
         """Release the painted ground."""
-        self._view = None
+        self._view = self._whole = None
         self._memory = AtlasMemory()
+
+    def _whole_of(self, view: _View) -> _View:
+        """The same view through a sensor without noise, with all rows drawn."""
+        rows = (0, self._spec.height_px)
+        spec = replace(view.spec, noise=0.0, latency=0)
+        return replace(
+            view,
+            camera=view.camera.with_all_rows,
+            sensor=Sensor(spec, np.random.default_rng(0), rows),
+            spec=spec,
+            rows=rows,
+        )
 
     def _loaded(self) -> _View:
         if self._view is None:
@@ -113,14 +140,14 @@ class _View:
     sensor: Sensor
     spec: CameraSpec
     rows: tuple[int, int]
-    optics: Optics | None = None
+    optics: Callable[[tuple[int, int]], Optics] | None = None
 
     def scene(self, state: VehicleState) -> NDArray[np.uint8]:
         """What reaches the sensor."""
         image = self.camera.render(self.ground, state)
         if self.optics is None:
             return image
-        return self.optics.apply(image, *self.camera.view(state))
+        return self.optics(scene_rows(self.spec, self.rows)).apply(image, *self.camera.view(state))
 
 
 def _lit(look: Look, conditions: Conditions) -> Look:

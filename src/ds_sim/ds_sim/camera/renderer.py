@@ -12,6 +12,7 @@ import itertools
 import math
 import weakref
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -65,7 +66,7 @@ class Camera:
 
     def __init__(self, spec: CameraSpec, look: Look, rows: tuple[int, int] | None = None) -> None:
         cv2.setNumThreads(1)
-        self._spec = spec
+        self._spec, self._look = spec, look
         self._top, self._bottom = rows or (0, spec.height_px)
         self._panorama = Panorama(spec, look)
         self._focal = float(spec.intrinsics[0, 0])
@@ -85,6 +86,12 @@ class Camera:
         self._frame = np.zeros((spec.height_px, spec.width, 4), np.uint8)
         self._memory = _Memory(0)
         self._revealed: _Revealed | None = None
+
+    @cached_property
+    def with_all_rows(self) -> Camera:
+        """Camera like this one that draws all rows; itself if it does."""
+        whole = (self._top, self._bottom) == (0, self._spec.height_px)
+        return self if whole else Camera(self._spec, self._look)
 
     def render(self, ground: Ground, vehicle: VehicleState) -> NDArray[np.uint8]:
         """Render the scene as the lens projects it, before the sensor: (rows, columns, 3) uint8 RGB."""

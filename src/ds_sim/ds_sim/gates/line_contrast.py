@@ -5,17 +5,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ds_road import Road
 from ds_sim.camera.light import decode
 from ds_sim.camera.optics import mounted
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.projection import project
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.frames import body_pose, camera_pose
 from ds_sim.gates.gate import PROBE_EVERY
 from ds_sim.session import RunRecord
-from ds_sim.simulator import MAX_SPEED, Observation, SimulatorSpec, VehicleState
+from ds_sim.simulator import MAX_SPEED, Observation, Simulator, SimulatorSpec, TakesStills, VehicleState
 
 PREVIEW_TIME = 1.8
 """Least time that a driver must see road markings ahead, s (COST 331, Requirements for Horizontal Road
@@ -34,8 +32,6 @@ LEAST_WIDTH = 2.0
 blends with it, and looked like 4 to 14 % of contrast where no line was painted."""
 LEAST_POINTS = 4
 """Points in the picture without which a line is out of sight; chosen: 1 m of it."""
-NEAREST = 0.5
-"""Least distance of a point along the optical axis, m; chosen: nearer ones are below every picture."""
 DARKEST = 1.0 / 255.0 / 12.92
 """Linear light of grey level 1: the darkest pavement against which contrast is taken."""
 _LEAD_OUT = 40.0
@@ -89,7 +85,7 @@ class LineContrast:
         light = np.asarray(decode(image) @ _LUMINANCE, np.float32)
         found = [0.0]
         for line in (self._centre_line, self._edge_line):
-            parts, borders = ([_project(part[first:end], state, self._camera) for part in some] for some in line)
+            parts, borders = ([project(part[first:end], state, self._camera)[0] for part in some] for some in line)
             wide = _width(*borders) >= LEAST_WIDTH if borders else np.ones(end - first, np.bool_)
             found.append(self._of_line(parts, wide, light))
         return max(found)
@@ -118,40 +114,31 @@ def _width(inner: _Points, outer: _Points) -> NDArray[np.float64]:
     return np.asarray(np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]) / np.hypot(*along.T))
 
 
-def _project(ground: _Points, state: VehicleState, camera: CameraSpec) -> _Points:
-    """Project points of the ground, (n, 2) m, to columns and rows, (n, 2) px; NaN behind the camera."""
-    if not len(ground):
-        return np.empty((0, 2))
-    (place, turn), (mount, optical) = body_pose(state), camera_pose(camera)
-    body = Rotation.from_quat(turn)
-    centre = np.array(place) + body.apply(mount)
-    seen = (body * Rotation.from_quat(optical)).inv().apply(np.column_stack((ground, np.zeros(len(ground)))) - centre)
-    front = seen[:, 2] > NEAREST
-    pixels = np.full((len(ground), 2), np.nan)
-    if front.any():
-        distortion = np.array(camera.distortion)
-        found, _ = cv2.projectPoints(seen[front], np.zeros(3), np.zeros(3), camera.intrinsics, distortion)
-        pixels[front] = found[:, 0]
-    return pixels
-
-
 class LineProbe:
     """Measures the contrast of the lines during a run, from its start on, and keeps it in the run's record.
 
+    Contrast is a ratio of luminances of the scene (CIE S 017, International Lighting Vocabulary), so it is measured
+    before the sensor adds noise, which over the few pixels of a line does not average out: the better of two lines
+    would gain contrast by it. How much noise hides a line of a given contrast is another question (Rose, J. Opt. Soc.
+    Am. 38(2), 1948), which no gate answers: noise excludes no test.
+
     Args:
         run: record of the run; observations are seen as they are added to it.
-        spec: simulator that drives.
+        simulator: drives; one that does not satisfy `ds_sim.simulator.TakesStills` is judged by its camera's images.
     """
 
-    def __init__(self, run: RunRecord, spec: SimulatorSpec) -> None:
-        self._run, self._latency = run, spec.camera.latency
-        self._contrast = LineContrast(run.road, spec, run.conditions)
+    def __init__(self, run: RunRecord, simulator: Simulator) -> None:
+        self._run, self._simulator = run, simulator
+        self._contrast = LineContrast(run.road, simulator.spec, run.conditions)
 
     def see(self, observation: Observation | None) -> None:
         """Measure an observation if it is one in `PROBE_EVERY`."""
         if observation is None or observation.step % PROBE_EVERY:
             return
-        # The image is that of a moment ago.
-        exposed = self._run.observations[max(0, observation.step - self._latency)]
-        contrast = self._contrast.of(observation.image, exposed.vehicle, exposed.lane.arc_length)
+        if isinstance(self._simulator, TakesStills):
+            exposed, image = observation, self._simulator.still()
+        else:  # the image is that of a moment ago
+            latency = self._simulator.spec.camera.latency
+            exposed, image = self._run.observations[max(0, observation.step - latency)], observation.image
+        contrast = self._contrast.of(image, exposed.vehicle, exposed.lane.arc_length)
         self._run.line_contrasts.append(contrast)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -10,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera.optics import LENS_CONDITIONS, MOUNT_CONDITIONS, SENSOR_CONDITIONS, Optics, mounted, noise_of
+from ds_sim.camera.optics import (
+    LENS_CONDITIONS,
+    MOUNT_CONDITIONS,
+    SENSOR_CONDITIONS,
+    Optics,
+    mounted,
+    noise_of,
+    optics_of,
+)
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -63,8 +72,10 @@ class PandaScene:
         image = self._draw(state, self._run_rows)
         return image if self._view.sensor is None else self._view.sensor.deliver(image)
 
-    def still(self, state: VehicleState, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Take one image from any pose; `rng` is used by conditions alone."""
+    def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
+        """Take one image from any pose; see `Scene.still`. `rng` is used by conditions alone."""
+        if rng is None:
+            return self._draw(state, (0, self._spec.height_px))
         image = self._draw(state, self._run_rows)
         return image if self._view.sensor is None else Sensor(self._view.spec, rng, self._run_rows).deliver(image)
 
@@ -85,7 +96,7 @@ class PandaScene:
         optics = None
         if LENS_CONDITIONS & conditions.changed.keys():
             x, y, z = sun_direction(conditions)
-            optics = Optics(spec, conditions, lens_rng, sun=(math.atan2(y, x), math.asin(z)), rows=self._run_rows)
+            optics = optics_of(spec, conditions, lens_rng, sun=(math.atan2(y, x), math.asin(z)))
         return _View(spec=spec, optics=optics, sensor=Sensor(spec, rng, self._run_rows) if spec.noise else None)
 
     def _draw(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
@@ -104,7 +115,7 @@ class PandaScene:
         image[: rows[0]] = 0
         image[rows[1] :] = 0
         if view.optics is not None:
-            image = view.optics.apply(image, pose[:3, :3][[0, 2, 1]] * [[1.0], [-1.0], [1.0]], float(pose[3, 2]))
+            image = view.optics(rows).apply(image, pose[:3, :3][[0, 2, 1]] * [[1.0], [-1.0], [1.0]], float(pose[3, 2]))
         image.setflags(write=False)
         return image
 
@@ -114,5 +125,5 @@ class _View:
     """Camera of one run, and what conditions put before and behind its lens."""
 
     spec: CameraSpec
-    optics: Optics | None = None
+    optics: Callable[[tuple[int, int]], Optics] | None = None
     sensor: Sensor | None = None

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from ds_driver.sim2real.window import Window
 from ds_road import Road
+from ds_sim.camera.projection import NEAREST, project
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
 
 LINES = ("yellow", "right", "left")
 """Centre line, and the white edges to the right and left of the driven direction."""
-NEAREST = 0.5
-"""Distance along the optical axis from which lines are projected, m; chosen: nearer ones are below every image."""
 FARTHEST = 20.0
 """Distance up to which lines count, m; chosen: beyond it they are thinner than half a pixel of a small generator."""
 STEP = 0.2
@@ -65,7 +64,7 @@ class LineProjector:
         """
         camera, found = self._camera, {}
         for name, borders in self._borders.items():
-            (low, low_depth), (high, high_depth) = (self._project(border, state) for border in borders)
+            (low, low_depth), (high, high_depth) = (project(border, state, camera) for border in borders)
             seen = (np.minimum(low_depth, high_depth) > NEAREST) & (np.maximum(low_depth, high_depth) < FARTHEST)
             drawn = np.zeros((camera.height_px * SCALE, camera.width * SCALE), np.uint8)
             for i in np.flatnonzero(seen[:-1] & seen[1:]):
@@ -77,34 +76,6 @@ class LineProjector:
             small = cv2.resize(drawn[rows, columns], (size[1], size[0]), interpolation=cv2.INTER_AREA)
             found[name] = small >= 128
         return found
-
-    def _project(self, ground: NDArray[np.float64], s: VehicleState) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Project points of the ground, (n, 2) m, to columns and rows, (n, 2) px, and depths, (n,) m."""
-        body = _turn(2, s.yaw) @ _turn(1, s.pitch) @ _turn(0, s.roll)
-        camera = self._camera
-        centre = np.array([s.x, s.y, s.heave]) + body @ np.array([camera.forward, 0.0, camera.height])
-        optical = body @ _turn(1, camera.pitch)
-        points = np.column_stack((ground, np.zeros(len(ground)))) - centre
-        forward, left, up = (points @ optical).T
-        depth = np.maximum(forward, 1e-6)
-        x, y = -left / depth, -up / depth
-        if camera.lens == "equidistant":
-            k1, k2, _, _, k3, k4, k5, k6 = camera.distortion
-            t = x**2 + y**2
-            ratio = (1 + k1 * t + k2 * t**2 + k3 * t**3) / (1 + k4 * t + k5 * t**2 + k6 * t**3)
-            x, y = x * ratio, y * ratio
-        k = camera.intrinsics
-        return np.column_stack((k[0, 0] * x + k[0, 2], k[1, 1] * y + k[1, 2])), forward
-
-
-def _turn(axis: int, angle: float) -> NDArray[np.float64]:
-    """Rotation about an axis of the body, right-handed."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    first, second = ((1, 2), (2, 0), (0, 1))[axis]
-    matrix = np.eye(3)
-    matrix[first, first] = matrix[second, second] = cos
-    matrix[second, first], matrix[first, second] = sin, -sin
-    return matrix
 
 
 def _sides(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
