@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
 
-from ds_sim.simulator import Simulator, SimulatorSpec
+from ds_sim.simulator import DrawsRows, Simulator, SimulatorSpec
 
 SIMULATORS = {
     "bullet": "ds_sim_bullet.simulator:BulletSimulator",
@@ -101,6 +101,23 @@ def make_simulator(name: str) -> Simulator:
     except (ImportError, AttributeError) as error:
         raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}): check module:Class") from None
     return simulator
+
+
+def simulator_of_process(name: str) -> Simulator:
+    """Return a simulator by name that this process keeps, as some are slow to make; it draws all rows.
+
+    The next call with the same name returns the same simulator, so a process has one run on it at a time. Raises as
+    `make_simulator` does.
+    """
+    simulator = _kept(name)
+    if isinstance(simulator, DrawsRows):  # the run before may have drawn fewer
+        simulator.draw_rows(0, simulator.spec.camera.height_px)
+    return simulator
+
+
+@cache
+def _kept(name: str) -> Simulator:
+    return make_simulator(name)
 
 
 @lru_cache

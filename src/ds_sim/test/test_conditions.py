@@ -13,10 +13,10 @@ from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.loading import load
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import format_conditions, from_json, parse_conditions, to_json
-from ds_sim.registry import make_simulator, spec_of
+from ds_sim.registry import make_simulator, simulator_of_process, spec_of
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
 from ds_sim.session import Session
-from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, SimulatorSpec
+from ds_sim.simulator import FRAME_TIME, Command, DrawsRows, Observation, Outcome, SimulatorSpec
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
 
@@ -149,3 +149,12 @@ def test_a_sent_run_is_that_of_its_conditions() -> None:
     assert decode_run(data, STRAIGHT, 1, conditions).conditions == conditions
     with pytest.raises(RunCodecError, match="another road, seed or conditions"):
         decode_run(data, STRAIGHT, 1)
+
+
+def test_a_kept_simulator_draws_all_rows_again() -> None:
+    kept = simulator_of_process("bullet")
+    assert isinstance(kept, DrawsRows)
+    kept.draw_rows(0, 1)
+    assert not kept.load(STRAIGHT, seed=1).image[1:].any()
+    assert simulator_of_process("bullet") is kept
+    assert kept.load(STRAIGHT, seed=1).image[-1].any()

@@ -14,9 +14,9 @@ from ds_driver.process_pool import map_in_processes
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.line_contrast import LineProbe
-from ds_sim.registry import make_simulator
+from ds_sim.registry import simulator_of_process
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec
+from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec, TakesStills
 
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
@@ -81,7 +81,7 @@ def drive_road(
     """Drive a road until the run ends; failures of simulator or driver end the run as an error.
 
     Args:
-        simulator: draws whole images if the run is probed.
+        simulator: draws whole images if the run is probed, unless it satisfies `ds_sim.simulator.TakesStills`.
         driver: answers every frame.
         road: road to drive.
         seed: seed of the run.
@@ -94,7 +94,7 @@ def drive_road(
     session = Session(simulator)
     observation = session.start(road, seed, conditions)
     assert session.run is not None
-    probe = LineProbe(session.run, simulator.spec) if probed else None
+    probe = LineProbe(session.run, simulator) if probed else None
     while observation is not None:
         if probe is not None:
             probe.see(observation)
@@ -116,12 +116,6 @@ def drive_all(drives: Sequence[Drive], *, workers: int | None = None) -> Iterato
 
 
 @cache
-def _simulator(name: str) -> Simulator:
-    """Simulator of this worker, cached because it is slow to make."""
-    return make_simulator(name)
-
-
-@cache
 def _network(driver: str) -> NetworkDriver:
     """Network of this worker; it is reset when a run starts."""
     from ds_driver.networks.network_driver import NetworkDriver
@@ -131,7 +125,7 @@ def _network(driver: str) -> NetworkDriver:
 
 def run_drive(drive: Drive) -> RunRecord:
     """Drive in this process, which keeps simulator and network for the next drive; draws what the driver sees."""
-    simulator = _simulator(drive.simulator)
+    simulator = simulator_of_process(drive.simulator)
     camera = simulator.spec.camera
     if drive.driver == AUTOPILOT:
         # The autopilot keeps its previous error, so every drive gets a new one.
@@ -141,5 +135,6 @@ def run_drive(drive: Drive) -> RunRecord:
         driver = _steered_by(network, simulator.spec)
         rows = network.rows_seen(crop, camera.height_px, simulator.spec.name) or (0, camera.height_px)
     if isinstance(simulator, DrawsRows):
-        simulator.draw_rows(*(rows if not drive.probed else (0, camera.height_px)))
+        whole = drive.probed and not isinstance(simulator, TakesStills)
+        simulator.draw_rows(*((0, camera.height_px) if whole else rows))
     return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions, probed=drive.probed)

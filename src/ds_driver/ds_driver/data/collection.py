@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from zlib import crc32
 
@@ -15,7 +14,7 @@ from ds_driver.data.dataset import drive_path, keep_plan, write_drive
 from ds_driver.process_pool import map_in_processes
 from ds_road import Road, generate
 from ds_sim.camera.jpeg import encode
-from ds_sim.registry import make_simulator
+from ds_sim.registry import simulator_of_process
 from ds_sim.simulator import Command, Outcome, Simulator
 
 Progress = Callable[[int, int, str], None]
@@ -111,15 +110,9 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
         progress(done, len(jobs), line)
 
 
-@cache
-def _simulator(name: str) -> Simulator:
-    """Create a simulator once per worker, as this takes seconds."""
-    return make_simulator(name)
-
-
 def _collect(job: _Job) -> str:
     """Drive one road and write its file; return a line for the user."""
-    simulator = _simulator(job.simulator)
+    simulator = simulator_of_process(job.simulator)
     rng = np.random.default_rng([job.plan.seed, job.index, job.direction == "reverse", crc32(job.simulator.encode())])
     rows, outcome = _drive(simulator, job.road, rng, job.plan)
     for row in rows:

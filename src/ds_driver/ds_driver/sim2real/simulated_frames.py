@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,8 @@ from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
 from ds_driver.sim2real.window import Sim2RealError
 from ds_driver.whole_files import whole_file
 from ds_road import Road
-from ds_sim.registry import make_simulator
-from ds_sim.simulator import Outcome, Simulator, VehicleState
+from ds_sim.registry import simulator_of_process
+from ds_sim.simulator import Outcome, VehicleState
 
 STATE_FIELDS = tuple(VehicleState.__dataclass_fields__)
 
@@ -170,15 +169,9 @@ class _Job:
     longest: int | None
 
 
-@cache
-def _simulator(name: str) -> Simulator:
-    """Create a simulator once per worker, as this takes seconds."""
-    return make_simulator(name)
-
-
 def _drive(job: _Job) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int32]]:
     """Drive one road; images, states when they were exposed, and steps."""
-    simulator = _simulator(job.simulator)
+    simulator = simulator_of_process(job.simulator)
     spec = simulator.spec
     driver = make_driver(AUTOPILOT, spec)
     seed = int(np.random.default_rng([job.seed, job.index]).integers(2**31))
