@@ -122,10 +122,12 @@ def sensitivity(
     conditions: list[str] | None,
     *,
     roads: int,
+    levels: int,
     segments: int,
     seed: int,
     workers: int | None,
     out: Path | None,
+    gates: Path | None,
 ) -> Result:
     """Find the strength of each condition at which a driver first fails.
 
@@ -134,33 +136,37 @@ def sensitivity(
         simulators: names of the simulators.
         conditions: names of the conditions; None for all that have a harder end.
         roads: number of roads on each simulator.
+        levels: number of levels of strength that may be driven.
         segments: length of each road, in segments of 25 m.
         seed: of the roads.
         workers: processes that drive; None for one per processor.
         out: folder to write to and to go on from, or None.
+        gates: folder of the autopilot's drives; in `out` if None.
 
     Raises:
-        ds_sim.conditions.ConditionsError: a condition is unknown, or has no harder end.
+        ds_sim.conditions.ConditionsError: a condition is unknown, or has no harder end; or so many levels cannot be.
         ds_orchestrator.siblings.kept_drives.KeptDrivesError: the folder holds drives of another driver.
         Interrupted: the user stopped it.
     """
     from rich.console import Console
 
     from ds_orchestrator.graph.process_specs import check_driver
-    from ds_orchestrator.sensitivity import all_factors, analyse_sensitivity, factors_named
+    from ds_orchestrator.sensitivity import RESOLUTIONS, all_factors, analyse_sensitivity, factors_named
 
+    if levels not in RESOLUTIONS:
+        raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
     factors = all_factors() if conditions is None else factors_named(conditions)
     check_driver(driver, simulators)
     folder = None if out is None else out / "drives"
     try:
         found = analyse_sensitivity(
-            driver, simulators, factors, roads=roads, segments=segments, seed=seed, workers=workers, folder=folder,
-            progress=countdown(), say=say,
+            driver, simulators, factors, roads=roads, levels=levels, segments=segments, seed=seed, workers=workers,
+            folder=folder, gates=gates, progress=countdown(), say=say,
         )  # fmt: skip
     except KeyboardInterrupt:
         again = "" if folder is None else f"finished drives are in {folder}: the same command goes on"
         raise Interrupted(again) from None
-    document = {"seed": seed, "segments": segments, **found.document()}
+    document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
     if out is not None:
         _write_sensitivity(out, document, found)
 
@@ -195,7 +201,10 @@ def sensitivity_command(
     ] = None,
     roads: Annotated[
         int, typer.Option(min=1, max=100, help="Short roads on each simulator that the driver completes by default.")
-    ] = 5,
+    ] = 3,
+    levels: Annotated[
+        int, typer.Option(help="Levels of strength that may be driven up to the hardest value: 4, 8 or 16.")
+    ] = 8,
     segments: Annotated[
         int, typer.Option(min=2, max=6, help="Length of the roads in segments of 25 m; 6 are the roads of a campaign.")
     ] = 4,
@@ -203,6 +212,12 @@ def sensitivity_command(
     workers: Workers = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis goes on there.")
+    ] = None,
+    gates: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the autopilot's drives, which other networks' analyses may use; in --out if left out."
+        ),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -213,7 +228,7 @@ def sensitivity_command(
     """
     names = None if conditions is None else [name.strip() for name in conditions.split(",")]
     result = sensitivity(
-        driver_named(driver, backend, "cpu"), every_or_named(sims), names, roads=roads, segments=segments, seed=seed,
-        workers=workers, out=out,
+        driver_named(driver, backend, "cpu"), every_or_named(sims), names, roads=roads, levels=levels,
+        segments=segments, seed=seed, workers=workers, out=out, gates=gates,
     )  # fmt: skip
     end(result, as_json)

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
-from ds_driver.process_pool import map_in_processes
+from ds_driver.networks.pilot import DriverError
+from ds_orchestrator.engines.local import running_local
 from ds_orchestrator.evaluation.table import Column, Table, Value
-from ds_orchestrator.sensitivity.factors import Factor
+from ds_orchestrator.sensitivity.drives import Drives
+from ds_orchestrator.sensitivity.factors import LEVELS, Factor
 from ds_orchestrator.sensitivity.measurement import (
     GATE,
     SEGMENTS,
     TESTED,
-    Task,
+    Fails,
     candidate_roads,
-    do,
+    choose_roads,
     is_applicable,
-    tasks_of,
+    measure,
 )
-from ds_orchestrator.sensitivity.thresholds import Threshold, coverage, threshold_of
+from ds_orchestrator.sensitivity.thresholds import Threshold, Verdict, coverage, threshold_of
 from ds_orchestrator.siblings.kept_drives import check_settings
 from ds_road import Road
+from ds_sim.conditions.model import Conditions
 from ds_sim.registry import spec_of
 
+COMMAND_TIMEOUT = 10.0
+"""Wall-clock time for one answer of the driver, s: that of a campaign."""
 Progress = Callable[[int, int, str], None]
 """Called with the number of measurements done, their total number, and a line about the last one."""
 
@@ -128,9 +137,11 @@ def analyse_sensitivity(
     *,
     roads: int,
     seed: int,
+    levels: int = LEVELS,
     segments: int = SEGMENTS,
     workers: int | None = None,
     folder: Path | None = None,
+    gates: Path | None = None,
     progress: Progress = lambda done, total, line: None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Sensitivity:
@@ -140,58 +151,100 @@ def analyse_sensitivity(
         driver: as in `ds_driver.closed_loop.simulation.Drive`.
         simulators: names of the simulators.
         factors: what to vary, one at a time.
-        roads: roads on each simulator: the first ones that driver and autopilot complete under default conditions.
+        roads: roads on each simulator: the first ones that the driver completes under default conditions.
         seed: of the roads, and of the runs on the first one; it increases by one per road.
+        levels: levels of strength that may be driven, one of `RESOLUTIONS`.
         segments: segments of 25 m of each road, at most `MOST_SEGMENTS`.
         workers: number of processes; the number of available processors if None.
         folder: keeps every finished drive, so that the same call goes on; None keeps nothing.
+        gates: keeps the autopilot's drives, which analyses of several drivers may share; in `folder` if None.
         progress: called after each measurement.
         say: called with one line where something deserves attention.
 
     Raises:
         ds_orchestrator.siblings.kept_drives.KeptDrivesError: the folder holds drives of another driver.
+        ds_driver.closed_loop.worker_process.WorkerError: a process does not start, or cannot load the driver.
+        ds_driver.networks.pilot.DriverError: a drive under default conditions ended in an error.
     """
-    if folder is not None:
-        for kind, named in ((TESTED, driver), (AUTOPILOT, AUTOPILOT), (GATE, AUTOPILOT)):
-            check_settings(folder / kind, named, simulators, say)
-    candidates = tuple(candidate_roads(roads, seed, segments=segments))
-    chosen = _choose(driver, simulators, candidates, roads, workers, folder, say)
-    enough = {name: of for name, of in chosen.items() if len(of) == roads}
-    found: dict[tuple[int, str], Threshold] = {}
-    for position, factor in enumerate(factors):
-        for name in simulators:
-            applicable = is_applicable(factor, spec_of(name).conditions)
-            verdict: Any = "fails by default" if applicable else "not applicable"
-            found[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)
-    tasks = tasks_of(driver, enough, factors, folder)
-    for done, (task, result) in enumerate(zip(tasks, map_in_processes(do, tasks, workers=workers), strict=True), 1):
-        assert task.factor is not None
-        one = threshold_of(task.simulator, task.factor, result.results, result.error)
-        found[factors.index(task.factor), task.simulator] = one
-        progress(done, len(tasks), f"{task.factor.title} on {task.simulator}: {one.text}")
+    tested, gates = (None, gates) if folder is None else (folder / TESTED, gates or folder / GATE)
+    for kept, named in ((tested, driver), (gates, AUTOPILOT)):
+        if kept is not None:
+            check_settings(kept, named, simulators, say)
+    workers = workers or len(os.sched_getaffinity(0))
+    with ExitStack() as stack:
+        logs = Path(stack.enter_context(TemporaryDirectory())) if folder is None else folder / "logs"
+        engine = stack.enter_context(running_local(driver, workers=workers, command_timeout=COMMAND_TIMEOUT, logs=logs))
+        pool = stack.enter_context(ThreadPoolExecutor(engine.capacity or 1))
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
+        stack.callback(engine.stop)  # first of all, so that no thread waits for a drive
+        drives = Drives(engine=engine, driver=driver, folder=tested, gates=gates)
+        candidates = candidate_roads(roads, seed, segments=segments)
+        chosen = _choose(drives, simulators, candidates, roads, pool, say)
+        thresholds = _measure(drives, chosen, factors, pool, needed=roads, levels=levels, progress=progress)
     return Sensitivity(
-        driver=driver, simulators=simulators, factors=factors, needed=roads, roads=chosen, thresholds=found
+        driver=driver, simulators=simulators, factors=factors, needed=roads, roads=chosen, thresholds=thresholds
     )
 
 
 def _choose(
-    driver: str,
+    drives: Drives,
     simulators: Sequence[str],
-    candidates: tuple[tuple[Road, int], ...],
+    candidates: Sequence[tuple[Road, int]],
     needed: int,
-    workers: int | None,
-    folder: Path | None,
+    pool: ThreadPoolExecutor,
     say: Callable[[str], None],
 ) -> dict[str, list[tuple[Road, int]]]:
-    """Roads of each simulator that driver and autopilot complete under default conditions."""
-    tasks = [
-        Task(simulator=name, driver=driver, factor=None, roads=candidates, needed=needed, folder=folder)
+    """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
+    found = {
+        name: pool.submit(choose_roads, len(candidates), needed, _fails(drives, name, candidates))
         for name in simulators
-    ]
-    chosen = {}
-    for task, result in zip(tasks, map_in_processes(do, tasks, workers=workers), strict=True):
-        if result.error:
-            raise RuntimeError(f"{result.error}: fix it and run the same command again")
-        chosen[task.simulator] = [candidates[number] for number in result.chosen]
-        say(f"{task.simulator}: {driver} completes {len(result.chosen)} of {needed} roads without any condition")
-    return chosen
+    }
+    for name, numbers in found.items():
+        try:
+            completed = len(numbers.result())
+        except DriverError as error:
+            raise DriverError(f"{error}: fix it and run the same command again") from None
+        say(f"{name}: {drives.driver} completes {completed} of {needed} roads without any condition")
+    return {name: [candidates[number] for number in numbers.result()] for name, numbers in found.items()}
+
+
+def _measure(
+    drives: Drives,
+    roads: Mapping[str, Sequence[tuple[Road, int]]],
+    factors: Sequence[Factor],
+    pool: ThreadPoolExecutor,
+    *,
+    needed: int,
+    levels: int,
+    progress: Progress,
+) -> dict[tuple[int, str], Threshold]:
+    """Thresholds of all factors on all simulators, in the order of the factors."""
+    found: dict[tuple[int, str], Threshold] = {}
+    running: dict[Future[Threshold], tuple[int, str]] = {}
+
+    def threshold(position: int, name: str) -> Threshold:
+        factor = factors[position]
+        try:
+            results = measure(factor, needed, _fails(drives, name, roads[name]), levels=levels)
+        except DriverError as error:
+            return threshold_of(name, factor, (), str(error))
+        return threshold_of(name, factor, results)
+
+    for position, factor in enumerate(factors):
+        for name, of in roads.items():
+            applicable = is_applicable(factor, spec_of(name).conditions)
+            verdict: Verdict = "fails by default" if applicable else "not applicable"
+            found[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)
+            if applicable and len(of) == needed:
+                running[pool.submit(threshold, position, name)] = position, name
+    for done, future in enumerate(as_completed(running), 1):
+        one = found[running[future]] = future.result()
+        progress(done, len(running), f"{one.factor.title} on {one.simulator}: {one.text}")
+    return found
+
+
+def _fails(drives: Drives, simulator: str, roads: Sequence[tuple[Road, int]]) -> Fails:
+    def fails(who: str, number: int, conditions: Conditions) -> bool:
+        return drives.fails(simulator, *roads[number], who, conditions)
+
+    return fails

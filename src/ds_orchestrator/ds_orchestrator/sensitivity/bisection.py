@@ -28,16 +28,29 @@ def first_failure(fails: Callable[[int], bool], highest: int, near: Bracket | No
     Args:
         fails: drives a level from 1 to `highest`, and says whether the driver fails.
         highest: highest level to drive; 0 drives none.
-        near: result for a similar road, tried first: two drives if it holds here, too.
+        near: result for a similar road, around which is searched: two drives if it holds here, too.
     """
     if highest == 0:
         return Bracket(0, None)
     low, high = 0, highest + 1
-    expected = [] if near is None or near.fails is None else [near.fails, near.completes]
-    for level in (*expected, highest):
+
+    def drive(level: int) -> None:
+        nonlocal low, high
         if low < level < high:
             low, high = (low, level) if fails(level) else (level, high)
+
+    if near is None or near.fails is None:
+        drive(highest)
+    else:  # search from there in steps that double, as roads differ by little
+        drive(near.fails)
+        drive(near.fails - 1)
+        step = 1
+        while high < near.fails and low == 0 and high > 1:
+            drive(max(high - step, 1))
+            step *= 2
+        while low >= near.fails and high > highest and low < highest:
+            drive(min(low + step, highest))
+            step *= 2
     while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if fails(middle) else (middle, high)
+        drive((low + high) // 2)
     return Bracket(low, high if high <= highest else None)

@@ -11,8 +11,10 @@ from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.conditions.scales import between
 
 LEVELS = 16
-"""Levels of strength between a simulator's own world (0) and the hardest value; chosen: four bisections, and a
-threshold to 6 % of the range."""
+"""Levels of strength between a simulator's own world (0) and the hardest value; chosen: a threshold to 6 % of the
+range."""
+RESOLUTIONS = (4, 8, 16)
+"""Numbers of levels that may be driven: every fourth, every second, or each of `LEVELS`."""
 VEHICLE_CONDITIONS = COMMAND_CONDITIONS | {"friction", "payload"}
 """Conditions that change how a vehicle moves; the others change what its camera sees, and nothing else."""
 

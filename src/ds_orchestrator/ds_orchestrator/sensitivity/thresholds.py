@@ -15,8 +15,8 @@ from ds_orchestrator.sensitivity.measurement import RoadResult
 Verdict = Literal[
     "fails", "completes", "infeasible", "lines invisible", "not applicable", "fails by default", "error"
 ]  # fmt: skip
-"""fails: on the median road; completes: it does not, up to the hardest value; infeasible: it does not as far as the
-autopilot completes, which is not up to there; lines invisible: nor as far as the lines are visible; not applicable: the
+"""fails: on the median road; completes: it does not, up to the hardest value; infeasible: where it begins to fail on
+the median road, the autopilot fails, too; lines invisible: where it begins to fail, they are; not applicable: the
 simulator cannot realise the condition; fails by default: too few roads are completed without any condition; error: a
 drive ended in an error."""
 
@@ -52,8 +52,8 @@ class Threshold:
 
     @property
     def excluded(self) -> int | None:
-        """Lowest level by which the driver cannot be judged on at least half of the roads."""
-        return _median([None if road.feasible == LEVELS else road.feasible + 1 for road in self.roads])
+        """Level from which the median road cannot be judged: at least half of the roads fail or are excluded there."""
+        return None if self.fails else _median([road.fails or road.excluded for road in self.roads])
 
     @property
     def withstood(self) -> float | None:
@@ -66,7 +66,8 @@ class Threshold:
     def text(self) -> str:
         """What was found, in a few words: the value at which the driver first fails, and the values of all roads."""
         if self.verdict == "fails" and self.fails:
-            values = [_plain(self.factor.value(level)) if level else "never" for level in self.interval]
+            beyond = "never" if any(road.withstands_all for road in self.roads) else "not judged"
+            values = [_plain(self.factor.value(level)) if level else beyond for level in self.interval]
             median = _plain(self.factor.value(self.fails))
             return median if values == [median, median] else f"{median} ({' to '.join(dict.fromkeys(values))})"
         if self.verdict == "completes":
@@ -77,7 +78,9 @@ class Threshold:
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values; a value beyond the range is None."""
-        first, last = self.interval
+        fails = self.fails if self.verdict == "fails" else None
+        first, last = self.interval if fails else (None, None)
+        completes = next((road.completes for road in self.roads if fails and road.fails == fails), None)
         return {
             "condition": self.factor.name,
             "unit": self.factor.unit,
@@ -85,9 +88,9 @@ class Threshold:
             "end": self.factor.end,
             "simulator": self.simulator,
             "verdict": self.verdict,
-            "first_fails": self._value(self.fails),
+            "first_fails": self._value(fails),
             "interval": [self._value(first), self._value(last)],
-            "completes": None if not self.fails else self._value(self.fails - 1),
+            "completes": self._value(completes),
             "excluded_from": self._value(self.excluded),
             "share_of_range": self.withstood,
             "message": self.message,
@@ -95,7 +98,7 @@ class Threshold:
                 {
                     "completes": self._value(road.completes),
                     "fails": self._value(road.fails),
-                    "excluded_from": None if road.feasible == LEVELS else self._value(road.feasible + 1),
+                    "excluded_from": self._value(road.excluded),
                 }
                 for road in self.roads
             ],

@@ -48,7 +48,7 @@ def drive_kept(
         yield from ((run, True) for run in drive_all(drives, workers=workers))
         return
     check_settings(folder, drives[0].driver, {drive.simulator for drive in drives}, say)
-    kept = [_read(folder, drive) for drive in drives]
+    kept = [read_kept(folder, drive) for drive in drives]
     missing = [drive for drive, run in zip(drives, kept, strict=True) if run is None]
     fresh = map_in_processes(partial(_drive_and_keep, folder), missing, workers=workers) if missing else iter(())
     for run in kept:
@@ -94,23 +94,23 @@ def check_settings(folder: Path, driver: str, names: Collection[str], say: Calla
         say(f"the code has changed since {folder} began: its drives are kept; choose another --out to drive them again")
 
 
-def run_kept(folder: Path, drive: Drive) -> RunRecord:
-    """Read the run of a drive from a folder, or drive in this process and write it."""
-    run = _read(folder, drive)
-    return _drive_and_keep(folder, drive) if run is None else run
-
-
 def _drive_and_keep(folder: Path, drive: Drive) -> RunRecord:
     """Drive in a worker process, which writes the run, so that it is kept whatever happens to the others."""
     run = run_drive(drive)
     if run.outcome.is_verdict:
-        path = _path(folder, drive)
-        path.parent.mkdir(exist_ok=True)
-        write_whole(path, encode_run(run))
+        keep(folder, drive, run)
     return run
 
 
-def _read(folder: Path, drive: Drive) -> RunRecord | None:
+def keep(folder: Path, drive: Drive, run: RunRecord) -> None:
+    """Write the run of a drive to a folder."""
+    path = _path(folder, drive)
+    path.parent.mkdir(exist_ok=True)
+    write_whole(path, encode_run(run))
+
+
+def read_kept(folder: Path, drive: Drive) -> RunRecord | None:
+    """Read the run of a drive from a folder; None if it is not there or damaged."""
     try:
         return decode_run(_path(folder, drive).read_bytes(), drive.road, drive.seed, drive.conditions)
     except (FileNotFoundError, RunCodecError):
