@@ -50,6 +50,32 @@ def test_a_stopped_search_of_conditions_goes_on_and_ends_the_same(tmp_path: Path
     assert len(data.gates) == len(data.tests) * len(config.simulators)
 
 
+def test_maps_of_the_usual_conditions_are_drawn_beside_those_of_the_paper() -> None:
+    searched = {**SEARCHED, "veiling_luminance": {"low": 0.0, "high": 3000.0}}
+    config = parse_config({"search": {"conditions": searched}}, "here")
+    assert config.features == ["lane_curvature", "line_contrast"]
+    assert config.further_axes == [
+        ("lane_curvature", "visibility"), ("lane_curvature", "veiling_luminance"), ("turns_count", "curvature"),
+    ]  # fmt: skip
+    of_paper = parse_config({"search": {"conditions": SEARCHED}, "features": ["turns_count", "curvature"]}, "here")
+    assert of_paper.further_axes == [("lane_curvature", "line_contrast"), ("lane_curvature", "visibility")]
+    assert parse_config({}, "here").further_axes == []
+
+
+def test_a_search_by_measured_contrast_fills_its_cells(tmp_path: Path) -> None:
+    raw = json.loads(config_of(population=3, iterations=2).identity())
+    raw["features"] = ["turns_count", "measured_line_contrast"]
+    raw["search"]["conditions"] = SEARCHED
+    config = parse_config({**raw, "engine": "local"}, "here")
+    data = read_campaign(run(tmp_path, GatedExecutor(), config)[1])
+    own = {test.test_id: data.gates[test.test_id, test.sibling].line_contrast for test in data.tests}
+    cells = {
+        i: cell[1] for i, cell in data.cells.items() if (i, next(t.sibling for t in data.tests if t.test_id == i))
+        in {(e.test_id, e.simulator) for e in data.executions}
+    }  # fmt: skip
+    assert cells and all(0.05 * 2**bin_ <= own[i] < 0.05 * 2 ** (bin_ + 1) for i, bin_ in cells.items())
+
+
 def test_a_search_without_conditions_has_the_text_of_earlier_versions() -> None:
     assert set(json.loads(CONFIG.identity())["search"]) == {
         "method", "population", "iterations", "runs", "min_angle", "max_angle", "extent",
@@ -64,6 +90,7 @@ def test_a_search_without_conditions_has_the_text_of_earlier_versions() -> None:
         ({"search": {"conditions": {"visibility": {"low": 5.0, "high": 50.0}}}}, "expected a finite range within 20"),
         ({"search": {"conditions": SEARCHED}, "conditions": "visibility=40"}, "visibility is fixed and searched"),
         ({"features": ["curvature", "visibility"]}, "visibility is not searched"),
+        ({"features": ["curvature", "measured_line_contrast"]}, "is measured by the gates, expected conditions"),
         ({"search": {"objective": "fame"}}, "expected one of lateral_distance, boundary, disagreement"),
         ({"search": {"objective": "boundary"}, "migration": "elites"}, "migration: all, not migration of elites"),
         ({"search": {"objective": "boundary"}, "siblings": [DONKEYS[0]]}, "not one sibling"),

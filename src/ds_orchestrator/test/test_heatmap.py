@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -84,6 +85,20 @@ def test_each_value_is_drawn_and_numbers_are_written() -> None:
     many = FeatureMap(id=MapId.union("a"), cells={(3, 16): seven})
     assert near.shape == probability.shape
     assert not np.array_equal(draw_map(many, "probability", bounds=BOUNDS), probability)
+
+
+def test_excluded_tests_are_written_beside_and_in_cells_of_their_own() -> None:
+    plain = make_map(MapId.union("a"), {(3, 16): (0.0, 1.0)})
+    apart = replace(plain, excluded={(3, 16): 2, (2, 17): 4, (4, 18): 1})
+    bounds = bounds_of([apart])
+    assert (bounds.turns, bounds.curvature) == ((2, 4), (16, 18))
+    without, drawn = (draw_map(m, "probability", bounds=bounds) for m in (plain, apart))
+    without = np.pad(without, ((0, 0), (0, drawn.shape[1] - without.shape[1]), (0, 0)), constant_values=255)
+    changed = (without != drawn).any(axis=2)
+    # Three cells, below the heading, which says what the numbers are; no colour of a probability changes.
+    boxes = cv2.connectedComponents(cv2.dilate(changed[60:].astype(np.uint8), np.ones((9, 25))))[0] - 1
+    assert boxes == 3 and changed[:60].any()
+    assert pixels_of(drawn, COLOURS[0]).shape[0] > 0.9 * pixels_of(without, COLOURS[0]).shape[0]
 
 
 def test_bounds_hold_every_map_and_make_pictures_of_one_size() -> None:

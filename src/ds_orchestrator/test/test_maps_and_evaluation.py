@@ -20,11 +20,13 @@ from ds_orchestrator.evaluation.statistics import Array
 from ds_orchestrator.maps.algebra import merge, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, slices_of, to_json
+from ds_orchestrator.maps.frame import maps_frame
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.maps.merge_operators import apply, jeffreys_interval, merged_interval
-from ds_orchestrator.search.features import Cell
+from ds_orchestrator.search.features import Cell, feature_of
 from ds_orchestrator.store.store import Execution, Test
 from ds_road import Road, generate
+from ds_sim.gates import Gate, GateState
 from ds_sim.simulator import Outcome
 
 SIBLINGS = ["a", "b", "c"]
@@ -99,6 +101,47 @@ def test_errors_enter_no_map_and_an_empty_cell_is_not_zero() -> None:
     assert CELLS[Y] in maps[MapId.union("a")].cells
     assert not any(map_id.kind == "twin" for map_id in maps)
     json.dumps(to_json(maps), allow_nan=False)
+
+
+def test_excluded_tests_are_counted_apart_and_in_no_probability() -> None:
+    """`a0` is excluded on its own sibling `a`, `b1` on `c` and on the twin."""
+    valid, out = Gate(state=GateState.VALID), Gate(state=GateState.OUT_OF_ODD)
+    excluded = {("a0", "a"), ("b1", "c"), ("b1", "twin")}
+    gates = {(e.test_id, e.simulator): valid for e in EXECUTIONS} | dict.fromkeys(excluded, out)
+    done = [e for e in EXECUTIONS if (e.test_id, e.simulator) not in excluded]
+    maps = build_maps(SIBLINGS, "twin", TESTS, done, gates=gates)
+    x = CELLS[X]
+    found = {map_id.name: feature_map.excluded for map_id, feature_map in maps.items() if feature_map.excluded}
+    search, migration, on_twin = MapId.search("a"), MapId.migration("b", "c"), MapId.migration("b", "twin")
+    assert found == {
+        map_id.name: {x: count}
+        for map_id, count in {
+            search: 1, migration: 1, on_twin: 1, MapId.union("a"): 1, MapId.union("c"): 1, MapId.twin("twin"): 1,
+            M: 2,
+        }.items()
+    }  # fmt: skip
+    assert probabilities(maps[MapId.union("a")])[x] == (8, pytest.approx(2 / 8))
+    document = json.loads(json.dumps(to_json(maps), allow_nan=False))
+    assert document[M.name]["excluded"] == [{"turns_count": x[0], "curvature": x[1], "tests": 2}]
+    assert "excluded" not in document[MapId.search("b").name]
+    frame = maps_frame(maps)
+    row = frame[(frame["map"] == M.name) & (frame["turns_count"] == x[0])]
+    assert row["excluded"].tolist() == [2] and frame["excluded"].sum() == 8
+    without = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS, gates=dict.fromkeys(gates, valid))
+    assert to_json(without) == to_json(build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS))
+
+
+def test_the_measured_contrast_of_lines_is_that_of_the_sibling_that_searched() -> None:
+    axes = ("turns_count", "measured_line_contrast")
+    gates = {
+        ("a0", "a"): Gate(state=GateState.VALID, outcome=Outcome.COMPLETED, line_contrast=0.85),  # 0.05 x 2^4 = 0.8
+        ("a0", "b"): Gate(state=GateState.VALID, outcome=Outcome.COMPLETED, line_contrast=9.0),
+        ("a1", "a"): Gate(state=GateState.OUT_OF_ODD, outcome=Outcome.COMPLETED, line_contrast=0.0),
+        ("a2", "a"): Gate(state=GateState.NOT_APPLICABLE),
+    }
+    cells = cells_of(TESTS, EXECUTIONS, features=axes, gates=gates)
+    assert cells == {"a0": (X, 4), "a1": (X, 0)}
+    assert [feature_of("measured_line_contrast").label(k) for k in (0, 4)] == ["0.05", "0.8"]
 
 
 def test_stuck_and_timeout_are_failures() -> None:

@@ -44,8 +44,10 @@ def groups_of(campaign: Path, by: By, *, say: Callable[[str], None] = lambda lin
         BagError: the campaign has no bags.
     """
     with closing(open_store(campaign)) as store:
-        config, tests, executions = config_of(store), store.tests(), store.executions()
-    cells = cells_of(tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible)
+        config, tests, executions, gates = config_of(store), store.tests(), store.executions(), store.gates()
+    cells = cells_of(
+        tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible, gates=gates
+    )
     groups: dict[str, list[Path]] = {}
     missing = missing_bags(campaign, executions)
     for execution in sorted(executions, key=lambda e: e.bag):

@@ -60,7 +60,11 @@ class CampaignData:
         """Test -> cell over all features of the campaign, for tests that have one."""
         config = self.config
         return cells_of(
-            self.tests, self.executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible
+            self.tests,
+            self.executions,
+            features=config.features,
+            maxitwo_compatible=config.maxitwo_compatible,
+            gates=self.gates,
         )
 
 

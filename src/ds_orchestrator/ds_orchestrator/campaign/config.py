@@ -14,7 +14,7 @@ from ds_orchestrator.maps.merge_operators import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.base import SearchSettings
 from ds_orchestrator.search.condition_space import STEP, ConditionSpace, SearchedCondition
-from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, feature_of
+from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, MEASURED_LINE_CONTRAST, feature_of
 from ds_orchestrator.search.objectives import OBJECTIVES
 from ds_road import Side
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
@@ -273,6 +273,8 @@ class CampaignConfig(_Strict):
         for name in (feature.partition(":")[0] for feature in self.features):
             if name in FIELDS and name not in self.search.conditions:
                 raise ValueError(f"features: {name} is not searched, expected it among search.conditions")
+            if name == MEASURED_LINE_CONTRAST and not self.has_gates:
+                raise ValueError(f"features: {name} is measured by the gates, expected conditions or gates: all")
         if OBJECTIVES[self.search.objective].everywhere:
             wrong = ["migration of elites alone"] if self.elites_only else []
             wrong += ["one sibling"] if len(self.siblings) < 2 else []
@@ -309,6 +311,18 @@ class CampaignConfig(_Strict):
         return self.search.settings(
             maxitwo_compatible=self.maxitwo_compatible, lane=self.lane, fixed=self.fixed_conditions
         )
+
+    @property
+    def further_axes(self) -> list[tuple[str, ...]]:
+        """Axes of the maps that are drawn beside the configured ones.
+
+        For a search of conditions these are the curvature of the driven lane by each of `USUAL_AXES` that is searched,
+        and the paper's axes; none otherwise.
+        """
+        if not self.search.conditions:
+            return []
+        usual = [("lane_curvature", name) for name in USUAL_AXES if name in self.search.conditions]
+        return [axes for axes in (*usual, DEFAULT_FEATURES) if axes != tuple(self.features)]
 
     @property
     def executions_at_most(self) -> int:

@@ -49,7 +49,9 @@ def roads_of(
         raise ConfigError(
             f"{folder} has no test {test!r}: expected an id such as {_examples(t.test_id for t in tests)}"
         )
-    cells = cells_of(tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible)
+    cells = cells_of(
+        tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible, gates=gates
+    )
     wanted = None if cell is None else _cell_named(cell, [feature_of(name) for name in config.features], cells)
     outcomes: dict[str, dict[str, Any]] = {t.test_id: {} for t in tests}
     failures: set[tuple[str, str]] = set()

@@ -173,7 +173,13 @@ class Campaign:
             return tests
         executions = self._store.executions()
         plan = self._config.map_plan()
-        cells = cells_of(tests, executions, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible)
+        cells = cells_of(
+            tests,
+            executions,
+            features=plan.features,
+            maxitwo_compatible=plan.maxitwo_compatible,
+            gates=self._store.gates(),
+        )
         elites = elites_of(tests, executions, cells, ignored=self._store.given_up())
         return [test for test in tests if test.test_id in elites]
 
@@ -238,12 +244,14 @@ class Campaign:
             if sibling not in driven or without_outcome or test_id in self._given_up:
                 search.tell(None)
                 continue
+            gate = self._store.gate(test_id, sibling)
             cell = cell_of(
                 test.road,
                 driven[sibling],
                 features=config.features,
                 maxitwo_compatible=config.maxitwo_compatible,
                 conditions=test.conditions,
+                line_contrast=None if gate is None else gate.line_contrast,
             )
             score = self._objective.score(driven)
             search.tell(score.fitness, failed=score.found, cell=cell)

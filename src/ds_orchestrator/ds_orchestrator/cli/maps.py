@@ -28,8 +28,14 @@ _RAMP = ((46, 125, 50), (249, 168, 37), (198, 40, 40))
 app = typer.Typer()
 
 
-def maps(folder: Path, name: str = "merged", shown: Shown = "probability") -> Result:
+def maps(folder: Path, name: str = "merged", shown: Shown = "probability", axes: Sequence[str] | None = None) -> Result:
     """Every map of a campaign as JSON values; one of them as a grid.
+
+    Args:
+        folder: campaign folder.
+        name: of the map that is shown.
+        shown: what colours the cells.
+        axes: features that span the maps; those of the configuration if None.
 
     Raises:
         ds_orchestrator.campaign.config.ConfigError: the campaign has no map of this name.
@@ -43,7 +49,7 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability") -> Re
 
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
-    every = maps_of(data)
+    every = maps_of(data, features=axes)
     found = {map_id.name: feature_map for map_id, feature_map in every.items()}
     if name not in found:
         raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
@@ -59,8 +65,25 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability") -> Re
             console.print(excluded, highlight=False)
         others = ", ".join(other for other in found if other != name)
         console.print(f"Other maps, with --map NAME: {others}", highlight=False)
+        if axes is None and data.config.further_axes:
+            further = "; ".join(",".join(other) for other in data.config.further_axes)
+            console.print(f"Other axes, with --axes A,B: {further}", highlight=False)
 
     return Result(document=to_json(every), show=show)
+
+
+def axes_named(text: str) -> list[str]:
+    """Features in a text, separated by commas.
+
+    Raises:
+        ds_orchestrator.search.features.FeatureError: one is unknown, or there are not two or three different ones.
+    """
+    from ds_orchestrator.search.features import FeatureError, feature_of
+
+    names = [name.strip() for name in text.split(",")]
+    if not 2 <= len({feature_of(name).name.partition(":")[0] for name in names}) == len(names) <= 3:
+        raise FeatureError(f"--axes {text[:80]}: expected two or three different features, separated by commas")
+    return names
 
 
 def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
@@ -74,8 +97,9 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
     from ds_orchestrator.search.features import feature_of
 
     across, up = (feature_of(name) for name in feature_map.features)
-    columns = _axis(cell[0] for cell in feature_map.cells)
-    rows = _axis(cell[1] for cell in feature_map.cells)[::-1]
+    shown_cells = (*feature_map.cells, *feature_map.excluded)
+    columns = _axis(cell[0] for cell in shown_cells)
+    rows = _axis(cell[1] for cell in shown_cells)[::-1]
     head = max(len(up.title), *(len(up.label(row)) for row in rows), 1) if rows else len(up.title)
     at_once = max(1, (width - head - 4) // 8)
     made = []
@@ -89,8 +113,11 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
         for column in part:
             table.add_column(across.label(column), justify="center", min_width=6, no_wrap=True)
         for row in rows:
-            cells = (feature_map.cells.get((column, row)) for column in part)
-            table.add_row(up.label(row), *(_box(cell, shown) for cell in cells))
+            boxes = (
+                _box(feature_map.cells.get((column, row)), shown, feature_map.excluded.get((column, row), 0))
+                for column in part
+            )
+            table.add_row(up.label(row), *boxes)
         made.append(table)
     return made
 
@@ -108,7 +135,11 @@ def legend(feature_map: FeatureMap, shown: Shown) -> list[Text]:
     failing = sum(cell.probability > 0.0 for cell in cells)
     counts = [cell.failures for cell in cells if cell.failures is not None]
     numbers = "Failures/tests in each cell" if counts and shown == "probability" else "Value in each cell"
-    return [ramp, Text(f"{numbers}; {failing} of {len(feature_map.cells)} filled cells have a probability above 0.")]
+    lines = [ramp, Text(f"{numbers}; {failing} of {len(feature_map.cells)} filled cells have a probability above 0.")]
+    if feature_map.excluded:
+        count = sum(feature_map.excluded.values())
+        lines.append(Text(f"-n: n tests of the cell are excluded by the gates and in no other number; {count} in all."))
+    return lines
 
 
 def _axis(bins: Iterable[int]) -> Sequence[int]:
@@ -119,12 +150,13 @@ def _axis(bins: Iterable[int]) -> Sequence[int]:
     return filled
 
 
-def _box(cell: MapCell | None, shown: Shown) -> Text:
+def _box(cell: MapCell | None, shown: Shown, excluded: int) -> Text:
+    apart = f" -{excluded}" if excluded else ""
     if cell is None:
-        return Text("·", style="dim")
+        return Text(f"·{apart}", style="dim")
     value = cell.probability if shown == "probability" else cell.quality_loss
     text = f"{value:.2f}" if cell.failures is None or shown == "quality" else f"{cell.failures}/{cell.tests}"
-    return Text(f"{text:^6}", style=f"bold white on {_colour(value)}")
+    return Text(f"{text:^6}", style=f"bold white on {_colour(value)}").append(apart, style="not bold dim")
 
 
 def _colour(value: float) -> str:
@@ -140,10 +172,15 @@ def maps_command(
     folder: Folder,
     name: Annotated[str, typer.Option("--map", help="Map to show.")] = "merged",
     value: Annotated[Shown, typer.Option(help="What colours the cells: probability or quality.")] = "probability",
+    axes: Annotated[
+        str | None,
+        typer.Option(help="Two or three features that span the maps, separated by commas; as configured if left out."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Show a campaign's feature maps as coloured grids.
 
     One map at a time: `merged`, unless --map names another one. With --json, all of them.
     """
-    answer(maps(folder, name, value), as_json)
+    named = None if axes is None else axes_named(axes)
+    answer(maps(folder, name, value, named), as_json)

@@ -44,7 +44,7 @@ def maps_of(data: CampaignData, *, features: Sequence[str] | None = None) -> dic
     plan = config.map_plan(data.given_up)
     if features is not None:
         plan = replace(plan, features=tuple(features))
-    return build_maps(config.siblings, config.twin, data.tests, data.executions, plan)
+    return build_maps(config.siblings, config.twin, data.tests, data.executions, plan, gates=data.gates)
 
 
 def correlations_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> list[Correlation]:

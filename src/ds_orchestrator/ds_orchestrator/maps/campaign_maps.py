@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from ds_orchestrator.maps.algebra import Normalise, merge, pool, union
 from ds_orchestrator.maps.feature_map import FeatureMap
@@ -11,6 +13,7 @@ from ds_orchestrator.maps.map_id import MapId, map_ids
 from ds_orchestrator.search.archive import Archive
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
 from ds_orchestrator.store.store import Execution, Test
+from ds_sim.gates.gate import Gate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,17 +55,28 @@ def cells_of(
     *,
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
+    gates: Mapping[tuple[str, str], Gate] = MappingProxyType({}),
 ) -> dict[str, Cell]:
-    """Map test -> cell, for every test that has one; see `ds_orchestrator.search.features`."""
+    """Map test -> cell, for every test that has one; see `ds_orchestrator.search.features`.
+
+    Args:
+        tests: tests of the campaign.
+        executions: their executions.
+        features: names of the axes.
+        maxitwo_compatible: count turns as the authors' package does.
+        gates: test and simulator -> what the gates say, for the measured contrast of lines.
+    """
     verdicts = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     cells = {}
     for test in tests:
+        gate = gates.get((test.test_id, test.sibling))
         cell = cell_of(
             test.road,
             verdicts.get((test.test_id, test.sibling)),
             features=features,
             maxitwo_compatible=maxitwo_compatible,
             conditions=test.conditions,
+            line_contrast=None if gate is None or gate.outcome is None else gate.line_contrast,
         )
         if cell is not None:
             cells[test.test_id] = cell
@@ -104,13 +118,23 @@ def build_maps(
     tests: Sequence[Test],
     executions: Sequence[Execution],
     plan: MapPlan = MapPlan(),  # noqa: B008 (immutable)
+    *,
+    gates: Mapping[tuple[str, str], Gate] = MappingProxyType({}),
 ) -> dict[MapId, FeatureMap]:
     """Build every map of a campaign; see `MapId` for the kinds.
 
     Executions without a verdict and tests without a cell enter no map.
+
+    Args:
+        siblings: names of the siblings.
+        twin: name of the twin, or None.
+        tests: tests of the campaign.
+        executions: their executions.
+        plan: parameters of the maps.
+        gates: test and simulator -> what the gates say. Tests that they exclude are counted apart.
     """
     verdicts = [e for e in executions if e.outcome.is_verdict]
-    cells = cells_of(tests, verdicts, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible)
+    cells = cells_of(tests, verdicts, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible, gates=gates)
     everything = set(cells)
     migrated = elites_of(tests, verdicts, cells, ignored=plan.ignored) if plan.elites_only else everything
     searched = migrated if plan.maxitwo_compatible else everything
@@ -139,4 +163,29 @@ def build_maps(
         else:
             parts = [maps[MapId.migration(origin, map_id.simulator)] for origin in siblings]
             maps[map_id] = union(map_id, parts, pooled_quality_loss=pooled)
-    return maps
+    without = {key for key, gate in gates.items() if not gate.is_valid}
+    if not without:
+        return maps
+    return {
+        map_id: replace(made, excluded=_excluded(map_id, siblings, tests, cells, migrated, without))
+        for map_id, made in maps.items()
+    }
+
+
+def _excluded(
+    map_id: MapId,
+    siblings: Sequence[str],
+    tests: Sequence[Test],
+    cells: Mapping[str, Cell],
+    migrated: Collection[str],
+    without: Collection[tuple[str, str]],
+) -> dict[Cell, int]:
+    """Count the tests of a map that the gates exclude on its simulator, by cell; in a merged map, on any sibling."""
+    found: Counter[Cell] = Counter()
+    for test in tests:
+        on = siblings if map_id.kind == "merged" else [map_id.simulator]
+        driven = [name for name in on if name == test.sibling or test.test_id in migrated]
+        in_map = map_id.kind not in ("search", "migration") or test.sibling == map_id.origin
+        if in_map and test.test_id in cells and any((test.test_id, name) in without for name in driven):
+            found[cells[test.test_id]] += 1
+    return dict(sorted(found.items()))

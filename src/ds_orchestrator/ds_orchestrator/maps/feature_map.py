@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, feature_of
@@ -40,12 +40,15 @@ class FeatureMap:
         cells: filled cells.
         features: names of the axes; see `ds_orchestrator.search.features`.
         detail: slice of a map of three features, such as `direction coverage, % 10`; "" for a whole map.
+        excluded: number of tests by which no network can be judged on this simulator (`ds_sim.gates`), by cell; they
+            are in no other number.
     """
 
     id: MapId
     cells: Mapping[Cell, MapCell]
     features: tuple[str, ...] = DEFAULT_FEATURES
     detail: str = ""
+    excluded: Mapping[Cell, int] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -59,7 +62,7 @@ def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
         return [feature_map]
     first, second, third = feature_map.features
     of_third = feature_of(third)
-    values = sorted({cell[2] for cell in feature_map.cells})
+    values = sorted({cell[2] for cell in (*feature_map.cells, *feature_map.excluded)})
     if not values:
         return [replace(feature_map, features=(first, second))]
     return [
@@ -68,6 +71,7 @@ def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
             cells={cell[:2]: content for cell, content in feature_map.cells.items() if cell[2] == value},
             features=(first, second),
             detail=f"{of_third.title} {of_third.label(value)}",
+            excluded={cell[:2]: count for cell, count in feature_map.excluded.items() if cell[2] == value},
         )
         for value in values
     ]
@@ -90,6 +94,19 @@ def to_json(maps: Mapping[MapId, FeatureMap]) -> dict[str, object]:
                 }
                 for cell, value in sorted(feature_map.cells.items())
             ],
+            **_excluded_to_json(feature_map),
         }
         for map_id, feature_map in maps.items()
+    }
+
+
+def _excluded_to_json(feature_map: FeatureMap) -> dict[str, object]:
+    """Cells with excluded tests; nothing where there are none, as in campaigns without gates."""
+    if not feature_map.excluded:
+        return {}
+    return {
+        "excluded": [
+            {**dict(zip(feature_map.features, cell, strict=True)), "tests": count}
+            for cell, count in sorted(feature_map.excluded.items())
+        ]
     }

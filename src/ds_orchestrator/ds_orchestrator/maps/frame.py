@@ -11,7 +11,7 @@ from ds_orchestrator.maps.map_id import MapId
 if TYPE_CHECKING:
     import pandas as pd
 
-_COLUMNS = ("tests", "failures", "probability", "interval_low", "interval_high", "quality_loss")
+_COLUMNS = ("tests", "failures", "probability", "interval_low", "interval_high", "quality_loss", "excluded")
 
 
 def maps_frame(maps: Mapping[MapId, FeatureMap]) -> pd.DataFrame:
@@ -22,7 +22,8 @@ def maps_frame(maps: Mapping[MapId, FeatureMap]) -> pd.DataFrame:
 
     Returns:
         Columns `map` (name), `kind`, `simulator`, `origin`, `operator`; one per feature with the cell's bin; `tests`,
-        `failures` (missing in merged maps), `probability`, `interval_low`, `interval_high` (95 %), `quality_loss`.
+        `failures` (missing in merged maps), `probability`, `interval_low`, `interval_high` (95 %), `quality_loss`, and
+        `excluded`, the number of tests that the gates exclude.
 
     Raises:
         ValueError: the maps have different features.
@@ -39,7 +40,8 @@ def maps_frame(maps: Mapping[MapId, FeatureMap]) -> pd.DataFrame:
         for cell, content in sorted(feature_map.cells.items()):
             low, high = content.interval or (None, None)
             values = [content.tests, content.failures, content.probability, low, high, content.quality_loss]
+            values.append(feature_map.excluded.get(cell, 0))
             rows.append([*identity, *cell, *values])
     frame = pd.DataFrame(rows, columns=["map", "kind", "simulator", "origin", "operator", *features, *_COLUMNS])
-    kinds = {"tests": "int64", "failures": "Int64", **dict.fromkeys(_COLUMNS[2:], "float64")}
+    kinds = {"tests": "int64", "failures": "Int64", **dict.fromkeys(_COLUMNS[2:-1], "float64"), "excluded": "int64"}
     return frame.astype({**kinds, **dict.fromkeys(features, "int64")})

@@ -64,7 +64,7 @@ class Bounds:
 
 def bounds_of(maps: Iterable[FeatureMap]) -> Bounds:
     """Compute the smallest bounds with every filled cell of all maps, so that pictures are comparable cell by cell."""
-    cells = {cell for feature_map in maps for cell in feature_map.cells} or {(0, 0)}
+    cells = {cell for feature_map in maps for cell in (*feature_map.cells, *feature_map.excluded)} or {(0, 0)}
     turns, curvature = [cell[0] for cell in cells], [cell[1] for cell in cells]
     return Bounds(turns=(min(turns), max(turns)), curvature=(min(curvature), max(curvature)))
 
@@ -86,7 +86,8 @@ def ink_on(colour: Rgb) -> Rgb:
 def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArray[np.uint8]:
     """Draw one value of a feature map.
 
-    Every filled cell shows its value and its number of tests; cells without tests are hatched.
+    Every filled cell shows its value and its number of tests; cells without tests are hatched. Tests that the gates
+    exclude are counted beside, as in `-2`; they are in no other number.
 
     Args:
         feature_map: map of two features.
@@ -96,7 +97,8 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    titles = (feature_map.title, VALUE_TITLES[value])
+    excluded = sum(feature_map.excluded.values())
+    titles = (feature_map.title, VALUE_TITLES[value] + (f"; -n: excluded, {excluded} in all" if excluded else ""))
     grid_width = _CELL_WIDTH * len(bounds.columns)
     grid_height = _CELL_HEIGHT * len(bounds.rows)
     title_width = max(_text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
@@ -108,7 +110,8 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
     for column, turns in enumerate(bounds.columns):
         for row, curvature in enumerate(bounds.rows):
             corner = (_LEFT + column * _CELL_WIDTH, _TOP + row * _CELL_HEIGHT)
-            _draw_cell(image, corner, feature_map.cells.get((turns, curvature)), value)
+            cell = (turns, curvature)
+            _draw_cell(image, corner, feature_map.cells.get(cell), value, feature_map.excluded.get(cell, 0))
     across, upwards = (feature_of(name) for name in feature_map.features[:2])
     for column, turns in enumerate(bounds.columns):
         middle = _LEFT + column * _CELL_WIDTH + _CELL_WIDTH // 2
@@ -151,22 +154,26 @@ def _save(path: Path, image: NDArray[np.uint8]) -> None:
     path.write_bytes(png(image))
 
 
-def _draw_cell(image: NDArray[np.uint8], corner: tuple[int, int], cell: MapCell | None, value: Value) -> None:
+def _draw_cell(
+    image: NDArray[np.uint8], corner: tuple[int, int], cell: MapCell | None, value: Value, excluded: int
+) -> None:
     """Draw a coloured cell with its numbers, or a hatched one if it is empty."""
     left, top = corner
+    middle = left + _CELL_WIDTH // 2
+    apart = f"-{excluded}" if excluded else ""
     patch = image[top : top + _CELL_HEIGHT, left : left + _CELL_WIDTH]
     if cell is None:
         patch[:] = EMPTY
         for offset in range(-_CELL_HEIGHT, _CELL_WIDTH, 10):
             cv2.line(patch, (offset, _CELL_HEIGHT), (offset + _CELL_HEIGHT, 0), _HATCH, 1, cv2.LINE_AA)
+        _write(image, apart, (middle, top + 29), 0.33, anchor="middle")
     else:
         number = float(getattr(cell, value))
         colour = colour_of(number)
         ink = ink_on(colour)
         patch[:] = colour
-        middle = left + _CELL_WIDTH // 2
         _write(image, f"{number:.2f}", (middle, top + 17), 0.5, ink=ink, anchor="middle")
-        _write(image, f"n={cell.tests}", (middle, top + 29), 0.33, ink=ink, anchor="middle")
+        _write(image, f"n={cell.tests} {apart}".rstrip(), (middle, top + 29), 0.33, ink=ink, anchor="middle")
     cv2.rectangle(image, (left, top), (left + _CELL_WIDTH, top + _CELL_HEIGHT), _GRID, 1)
 
 

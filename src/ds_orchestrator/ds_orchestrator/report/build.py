@@ -88,6 +88,10 @@ def write_all(
     say("stage: maps")
     write_json(folder, maps)
     write_maps(maps, folder / "maps")
+    for axes in data.config.further_axes:
+        out, further = folder / "maps" / "_by_".join(axes), maps_of(data, features=axes)
+        write_maps(further, out)
+        (out / "maps.json").write_text(_text(to_json(further)))
     store.set_result("maps", count)
     mapped = time.monotonic()
     say("stage: evaluation")

@@ -20,6 +20,7 @@ from ds_road import Road
 from ds_road.features import direction_coverage, largest_lane_curvature, minimum_radius
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.scales import between, share_of
+from ds_sim.gates.gate import LEAST_CONTRAST
 
 Cell = tuple[int, ...]
 """Cell of a feature map: one bin index per feature."""
@@ -54,6 +55,8 @@ class Feature:
         of_road_maxitwo: the same as the authors' package computes it, where that differs.
         of_run: computes the bin of a run; None for a feature of the road.
         of_conditions: computes the bin of operating conditions; None for any other feature.
+        of_line_contrast: computes the bin of the lines' contrast, as the visibility gate measures it on the sibling
+            whose search generated the test; None for any other feature.
         edge: computes the lower edge of a bin of width 1; None where bins are of equal size `unit`.
         width: number of bins joined into one.
     """
@@ -65,6 +68,7 @@ class Feature:
     of_road_maxitwo: Callable[[Road], int] | None = None
     of_run: Callable[[Drive], int] | None = None
     of_conditions: Callable[[Conditions], int | None] | None = None
+    of_line_contrast: Callable[[float], int] | None = None
     edge: Callable[[int], float] | None = None
     width: int = 1
 
@@ -76,9 +80,17 @@ class Feature:
         return str(begin) if self.unit == 1.0 else f"{begin * self.unit:.2f}"
 
     def bin_of(
-        self, road: Road, drive: Drive | None, *, maxitwo_compatible: bool, conditions: Conditions = DEFAULT
+        self,
+        road: Road,
+        drive: Drive | None,
+        *,
+        maxitwo_compatible: bool,
+        conditions: Conditions = DEFAULT,
+        line_contrast: float | None = None,
     ) -> int | None:
-        """Compute the bin of a test; None if the feature needs a run, or a condition's value, and there is none."""
+        """Compute the bin of a test; None if the feature needs a run, a gate or a condition's value that is missing."""
+        if self.of_line_contrast is not None:
+            return None if line_contrast is None else self.of_line_contrast(line_contrast) // self.width
         if self.of_conditions is not None:
             bin_ = self.of_conditions(conditions)
             return None if bin_ is None else bin_ // self.width
@@ -179,13 +191,26 @@ def _of_condition(name: str) -> Feature:
     )
 
 
+def _measured_contrast_bin(contrast: float) -> int:
+    """Doublings of the threshold at which lines become invisible; 0 below one, and for invisible lines."""
+    return int(math.log2(contrast / LEAST_CONTRAST)) if contrast > LEAST_CONTRAST else 0
+
+
+MEASURED_LINE_CONTRAST = "measured_line_contrast"
+"""Feature that needs the visibility gate; bins double, as contrast is noticed in ratios (Weber)."""
 CONDITION_BINS = 10
 """Bins of a condition's range; chosen: as many as the curvature usually fills."""
 _ROUNDING = 1e-9
 """Added before rounding down, so that the lower edge of a bin lies in it."""
-FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in (*_ALL, *map(_of_condition, FIELDS))}
-"""Every feature by name: DeepHyperion's seven (paper 3.3 uses the first two), the curvature of each lane, and every
-operating condition."""
+_MEASURED = Feature(
+    name=MEASURED_LINE_CONTRAST,
+    title="measured line contrast",
+    of_line_contrast=_measured_contrast_bin,
+    edge=lambda bin_: LEAST_CONTRAST * 2.0**bin_,
+)
+FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in (*_ALL, _MEASURED, *map(_of_condition, FIELDS))}
+"""Every feature by name: DeepHyperion's seven (paper 3.3 uses the first two), the curvature of each lane, the contrast
+of the lines in the image, and every operating condition."""
 DEFAULT_FEATURES = ("turns_count", "curvature")
 """The paper's (3.3)."""
 
@@ -218,6 +243,7 @@ def cell_of(
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
     conditions: Conditions = DEFAULT,
+    line_contrast: float | None = None,
 ) -> Cell | None:
     """Compute the cell of a test.
 
@@ -227,13 +253,16 @@ def cell_of(
         features: names of the features; see `feature_of`.
         maxitwo_compatible: count turns as the authors' package does.
         conditions: operating conditions of the test.
+        line_contrast: contrast of the lines at the start on the same sibling (`ds_sim.gates.Gate`), if it was measured.
 
     Returns:
-        One bin per feature, or None if a feature needs the run and there is none.
+        One bin per feature, or None if a feature needs the run or the contrast and there is none.
     """
     cell = []
     for name in features:
-        bin_ = feature_of(name).bin_of(road, drive, maxitwo_compatible=maxitwo_compatible, conditions=conditions)
+        bin_ = feature_of(name).bin_of(
+            road, drive, maxitwo_compatible=maxitwo_compatible, conditions=conditions, line_contrast=line_contrast
+        )
         if bin_ is None:
             return None
         cell.append(bin_)
