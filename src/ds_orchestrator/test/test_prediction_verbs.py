@@ -52,7 +52,7 @@ def test_a_comparison_is_predicted(compared: Path, tmp_path: Path, capsys: pytes
     names = {score["predictor"] for score in document["comparison"]["scores"]}
     assert {"bullet", "softbody", "panda", "product", "mean", "undriven features", "hierarchical model"} <= names
     assert len(document["verdicts"]["tests"]) == 40
-    assert {"cell_verdicts.csv", "predictors_per_test.tex", "predictors_per_cell.csv"} <= {
+    assert {"verdicts.png", "cell_verdicts.csv", "predictors_per_test.tex", "predictors_per_cell.csv"} <= {
         p.name for p in out.iterdir()
     }
     assert run(["predict", str(compared), "--twin", "donkey"]) == 0

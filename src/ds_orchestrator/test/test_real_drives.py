@@ -199,6 +199,10 @@ def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.Ca
     driven = {one["test_id"] for one in document["after"]["tests"] if one["driven"]}
     assert driven == {one["test_id"] for one in proposed}
     assert [drive.who for drive in read_drives(folder)] == ["Ada"] * 3
+    # A drive decides its test, but alone no cell.
+    cells = [one for one in document["after"]["cells"] if one["driven"] == one["tests"] == 1]
+    assert all(0.0 < one["rate"] < one["interval"][1] for one in cells)
+    assert {"before.png", "after.png", "update.json"} <= {path.name for path in (folder / "real").iterdir()}
     # Again, which changes nothing; then further drives, which are others.
     assert run(["real", "record", str(folder), str(filled)]) == 0
     shown = capsys.readouterr().out

@@ -236,44 +236,58 @@ def _reliability(predictions: Predictions, name: str) -> list[ReliabilityBin]:
 
 
 def comparison_tables(found: PredictorComparison) -> list[Table]:
-    """Tabulate a comparison: scores per test, scores per cell, reliability."""
-    return [
-        *(
-            _score_table(found.twin, [one for one in found.scores if one.level == level], level)
-            for level in dict.fromkeys(one.level for one in found.scores)
-        ),
-        _reliability_table(found),
-    ]
+    """Tabulate a comparison: errors and decisions per test, the same per cell, reliability."""
+    tables = []
+    for level in dict.fromkeys(one.level for one in found.scores):
+        rows = [one for one in found.scores if one.level == level]
+        tables += [_error_table(found.twin, rows, level), _decision_table(found.twin, rows, level)]
+    return [*tables, _reliability_table(found)]
 
 
-def _score_table(twin: str, rows: Sequence[PredictorScore], level: str) -> Table:
+def _error_table(twin: str, rows: Sequence[PredictorScore], level: str) -> Table:
     first = rows[0]
     return Table(
         name=f"predictors_per_{level}",
         title=f"Failures on {twin} predicted without driving it: {first.rows} {level}s of {first.families} families",
         columns=[
-            Column("predictor"), Column("Brier", "number"), Column("95 %", "number"),
-            Column("minus undriven", "number"), Column("95 % of it", "number"), Column("bits", "number"),
+            Column("predictor"), Column("Brier", "number"), Column("95 %", "number"), Column("bits", "number"),
+            Column("Brier minus undriven", "number"), Column("95 % of it", "number"), Column("verdict"),
+        ],
+        rows=[
+            (
+                one.predictor, one.brier, one.brier_interval, one.log_loss, one.difference, one.difference_interval,
+                one.verdict,
+            )
+            for one in rows
+        ],
+        notes=[
+            "A predictor adds to the undriven features if the 95 % interval of the difference lies below 0; intervals "
+            "resample whole families of tests.",
+            *([first.caution] if first.caution else []),
+        ],
+    )  # fmt: skip
+
+
+def _decision_table(twin: str, rows: Sequence[PredictorScore], level: str) -> Table:
+    return Table(
+        name=f"predictor_decisions_per_{level}",
+        title=f"{level.capitalize()}s called failing on {twin}",
+        columns=[
+            Column("predictor"),
             *(
                 Column(f"{what} at {threshold:g}", "number")
                 for threshold in THRESHOLDS
                 for what in ("recall", "false alarms")
             ),
-            Column("AUC-PRC", "number"), Column("95 % of AUC", "number"), Column("r", "number"),
-            Column("95 % of r", "number"), Column("verdict"),
+            Column("AUC-PRC", "number"), Column("95 %", "number"), Column("r", "number"),
+            Column("95 % of r", "number"),
         ],
         rows=[
             (
-                one.predictor, one.brier, one.brier_interval, one.difference, one.difference_interval, one.log_loss,
-                *(v for pair in zip(one.recall, one.false_alarms, strict=True) for v in pair),
-                one.average_precision, one.average_precision_interval, one.r, one.r_interval, one.verdict,
+                one.predictor, *(v for pair in zip(one.recall, one.false_alarms, strict=True) for v in pair),
+                one.average_precision, one.average_precision_interval, one.r, one.r_interval,
             )
             for one in rows
-        ],
-        notes=[
-            "Verdict: a predictor adds to the undriven features if the 95 % interval of the difference of Brier scores "
-            "lies below 0; intervals resample whole families of tests.",
-            *([first.caution] if first.caution else []),
         ],
     )  # fmt: skip
 

@@ -75,10 +75,15 @@ class TwinPrediction:
                 found += weight * ndtr((predictors @ mean + self.population.effect_mean) / np.sqrt(variance))
         return self._with_drives(np.clip(found, 0.0, 1.0))
 
-    def draws(self, count: int = DRAWS, *, rows: Indices | None = None) -> Array:
+    def draws(self, count: int = DRAWS, *, rows: Indices | None = None, outcomes: bool = True) -> Array:
         """(count, tests) probabilities of failure, each row for one draw of the coefficients; the same on every call.
 
         Given the coefficients, outcomes of different tests are independent.
+
+        Args:
+            count: number of draws.
+            rows: tests; all if None.
+            outcomes: let driven tests have the probability 0 or 1, as they turned out.
         """
         mixture = self.coefficients
         rng = np.random.default_rng(SEED)
@@ -92,7 +97,8 @@ class TwinPrediction:
         rows = np.arange(len(self.margins.predictors)) if rows is None else rows
         linear = theta @ self.margins.predictors[rows].T + self.population.effect_mean[rows]
         spread = np.sqrt(self.population.effect_variance[rows] + mixture.sigmas[chosen][:, None] ** 2)
-        return self._with_drives(np.asarray(ndtr(linear / spread)), rows)
+        found = np.asarray(ndtr(linear / spread))
+        return self._with_drives(found, rows) if outcomes else found
 
     def updated(self, drives: Sequence[MarginDrive]) -> TwinPrediction:
         """Add drives of the twin; the population stays as the siblings say.

@@ -15,7 +15,7 @@ from scipy.special import betainc
 
 from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
-from ds_orchestrator.prediction.twin_prediction import DRAWS, TwinPrediction
+from ds_orchestrator.prediction.twin_prediction import TwinPrediction
 
 Array = NDArray[np.float64]
 Verdict = Literal["fails", "safe", "disputed", "untested"]
@@ -156,11 +156,12 @@ def judge(
         if cell is not None:
             members.setdefault(cell, []).append(k)
     rng = np.random.default_rng(_SEED)
+    alike = prediction.draws(rows=np.array(used), outcomes=False)
     cells = []
     for cell in _bounds(members):
         columns = members.get(cell, [])
-        count = sum(used[k] in driven for k in columns)
-        cells.append(_judge_cell(cell, draws[:, columns], count, tolerated, rng))
+        outcomes = draws[:, [k for k in columns if used[k] in driven]]
+        cells.append(_judge_cell(cell, alike[:, columns], outcomes, tolerated, rng))
     return Verdicts(tests=tests, cells=cells, features=tuple(features), tolerated=tolerated)
 
 
@@ -179,27 +180,28 @@ def _bounds(cells: Sequence[tuple[int, ...]] | dict[tuple[int, ...], list[int]])
 
 
 def _judge_cell(
-    cell: tuple[int, ...], draws: Array, driven: int, tolerated: float, rng: np.random.Generator
+    cell: tuple[int, ...], draws: Array, outcomes: Array, tolerated: float, rng: np.random.Generator
 ) -> CellVerdict:
-    """Judge a cell from draws (draws, tests) of its tests' probabilities.
+    """Judge a cell from draws (draws, tests) of the probabilities that tests like its own fail, and from its drives.
 
     Tests of a cell are a sample of what could be tested there: their weights are drawn, too (Bayesian bootstrap, Rubin,
-    Ann. Stat. 1981).
+    Ann. Stat. 1981). A drive's outcome (draws, drives) counts as one more test: one drive alone decides no cell.
     """
     tests = draws.shape[1]
     if not tests:
         return CellVerdict(
             cell=cell, tests=0, driven=0, rate=None, interval=None, verdict="untested", drives_needed=None
         )
-    weights = rng.standard_exponential((DRAWS, tests))
-    rates = (weights * draws).sum(axis=1) / weights.sum(axis=1)
+    known = np.hstack((draws, outcomes))
+    weights = rng.standard_exponential(known.shape)
+    rates = (weights * known).sum(axis=1) / weights.sum(axis=1)
     above = float((rates > tolerated).mean())
     verdict: Verdict = "fails" if above >= 1 - ERROR_RATE else "safe" if above <= ERROR_RATE else "disputed"
     low, high = np.quantile(rates, (0.05, 0.95))
     return CellVerdict(
         cell=cell,
         tests=tests,
-        driven=driven,
+        driven=outcomes.shape[1],
         rate=float(rates.mean()),
         interval=(float(low), float(high)),
         verdict=verdict,

@@ -15,6 +15,8 @@ from ds_orchestrator.maps.merge_operators import LEVEL
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+_NO_WIDTH = 1e-9
+"""Width below which an interval is a single point."""
 _CONSTANT = 1e-18
 """Product of two variances below which a correlation is rounding."""
 
@@ -39,12 +41,16 @@ def family_weights(families: Indices, resamples: int, seed: int) -> Array:
 
 
 def interval_of(scores: Array) -> tuple[float, float] | None:
-    """95 % percentile interval of a score's resamples; None where it is defined in none of them."""
+    """95 % percentile interval of a score's resamples.
+
+    None where the score is defined in no resample, or the same in all: such an interval has no width because the sample
+    is degenerate, not because the score is known so well.
+    """
     defined = scores[1:][~np.isnan(scores[1:])]
     if not len(defined):
         return None
     low, high = np.quantile(defined, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return float(low), float(high)
+    return None if high - low < _NO_WIDTH else (float(low), float(high))
 
 
 def mean_of(values: Array, weights: Array) -> Array:

@@ -39,7 +39,9 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
     from ds_orchestrator.prediction.predictor_scores import compare_predictors, comparison_tables
     from ds_orchestrator.prediction.sources import read_source
     from ds_orchestrator.prediction.twin_prediction import predict_twin
+    from ds_orchestrator.prediction.verdict_picture import draw_verdicts
     from ds_orchestrator.prediction.verdicts import cell_table, judge
+    from ds_sim.camera.png import png
 
     source = read_source(folder, twin=twin)
     table = source.table
@@ -68,6 +70,9 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
     if out is not None:
         write_tables(tables, out)
         (out / "prediction.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        if any(one.tests for one in verdicts.cells):
+            title = f"Predicted failures{f' on {table.twin}' if table.twin else ''}, never driven"
+            (out / "verdicts.png").write_bytes(png(draw_verdicts(verdicts, title)))
 
     def show() -> None:
         console = Console()
@@ -97,7 +102,7 @@ def predict_command(
     tolerated: Annotated[
         float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")
     ] = 0.1,
-    out: Annotated[Path | None, typer.Option(help="Folder for prediction.json and tables.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Predict where a car, or a simulator that was never driven, fails.

@@ -97,6 +97,8 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
     """
     from ds_orchestrator.prediction.real.records import FOLDER, RecordError, read_drives
     from ds_orchestrator.prediction.real.update import update
+    from ds_orchestrator.prediction.verdict_picture import draw_verdicts
+    from ds_sim.camera.png import png
 
     drives = read_drives(folder)
     if not drives:
@@ -107,6 +109,10 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
     path = (folder / FOLDER if out is None else out) / "update.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    for name, of in (("before", found.before), ("after", found.after)):
+        if any(one.tests for one in of.cells):
+            picture = png(draw_verdicts(of, f"The car, {name} {len(drives)} real drives"))
+            path.with_name(f"{name}.png").write_bytes(picture)
     return Result(document=document, show=lambda: _show(found, path))
 
 
@@ -186,7 +192,9 @@ def record_command(
 def update_command(
     folder: TestsFolder,
     tolerated: Tolerated = 0.1,
-    out: Annotated[Path | None, typer.Option(help="Folder for update.json; DIR/real if left out.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for update.json, before.png, after.png; DIR/real if left out.")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Show predictions before and after the recorded drives, and whether the car is outside the siblings' span."""
