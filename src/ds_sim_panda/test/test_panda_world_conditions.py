@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from panda_views import CAMERA, STRAIGHT, pose, project
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.scene.parameters import VISIBILITY
+from ds_sim_panda.scene.repairs import repaired
 from ds_sim_panda.scene.road_mesh import course_of
 from ds_sim_panda.scene.scenery import Things
 
@@ -75,6 +77,24 @@ def test_patches_cover_their_share() -> None:
         assert patched.mean() == pytest.approx(share, abs=0.02)
         assert np.mean(before * ~patched) < 0.002
         before = patched.astype(float)
+
+
+def test_patches_differ_in_size_place_and_direction() -> None:
+    """At a small share hardly any two overlap."""
+    texel = 0.125
+    mask = repaired(np.random.default_rng(4), 2000.0, 8.0, 0.05, (64, 16_000))
+    count, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    boxes = stats[1:][stats[1:, cv2.CC_STAT_AREA] > 30] * texel
+    lengths, widths = boxes[:, cv2.CC_STAT_WIDTH], boxes[:, cv2.CC_STAT_HEIGHT]
+    assert count > 50
+    assert np.ptp(np.quantile(lengths, (0.1, 0.9))) > 2.0 and np.ptp(np.quantile(widths, (0.1, 0.9))) > 1.0
+    assert 0.05 < np.mean(widths > 2.0 * lengths) < 0.4  # some lie across the road
+    filled = stats[1:, cv2.CC_STAT_AREA] / (stats[1:, cv2.CC_STAT_WIDTH] * stats[1:, cv2.CC_STAT_HEIGHT])
+    assert np.mean(filled < 0.95) > 0.3  # not exactly along the road
+    starts = boxes[:, cv2.CC_STAT_TOP]
+    assert len(np.unique(np.round(starts[(starts > 0.0) & (starts < 8.0)] / texel))) > 20
+    other = repaired(np.random.default_rng(5), 2000.0, 8.0, 0.05, (64, 16_000))
+    assert np.mean(other & mask) < 0.01
 
 
 def test_pavement_has_the_reflectance_that_is_claimed() -> None:

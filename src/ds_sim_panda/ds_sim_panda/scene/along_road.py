@@ -12,24 +12,28 @@ from numpy.typing import NDArray
 
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.pieces import pieces
-from ds_sim_panda.scene.parameters import LEAD_IN, LEAD_OUT, PATCH_LENGTH, SHADE_LENGTH
+from ds_sim_panda.scene.parameters import LEAD_IN, LEAD_OUT, SHADE_LENGTH
+from ds_sim_panda.scene.repairs import repaired
 from ds_sim_panda.scene.road_mesh import Course
 from ds_sim_panda.scene.textures import upload
 
 FINEST = 0.05
 """Largest length of a texel on roads of up to 819 m; chosen: a third of the width of a line."""
+PATCH_TEXEL, PATCH_ROWS = 0.1, 64
+"""Largest length of a texel of the patches on roads of up to 1.6 km, and their number across the road; chosen: as long
+as wide, so that distant patches fade alike in both directions."""
 MOST_TEXELS = 16_384
 """Widest texture that Mesa's software renderer has."""
 
 
 @dataclass(frozen=True)
 class AlongRoad:
-    """Textures with one row and as many columns as the road is long; full where a piece covers the road.
+    """Textures whose columns run along the road; full where a piece covers it. All but the patches have one row.
 
     Attributes:
         frame: distance along the road at which the textures start, m, and the inverse of their length, 1/m.
         bare: no paint on the left, centre and right line.
-        repaired: patches in each quarter of the road's width, from the left.
+        repaired: patches; rows from the left border of the road to the right one.
         shaded: shadows across the road.
     """
 
@@ -55,9 +59,17 @@ def along_road(course: Course, conditions: Conditions, rng: np.random.Generator)
     return AlongRoad(
         frame=(float(course.along[0]), 1.0 / length),
         bare=texture("bare", lines, 3, c.line_cover_length, c.line_cover),
-        repaired=texture("repaired", patches, 4, PATCH_LENGTH, c.repair_share),
+        repaired=upload("repaired", _patches(patches, length, 2.0 * course.half_width, c.repair_share), wrap=False),
         shaded=texture("shaded", shadows, 1, SHADE_LENGTH, c.shadow_density),
     )
+
+
+def _patches(rng: np.random.Generator, length: float, width: float, share: float) -> NDArray[np.uint8]:
+    """Texture of the repair patches, 255 where they are."""
+    if not share:
+        return np.zeros((1, 1), np.uint8)
+    columns = min(2 ** math.ceil(math.log2(length / PATCH_TEXEL)), MOST_TEXELS)
+    return np.where(repaired(rng, length, width, share, (PATCH_ROWS, columns)), 255, 0).astype(np.uint8)
 
 
 def _shares(covered: Sequence[tuple[float, float]], length: float, texels: int) -> NDArray[np.float64]:

@@ -76,8 +76,11 @@ LEAD_IN, LEAD_OUT = 20.0, 60.0
 
 PAINT_BLOTCHES = 1.0
 """How unevenly worn paint is left on chippings, 0 (evenly) to 1.5 (none at the most worn places); chosen."""
-PATCH_LENGTH = 3.0
-"""Of a repair patch half a lane wide; chosen: as milling machines leave them."""
+PATCH_LENGTHS, PATCH_WIDTHS, PATCH_TURN = (1.0, 6.0), (0.5, 3.0), 0.05
+"""Lengths and widths of repair patches, m, and the standard deviation of their direction from that of the road, rad;
+chosen: from a filled pothole to a resurfaced wheel track, sawn along the road by eye."""
+CUT_SHARE, CUT_WIDTH = 0.15, (0.4, 0.9)
+"""Share of patches that are cuts across the road for pipes, and their widths, m; chosen."""
 NEW_ASPHALT, PATCH_CONTRAST = 0.05, 0.6
 """Reflectance of new asphalt (American Concrete Pavement Association), and most of it over that of the road around."""
 
