@@ -20,7 +20,7 @@ from ds_orchestrator.campaign.folder import store_of
 from ds_orchestrator.campaign.road_selection import roads_of
 from ds_orchestrator.campaign.runner import Campaign, Stopped
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.cli.campaigns import status
+from ds_orchestrator.cli.campaign.run import status
 from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 from ds_orchestrator.evaluation.exclusions import excluded_table
 from ds_orchestrator.run import SilentListener, run_campaign

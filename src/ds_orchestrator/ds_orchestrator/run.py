@@ -7,10 +7,10 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.folder import locked, open_store, prepare_folder, store_of
+from ds_orchestrator.campaign.provenance import record_provenance
 from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
 from ds_orchestrator.campaign.stage_timer import StageTimer
 from ds_orchestrator.campaign.status import is_driven
@@ -23,7 +23,6 @@ from ds_orchestrator.store.store import Execution, Store, Test
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.gate import Gate
-from ds_sim.software_versions import versions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +97,7 @@ def run_campaign(
             raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
     prepare_folder(folder)
     with locked(folder), closing(store_of(folder, config)) as store:
-        _record_provenance(store, config, folder)
+        record_provenance(store, config, folder)
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
         data: CampaignData | None = None  # read again after driving
@@ -154,29 +153,6 @@ def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
     for name in config.simulators:
         received_simulator(name, confirmed=trusted, option="--trust")
     received_driver(config.driver, confirmed=trusted)
-
-
-def _record_provenance(store: Store, config: CampaignConfig, folder: Path) -> None:
-    """Record versions and digests; a campaign does not continue with another network or another car."""
-    from ds_driver.networks.network_driver import driver_sha256
-    from ds_sim.registry import make_simulator
-
-    if config.driver != AUTOPILOT:
-        weights = driver_sha256(config.driver)
-        if store.note("sha256 of the driver's weights", weights) != weights:
-            raise ConfigError(f"the weights of {config.driver} have changed since {folder} began: choose another --out")
-    for name, version in versions().items():
-        if store.note(f"version {name}", version) != version:
-            store.note(f"version {name}, later", version)
-    known = store.notes()
-    for name in config.simulators:
-        if "@" in name:
-            key, content = f"car {name}", str(make_simulator(name).spec.extra.get("car", ""))
-            if known.get(key, content) != content:
-                raise ConfigError(
-                    f"{name}: the file has changed since the campaign began: restore it, or choose another --out"
-                )
-            store.note(key, content)
 
 
 def _drive(

@@ -167,6 +167,25 @@ class Campaign:
             {name: [partial(self._execute, test, name) for test in migrated] for name, migrated in foreign.items()}
         )
 
+    def drive(self, work: Mapping[str, Sequence[Test]]) -> None:
+        """Drive given tests instead of searching for any.
+
+        Args:
+            work: simulator -> tests to drive there.
+
+        Raises:
+            Stopped: `stop` was called; finished executions are in the store.
+            CampaignError: as for `run`.
+        """
+        for test in {test.test_id: test for tests in work.values() for test in tests}.values():
+            self._store.add_test(test)
+        own = {name: sum(test.sibling == name for test in tests) for name, tests in work.items()}
+        self._listener.expect([own, {name: len(tests) - own[name] for name, tests in work.items()}])
+        self._listener.stage("given tests")
+        self._in_parallel(
+            {name: [partial(self._execute, test, name) for test in tests] for name, tests in work.items()}
+        )
+
     def _migrated(self, tests: Sequence[Test]) -> Sequence[Test]:
         """Select the tests that migrate from the sibling whose search generated them."""
         if not self._config.elites_only:

@@ -95,14 +95,14 @@ def drive_command(
     wait: Wait = START_WAIT,
     namespace: Annotated[str, typer.Option(help="Namespace of the simulator.")] = "/ds1",
     fail_on: Annotated[
-        FailOn, typer.Option(help="Exit with 1 on errors only, or if the driver fails on the road too.")
+        FailOn, typer.Option(help="With failure: exit with 3 if the driver fails on the road; 1 is an error.")
     ] = "error",
     as_json: JsonFlag = False,
 ) -> None:
     """Drive one road with one driver on one simulator.
 
-    The driver fails when the vehicle leaves its lane. Exit status: 0 the drive has a verdict, 1 it ended in an error
-    (with --fail-on failure: or the driver failed), 2 bad input.
+    The driver fails when the vehicle leaves its lane. Exit status: 0 the drive has a verdict, 1 it ended in an error,
+    2 bad input, 3 the driver failed (only with --fail-on failure).
     """
     from ds_orchestrator.cli.roads import one_road
     from ds_sim.conditions.text import parse_conditions

@@ -46,7 +46,7 @@ class DriveRequest:
         attach: use running nodes; whatever driver runs there drives.
         wait: s to wait for the nodes.
         namespace: of the simulator.
-        fail_on: outcomes that make exit status 1.
+        fail_on: outcomes that make the exit status other than 0.
     """
 
     sim: str
@@ -120,8 +120,8 @@ def drive(request: DriveRequest) -> Result:
         for line in in_words(document, road):
             print(line)
 
-    error = run.outcome.is_error or (request.fail_on == "failure" and run.outcome.is_failure)
-    return Result(document=document, show=show, error=error)
+    unmet = [f"{whose} fails on the road"] if request.fail_on == "failure" and run.outcome.is_failure else []
+    return Result(document=document, show=show, error=run.outcome.is_error, unmet=unmet)
 
 
 def in_words(document: dict[str, Any], road: Road) -> list[str]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import typer
+
+NOT_PASSED = 3
+"""Exit status if a pass criterion is not met; 1 and 2 say that nothing was decided."""
 
 
 class Interrupted(Exception):
@@ -31,11 +34,13 @@ class Result:
         document: as JSON values.
         show: prints it for a person, on standard output.
         error: True if the exit status is to be 1.
+        unmet: pass criteria that are not met, one sentence each; with any, the exit status is 3 unless it is 1.
     """
 
     document: Any
     show: Callable[[], None]
     error: bool = False
+    unmet: Sequence[str] = ()
 
 
 def say(line: str) -> None:
@@ -75,7 +80,9 @@ def answer(result: Result, as_json: bool) -> None:
 
 
 def end(result: Result, as_json: bool) -> None:
-    """Print a result, and exit with status 1 if it is an error."""
+    """Print a result, and exit with status 1 if it is an error, with 3 if a pass criterion is not met."""
     answer(result, as_json)
-    if result.error:
-        raise typer.Exit(1)
+    for sentence in result.unmet:
+        say(f"not passed: {sentence}")
+    if result.error or result.unmet:
+        raise typer.Exit(1 if result.error else NOT_PASSED)

@@ -46,8 +46,15 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Test",
         (
-            Verb("demo", "campaigns", "Run a small campaign with the shipped network, from search to report."),
-            Verb("campaign", "campaigns", "Run, resume and inspect campaigns.", ("run", "resume", "status", "roads")),
+            Verb("demo", "campaign.group", "Run a small campaign with the shipped network, from search to report."),
+            Verb(
+                "campaign",
+                "campaign.group",
+                "Prepare, run, resume, inspect and compare campaigns.",
+                ("init", "run", "resume", "status", "roads", "compare"),
+            ),
+            Verb("runs", "campaign.group", "List the campaigns below a folder."),
+            Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
             Verb("maps", "maps", "Show a campaign's feature maps as coloured grids."),
             Verb(
                 "evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."
@@ -63,7 +70,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "Choose, record and use a few drives on a real car.",
                 ("propose", "record", "update"),
             ),
-            Verb("report", "campaigns", "Rebuild a campaign's maps, tables and HTML report."),
+            Verb("report", "campaign.group", "Rebuild a campaign's maps, tables and HTML report."),
             Verb("offline", "evaluations", "Compare a network's steering errors on two sets of images (RQ1)."),
         ),
     ),
@@ -144,7 +151,8 @@ def overview(*, colour: bool = False) -> str:
         f"  {'--version':<{width}}Show the version.",
         "",
         "Results go to standard output (with --json as one JSON document), progress to standard",
-        "error. Exit status: 0 done, 1 a run ended in an error, 2 bad input.",
+        "error. Exit status: 0 done, 1 a run ended in an error, 2 bad input, 3 a pass criterion such",
+        "as --fail-on is not met.",
     ]
     return "\n".join(lines)
 

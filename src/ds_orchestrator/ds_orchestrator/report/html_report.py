@@ -84,7 +84,7 @@ def write_report(
     on_page["paired"] = paired = translates(config.driver)
     on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
     on_page["figures"] = _figures(config, correlations, tables, network)
-    page = _environment().get_template("report.html.j2")
+    page = environment().get_template("report.html.j2")
     text = page.render(
         config=config,
         config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
@@ -122,7 +122,8 @@ def write_report(
     return path
 
 
-def _environment() -> Environment:
+def environment() -> Environment:
+    """Environment of the pages' templates."""
     environment = Environment(
         loader=PackageLoader("ds_orchestrator.report"),
         autoescape=True,

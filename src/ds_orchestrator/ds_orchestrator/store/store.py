@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -426,6 +427,13 @@ class Store:
     def count_executions(self) -> int:
         """Number of executions."""
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
+
+    def outcome_counts(self) -> dict[tuple[str, str], int]:
+        """Simulator and name of the outcome -> number of executions, without reading any trajectory."""
+        found = self._checked(
+            "SELECT simulator, outcome FROM executions", check.text, partial(check.one_of, known=_VERDICTS)
+        )
+        return dict(Counter((simulator, outcome) for simulator, outcome in found))
 
     def count_results(self) -> int:
         """Number of executions and gates, from which maps, evaluation and report are made."""

@@ -1,4 +1,4 @@
-"""`ds demo`, `ds campaign`, `ds report`: campaigns, their state, and the roads they found."""
+"""`ds demo`, `ds campaign run, resume, status, roads`, `ds report`: campaigns, their state, and their roads."""
 
 from __future__ import annotations
 
@@ -6,61 +6,48 @@ import json
 import os
 import time
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_orchestrator.cli.campaign.engine_options import (
+    EngineName,
+    Listen,
+    Scheduler,
+    TlsCa,
+    TlsCert,
+    TlsKey,
+    Unencrypted,
+    Workers,
+    cluster_of,
+    with_engine,
+)
+from ds_orchestrator.cli.campaign.pass_options import (
+    FailOnFailure,
+    Junit,
+    MaxFailures,
+    check_writable,
+    criteria_of,
+    unmet_in_campaign,
+)
 from ds_orchestrator.cli.options import AttachFlag, Folder, JsonFlag, OutFolder, Trust
 from ds_orchestrator.cli.output import Interrupted, Result, answer, duration, end, say
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig
+    from ds_orchestrator.comparison.criteria import Criteria
     from ds_orchestrator.engines.cluster import ClusterOptions
     from ds_orchestrator.store.store import Store
-
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        help="Graphs or processes that drive at the same time, instead of the configuration's; results do not depend "
-        "on it.",
-    ),
-]
-EngineName = Annotated[
-    str | None,
-    typer.Option(
-        "--engine",
-        help="What drives, instead of the configuration's: graph (nodes of ROS), local (processes without ROS) or dask "
-        "(processes on a cluster); results do not depend on it.",
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(help="With --engine dask: the scheduler, tls://HOST:PORT; a cluster on this machine if left out."),
-]
-Listen = Annotated[
-    str, typer.Option(help="With --engine dask and no --scheduler: address on which further workers may join.")
-]
-TlsCa = Annotated[Path | None, typer.Option(help="Certificate of the cluster's authority, PEM.")]
-TlsCert = Annotated[Path | None, typer.Option(help="Own certificate, PEM.")]
-TlsKey = Annotated[Path | None, typer.Option(help="Key of the own certificate, PEM.")]
-Unencrypted = Annotated[
-    bool,
-    typer.Option(
-        "--unencrypted", help="Accept a cluster on a network without TLS, where anybody may run code on its machines."
-    ),
-]
 
 DEMO_WORKERS = 2
 """Graphs of the demo; chosen: with one, the twin drives alone at the end, on one core of two."""
 
 app = typer.Typer()
-campaign_app = typer.Typer(help="Run, resume and inspect campaigns.", no_args_is_help=True)
-app.add_typer(campaign_app, name="campaign")
+campaign_app = typer.Typer()
 
 
 def campaign(
@@ -105,6 +92,21 @@ def campaign(
         print(outcome.report)
 
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
+
+
+def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None) -> Result:
+    """Hold a finished campaign against pass criteria, and write its outcomes as JUnit XML."""
+    if criteria == type(criteria)() and junit is None:
+        return result
+    from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.comparison.junit import cases_of_campaign, junit_of
+
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    if junit is not None:
+        junit.write_text(junit_of(data.config.driver, cases_of_campaign(data)), "utf-8")
+    return replace(result, unmet=unmet_in_campaign(criteria, data))
 
 
 def _kept(out: Path, done: int) -> str:
@@ -181,38 +183,6 @@ def _status(folder: Path, store: Store) -> Result:
     return Result(document=document, show=show)
 
 
-def _with(config: CampaignConfig, workers: int | None, engine: str | None) -> CampaignConfig:
-    """The configuration with another number of workers, or another engine."""
-    from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError, Engine
-
-    if workers is not None and workers > MOST_WORKERS:
-        raise ConfigError(f"--workers {workers}: expected 1 to {MOST_WORKERS}")
-    if engine is not None and engine not in get_args(Engine):
-        raise ConfigError(f"--engine {engine}: expected one of {', '.join(get_args(Engine))}")
-    changed = {"workers": workers, "engine": engine}
-    return config.model_copy(update={key: value for key, value in changed.items() if value is not None})
-
-
-def _cluster(
-    scheduler: str | None,
-    listen: str,
-    tls_ca: Path | None,
-    tls_cert: Path | None,
-    tls_key: Path | None,
-    unencrypted: bool,
-) -> ClusterOptions:
-    from ds_orchestrator.engines.cluster import ClusterOptions
-
-    return ClusterOptions(
-        scheduler=scheduler,
-        listen=listen,
-        tls_ca=tls_ca,
-        tls_cert=tls_cert,
-        tls_key=tls_key,
-        unencrypted=unencrypted,
-    )
-
-
 def shipped_config(name: str) -> CampaignConfig:
     """Read a configuration that ships with ds_bringup.
 
@@ -241,13 +211,20 @@ def demo_command(
     The last line is the path of the HTML report.
     """
     workers = workers or (1 if attach else DEMO_WORKERS)
-    end(campaign(_with(shipped_config("demo"), workers, engine), out, attach=attach), as_json)
+    end(campaign(with_engine(shipped_config("demo"), workers, engine), out, attach=attach), as_json)
 
 
 @campaign_app.command("run")
 def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
     out: OutFolder,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Only say how many drives, how long here and how much disk, from one drive."),
+    ] = False,
+    fail_on: FailOnFailure = None,
+    max_failures: MaxFailures = None,
+    junit: Junit = None,
     workers: Workers = None,
     engine: EngineName = None,
     scheduler: Scheduler = None,
@@ -260,16 +237,27 @@ def campaign_run_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Run a campaign; resume it if the folder holds one with the same configuration."""
-    from ds_orchestrator.campaign.config import read_config
+    from ds_orchestrator.campaign.config import ConfigError, read_config
+    from ds_orchestrator.cli.campaign import prepare
 
-    cluster = _cluster(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
-    changed = _with(read_config(config, hint=say), workers, engine)
-    end(campaign(changed, out, attach=attach, cluster=cluster), as_json)
+    criteria = criteria_of(fail_on, max_failures, has_reference=False)
+    check_writable(junit)
+    cluster = cluster_of(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
+    changed = with_engine(read_config(config, hint=say), workers, engine)
+    if dry_run:
+        if attach:
+            raise ConfigError("--dry-run starts the engine itself: leave out --attach")
+        end(prepare.dry_run(changed, out, cluster), as_json)
+        return
+    end(judged(campaign(changed, out, attach=attach, cluster=cluster), out, criteria, junit), as_json)
 
 
 @campaign_app.command("resume")
 def campaign_resume_command(
     folder: Folder,
+    fail_on: FailOnFailure = None,
+    max_failures: MaxFailures = None,
+    junit: Junit = None,
     workers: Workers = None,
     engine: EngineName = None,
     scheduler: Scheduler = None,
@@ -283,9 +271,11 @@ def campaign_resume_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Resume a campaign that was stopped; with any engine."""
-    cluster = _cluster(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
-    changed = _with(stored_config(folder, trust), workers, engine)
-    end(campaign(changed, folder, attach=attach, cluster=cluster), as_json)
+    criteria = criteria_of(fail_on, max_failures, has_reference=False)
+    check_writable(junit)
+    cluster = cluster_of(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
+    changed = with_engine(stored_config(folder, trust), workers, engine)
+    end(judged(campaign(changed, folder, attach=attach, cluster=cluster), folder, criteria, junit), as_json)
 
 
 @campaign_app.command("status")

@@ -1,0 +1,149 @@
+"""Forecasts a campaign from measured drives: how many there are, how long they take, how much they write."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ds_bags.run_writer import write_bag
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.runner import Executor, execution_of
+from ds_orchestrator.search.objectives import OBJECTIVES
+from ds_orchestrator.store.rows import pack_numbers
+from ds_road import generate
+from ds_sim.registry import label_of
+from ds_sim.session import RunRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredDrive:
+    """A drive of the forecast.
+
+    Attributes:
+        simulator: name of the simulator.
+        outcome: how it ended.
+        seconds: wall-clock time, beside the other measured drives.
+        disk: bytes that it would leave in the campaign folder.
+    """
+
+    simulator: str
+    outcome: str
+    seconds: float
+    disk: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """What a campaign takes.
+
+    Attributes:
+        drives: number of drives at most.
+        search_drives: number of them by searches, each of which drives one test after the other.
+        searches: number of searches.
+        gate_drives: number of drives of the autopilot at most, which decide whether a test is valid.
+        start_seconds: measured time in which the engine started.
+        measured: the drives that were measured, all at the same time.
+        free: free bytes of the disk.
+    """
+
+    drives: int
+    search_drives: int
+    searches: int
+    gate_drives: int
+    start_seconds: float
+    measured: tuple[MeasuredDrive, ...]
+    free: int
+
+    @property
+    def seconds(self) -> float:
+        """Estimate of the wall-clock time, if all drives are as long as the measured ones.
+
+        As many run at a time as were measured, but while searches run only one for each of them.
+        """
+        at_once = len(self.measured)
+        mean = sum(drive.seconds for drive in self.measured) / at_once
+        with_gates = mean * (self.drives + self.gate_drives) / self.drives
+        searching = self.search_drives * with_gates / min(at_once, self.searches)
+        return self.start_seconds + searching + (self.drives - self.search_drives) * with_gates / at_once
+
+    @property
+    def disk(self) -> int:
+        """Estimate of the bytes in the campaign folder, report not included."""
+        return round(self.drives * sum(drive.disk for drive in self.measured) / len(self.measured))
+
+
+def gate_drives_of(config: CampaignConfig) -> int:
+    """Largest number of drives of the autopilot for the gates."""
+    gated = config.gates == "all" or bool(config.conditions) or bool(config.search.conditions)
+    return config.executions_at_most if gated else 0
+
+
+def measure(config: CampaignConfig, executor: Executor, folder: Path, *, start_seconds: float) -> Forecast:
+    """Drive one random road on every simulator at the same time, and estimate the campaign from it.
+
+    With several workers, so many roads on each as the machine has processors for.
+
+    Args:
+        config: configuration of the campaign.
+        executor: executor of the started engine.
+        folder: campaign folder, or where it is to be; nothing is written there.
+        start_seconds: time in which the engine started, s.
+
+    Raises:
+        RuntimeError: a drive ends in an error, so that it measures nothing.
+    """
+    each = min(config.workers, max(1, len(os.sched_getaffinity(0)) // len(config.simulators)))
+    work = [(name, k) for k in range(each) for name in config.simulators]
+
+    def drive(unit: tuple[str, int]) -> tuple[str, RunRecord, float]:
+        name, k = unit
+        road = generate(np.random.default_rng([config.seed, k]), max_angle=config.search.max_angle, lane=config.lane)
+        since = time.monotonic()
+        run = executor.execute(name, road, config.seed % 2**32, config.fixed_conditions)
+        return name, run, time.monotonic() - since
+
+    with ThreadPoolExecutor(len(work)) as pool:
+        runs = list(pool.map(drive, work))
+    for name, run, _ in runs:
+        if not run.outcome.is_verdict:
+            raise RuntimeError(f"{name}: {run.outcome.name.lower()}: {run.message}: fix it before the campaign starts")
+    tests = config.executions_at_most // len(config.simulators)
+    return Forecast(
+        drives=config.executions_at_most,
+        search_drives=tests * (len(config.siblings) if OBJECTIVES[config.search.objective].everywhere else 1),
+        searches=config.search.runs * len(config.siblings),
+        gate_drives=gate_drives_of(config),
+        start_seconds=start_seconds,
+        measured=tuple(
+            MeasuredDrive(simulator=name, outcome=run.outcome.name, seconds=took, disk=_disk(config, name, run))
+            for name, run, took in runs
+        ),
+        free=shutil.disk_usage(_existing(folder)).free,
+    )
+
+
+def _disk(config: CampaignConfig, simulator: str, run: RunRecord) -> int:
+    """Bytes of a run in the store and of its bag, which is written to a temporary folder."""
+    execution = execution_of("forecast", simulator, run)
+    stored = len(pack_numbers(execution.trajectory)) + len(pack_numbers(execution.steering))
+    if config.record == "none":
+        return stored
+    with tempfile.TemporaryDirectory(prefix="ds_forecast_") as folder:
+        bag = Path(folder) / label_of(simulator)
+        write_bag(bag, "/ds1", simulator, run, {"driver": config.driver}, config.record)
+        return stored + sum(file.stat().st_size for file in bag.rglob("*") if file.is_file())
+
+
+def _existing(folder: Path) -> Path:
+    """The folder, or its nearest parent that exists."""
+    path = folder.absolute()
+    while not path.exists():
+        path = path.parent
+    return path

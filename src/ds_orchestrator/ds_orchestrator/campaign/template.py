@@ -1,0 +1,91 @@
+"""A commented configuration for somebody's network, to be edited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import yaml
+
+from ds_orchestrator.campaign.config import ConfigError, SearchConfig, parse_config
+from ds_orchestrator.maps.merge_operators import OPERATORS
+from ds_orchestrator.search.algorithms import SEARCHES
+from ds_orchestrator.search.features import FEATURES
+from ds_orchestrator.search.objectives import OBJECTIVES
+from ds_sim.registry import SIMULATORS
+
+SIZES = {
+    "small": SearchConfig(population=4, iterations=8, runs=1),
+    "medium": SearchConfig(population=12, iterations=48, runs=1),
+    "paper": SearchConfig(),
+}
+"""Size -> search: that of the tutorial; five times as long; the paper's study of one network (4.2.4)."""
+
+
+def template(driver: str, siblings: Sequence[str], twin: str | None, size: str) -> str:
+    """Write a configuration as YAML, with a comment on every key.
+
+    Args:
+        driver: name of the driver.
+        siblings: names of the simulators that act as siblings.
+        twin: name of the simulator that acts as the twin, or None.
+        size: one of `SIZES`.
+
+    Raises:
+        ConfigError: the size is unknown, or the simulators do not make a campaign.
+    """
+    if size not in SIZES:
+        raise ConfigError(f"size {size!r:.60}: expected one of {', '.join(SIZES)}")
+    search = SIZES[size]
+    text = _TEXT.format(
+        driver=_scalar(driver), siblings=f"[{', '.join(map(_scalar, siblings))}]", twin=_scalar(twin or "none"),
+        population=search.population, iterations=search.iterations, runs=search.runs,
+        simulators=", ".join(SIMULATORS), searches=" or ".join(SEARCHES), features=", ".join(list(FEATURES)[:6]),
+        objectives=" or ".join(OBJECTIVES), operators=", ".join(OPERATORS),
+    )  # fmt: skip
+    config = parse_config(yaml.safe_load(text), "the template")
+    drives, tests = config.executions_at_most, config.executions_at_most // len(config.simulators)
+    head = f"# {tests} tests, each on {len(config.simulators)} simulators: {drives} drives.\n"
+    return head + text
+
+
+def _scalar(text: str) -> str:
+    """Text as one YAML value within a flow sequence."""
+    return yaml.safe_dump([text], default_flow_style=True, width=10_000).strip()[1:-1]
+
+
+_TEXT = """\
+# How long it takes here, and how much disk:  ds campaign run THIS_FILE --out DIR --dry-run
+# Run it, and run it again after a stop:      ds campaign run THIS_FILE --out DIR
+# docs/configuration.md explains every key; a line that begins with # is the default.
+
+driver: {driver}    # network: a name, .safetensors, a .yaml that describes an ONNX or other file, or module:Class
+siblings: {siblings}    # any of {simulators}, or module:Class
+twin: {twin}    # the simulator to be predicted, or none
+
+search:    # on every sibling
+  population: {population}    # random roads at the beginning
+  iterations: {iterations}    # mutants after them
+  runs: {runs}    # searches with different seeds
+  # method: deephyperion    # {searches}
+  # min_angle: 100    # degrees; larger: more winding roads at the beginning
+  # max_angle: 300
+  # extent: 6    # m, largest change of a mutant
+  # objective: lateral_distance    # {objectives}
+  # conditions: {{}}    # operating conditions to search, as visibility: {{low: 20, high: 200}}
+  # mutate_conditions: 0.5    # share of mutations that change a condition
+
+# conditions: none    # of every test, as visibility=60,line_contrast=0.4
+# gates: conditions    # all: the autopilot must complete every test before the network is judged by it
+# lane: right    # or left
+# features: [turns_count, curvature]    # axes of the maps: {features}, ...
+# migration: all    # elites: only the worst test of each cell drives on the other simulators
+# operators: {{probability: product, quality_loss: minimum, compare: []}}    # {operators}
+# sim2real: false    # or generators that translate every image
+# maxitwo_compatible: false    # true: reproduce known quirks of the authors' package
+# seed: 1
+# engine: graph    # local: without ROS, faster; dask: many machines; the same results
+# workers: 1    # drives at the same time; results do not depend on it
+# retries: 2    # further attempts after an error
+# command_timeout: 10.0    # s to wait for an answer of the network
+# record: telemetry    # bag of every drive: none, telemetry, compressed (with images), raw
+"""

@@ -1,0 +1,1 @@
+"""Verbs of `ds` about campaigns and suites."""

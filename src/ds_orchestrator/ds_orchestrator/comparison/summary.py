@@ -1,0 +1,125 @@
+"""Says in a few sentences whether a candidate should replace the reference."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from ds_orchestrator.comparison.analysis import Comparison, SimulatorComparison
+from ds_orchestrator.comparison.paired_statistics import fewest_changes
+
+Advice = Literal["merge", "look first", "do not merge", "not decided"]
+
+
+def advice_of(comparison: Comparison) -> Advice:
+    """Advise by rules that were fixed before any comparison.
+
+    - `do not merge`: the candidate is significantly worse on some simulator.
+    - `look first`: some test newly fails.
+    - `not decided`: drives are missing, or the reference passes so few tests on some simulator that a candidate which
+      failed all of them could not be called worse.
+    - `merge`: none of these.
+    """
+    if any(row.verdict == "worse" for row in comparison.simulators):
+        return "do not merge"
+    if comparison.newly_failing:
+        return "look first"
+    return "not decided" if comparison.left_out or _too_few(comparison) else "merge"
+
+
+def answer_of(comparison: Comparison) -> str:
+    """Answer the question whether to merge, in one sentence."""
+    advice, newly = advice_of(comparison), len(comparison.newly_failing)
+    if advice == "do not merge":
+        return "Merge? No: it is worse."
+    if advice == "look first":
+        return f"Merge? Look first: {count(newly, 'drive')} newly {'fails' if newly == 1 else 'fail'}."
+    if advice == "not decided":
+        missing = "drives are missing" if comparison.left_out else "too few tests to tell, though none newly fails"
+        return f"Merge? Not decided: {missing}."
+    worst = max(row.counts.interval[1] for row in comparison.simulators if row.counts.interval)
+    return (
+        "Merge? Nothing speaks against it: no drive newly fails; "
+        f"at most {math.ceil(100 * worst)} more failures in 100 such tests are compatible with that."
+    )
+
+
+def _too_few(comparison: Comparison) -> bool:
+    needed = fewest_changes(family_of(comparison))
+    passed = [row.counts.newly_fail + row.counts.both_pass for row in comparison.simulators]
+    return not comparison.is_identical and any(number < needed for number in passed)
+
+
+def family_of(comparison: Comparison) -> int:
+    """Number of p-values from which verdicts are made."""
+    return len(comparison.simulators) * (1 if comparison.origin in ("random", "both") else 2)
+
+
+def sentences_of(comparison: Comparison) -> list[str]:
+    """Give the reasons, the most important first."""
+    if not comparison.drives:
+        return ["No test has a verdict of both networks, so nothing was compared."]
+    if comparison.is_identical:
+        return [
+            f"Both networks drove all {count(len(comparison.drives), 'pair')} identically, to the bit."
+            + (" They are the same files." if comparison.reference.sha256 == comparison.candidate.sha256 else "")
+        ]
+    found = [_sentence(row, row.simulator == comparison.twin) for row in comparison.simulators if row.counts.tests]
+    found += [f"{count(len(comparison.left_out), 'pair')} left out: a drive ended in an error."] * bool(
+        comparison.left_out
+    )
+    return found
+
+
+def cautions_of(comparison: Comparison) -> list[str]:
+    """Say what the numbers cannot carry."""
+    found = []
+    reference = comparison.reference.driver
+    random = max((row.unsearched.tests for row in comparison.simulators), default=0)
+    if comparison.origin in ("reference", "suite"):
+        how = "searched for failures of" if comparison.origin == "reference" else "chosen by the outcomes of"
+        found.append(
+            f"The tests were {how} {reference}, so a network that is as good fails on fewer of them: "
+            "here, fixed tests are no evidence that the candidate is better, but tests that newly fail are real. "
+            + (
+                f'"better" is judged by the {count(random, "random road")} among them.'
+                if random
+                else 'No random roads are among them, so nothing is called "better".'
+            )
+        )
+    if comparison.origin != "random":
+        found.append("Tests of a search resemble each other, so p and intervals are too optimistic.")
+    family = family_of(comparison)
+    needed = fewest_changes(family)
+    changed = max((row.counts.newly_fail + row.counts.fixed for row in comparison.simulators), default=0)
+    if changed < needed and not comparison.is_identical:
+        found.append(
+            f"Too few tests change for a conclusion: {changed} at most on one simulator; with "
+            f"{count(family, 'comparison')}, a significant difference needs {needed} in the same direction."
+        )
+    return found
+
+
+def _sentence(row: SimulatorComparison, is_twin: bool) -> str:
+    counts = row.counts
+    where = f"{row.simulator} (twin)" if is_twin else row.simulator
+    changes = f"{counts.newly_fail} of {count(counts.tests, 'test')} newly fail, {counts.fixed} are fixed"
+    if row.verdict == "worse":
+        return f"Worse on {where}: {changes} (p = {row.p_adjusted:.2g} after Holm)."
+    if row.verdict == "better":
+        return f"Better on {where}: {changes} (p = {row.unsearched_p_adjusted:.2g} after Holm)."
+    assert counts.interval is not None
+    low, high = counts.interval
+    return (
+        f"No difference shown on {where}: {changes}; between {_signed(low)} and {_signed(high)} failures in 100 such "
+        "tests are compatible with that."
+    )
+
+
+def _signed(difference: float) -> str:
+    return f"{abs(100 * difference):.0f} {'more' if difference > 0 else 'fewer'}"
+
+
+def count(number: int, what: str) -> str:
+    """Count in words: `1 drive`, `2 drives`."""
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -1,0 +1,87 @@
+"""The example workflows for CI: their steps run as a script, with a `ds` that answers without driving."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+CI = ROOT / "examples/ci"
+DS = """\
+#!/usr/bin/env bash
+# Notes its arguments, writes what `ds suite run` writes, and exits with $ANSWER.
+printf '%s\\n' "$*" >>calls
+while (($#)); do
+  case $1 in --junit | --markdown) echo "$1" >"$2" ;; esac
+  shift
+done
+exit "${ANSWER:-0}"
+"""
+
+
+def github() -> dict[str, Any]:
+    document: dict[str, Any] = yaml.safe_load((CI / "github_actions.yml").read_text())
+    return document
+
+
+def gitlab() -> dict[str, Any]:
+    document: dict[str, Any] = yaml.safe_load((CI / "gitlab.yml").read_text())["check_network"]
+    return document
+
+
+def script_of(name: str) -> tuple[str, dict[str, str]]:
+    """Commands that check the network, without those that install, and the variables of the job."""
+    if name == "gitlab":
+        return "\n".join(gitlab()["script"]), gitlab()["variables"]
+    steps = [step["run"] for step in github()["jobs"]["suite"]["steps"] if step.get("name") == "Drive the suite"]
+    return steps[0], github()["env"]
+
+
+@pytest.mark.parametrize("name", ["github", "gitlab"])
+@pytest.mark.parametrize("answer", [0, 1, 3])
+def test_the_steps_run_and_end_with_the_status_of_the_suite(tmp_path: Path, name: str, answer: int) -> None:
+    checkout = tmp_path / "digital-siblings"
+    (checkout / "examples").mkdir(parents=True)
+    (checkout / "examples/ci").symlink_to(CI)
+    (checkout / "ds").write_text(DS)
+    (checkout / "ds").chmod(0o755)
+    script, variables = script_of(name)
+    summary = tmp_path / "step_summary.md"
+    env = {**os.environ, **variables, "ANSWER": str(answer), "GITHUB_STEP_SUMMARY": str(summary)}
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", script], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == answer, done.stderr
+    call = (tmp_path / "calls").read_text()
+    assert call.startswith("suite run suite.json --driver network/my_net.yaml --out results/suite")
+    assert summary.read_text() == (tmp_path / "results/summary.md").read_text()
+
+
+def test_the_options_of_the_script_are_options_of_the_verb() -> None:
+    from typer.main import get_group
+
+    from ds_orchestrator.cli.campaign.group import app
+
+    words = (CI / "check_network.sh").read_text().split()
+    suite: Any = get_group(app).commands["suite"]
+    known = {option for parameter in suite.commands["run"].params for option in parameter.opts}
+    used = {word for word in words if word.startswith("--")} - {"--driver`"}
+    assert used and used <= known
+
+
+def test_both_workflows_show_and_keep_the_same_files() -> None:
+    artifacts = gitlab()["artifacts"]
+    kept = next(s for s in github()["jobs"]["suite"]["steps"] if s.get("name") == "Keep the results")["with"]["path"]
+    assert kept.split() == artifacts["paths"] and artifacts["reports"]["junit"] in artifacts["paths"]
+
+
+def test_every_step_is_valid_bash() -> None:
+    steps = [step["run"] for step in github()["jobs"]["suite"]["steps"] if "run" in step]
+    steps += ["\n".join(gitlab()["before_script"]), (CI / "check_network.sh").read_text()]
+    for step in steps:
+        subprocess.run(["bash", "-n", "-c", step], check=True, timeout=20)

@@ -1,0 +1,326 @@
+"""`ds campaign compare`, `ds suite`, `ds runs` and `ds campaign init` as commands, with drives that are made up."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from tests.campaign.executors import MadeUpExecutor
+
+from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
+from ds_orchestrator.campaign.folder import locked, store_of
+from ds_orchestrator.campaign.runner import Campaign
+from ds_orchestrator.campaign.template import SIZES, template
+from ds_orchestrator.cli import application
+from ds_orchestrator.comparison import given_tests
+from ds_orchestrator.run import SilentListener
+from ds_orchestrator.store.rows import trajectory_sha256
+from ds_orchestrator.store.store import Store
+from ds_road import Road
+from ds_sim.conditions import DEFAULT, Conditions
+from ds_sim.session import RunRecord
+
+
+class OfDriver(MadeUpExecutor):
+    """Drives that depend on the driver: that of the campaigns, and one that another seed tells apart."""
+
+    def __init__(self, driver: str, *, runs: int = 10_000) -> None:
+        super().__init__(runs=runs)
+        self.offset = 0 if driver == "autopilot" else 1
+
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
+        run = super().execute(simulator, road, seed + self.offset, conditions)
+        return RunRecord(**{**vars(run), "seed": seed})
+
+
+@pytest.fixture
+def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
+    """Every engine that a verb starts is an executor that drives nothing; returns those that were started."""
+    started: list[OfDriver] = []
+
+    @contextmanager
+    def running(config: CampaignConfig, *_: object, **__: object) -> Iterator[OfDriver]:
+        started.append(OfDriver(config.driver))
+        yield started[-1]
+
+    monkeypatch.setattr(given_tests, "running_engine", running)
+    monkeypatch.setattr(given_tests, "check_driver", lambda *_: None)
+    monkeypatch.setattr("ds_orchestrator.graph.process_specs.check_driver", lambda *_: None)
+    monkeypatch.setattr(
+        "ds_driver.networks.network_driver.driver_sha256", lambda name: name.encode().hex().ljust(64, "0")
+    )
+    return started
+
+
+def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
+    given = [str(argument) for argument in arguments]
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        status = application.run(given)
+    return subprocess.CompletedProcess(given, status, out.getvalue(), err.getvalue())
+
+
+def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path:
+    raw = {
+        "siblings": ["bullet", "softbody"], "twin": "donkey", "driver": driver, "record": "none", "seed": 3,
+        "search": {"population": 2, "iterations": 2, "runs": 1}, **changed,
+    }  # fmt: skip
+    config = parse_config(raw, "here")
+    folder.mkdir()
+    with locked(folder):
+        store = store_of(folder, config)
+        spaces = {name: f"/{name}" for name in config.simulators}
+        Campaign(config, folder, store, OfDriver(driver), SilentListener(), spaces).run()
+        if driver != "autopilot":
+            store.note("sha256 of the driver's weights", driver.encode().hex().ljust(64, "0"))
+        store.close()
+    return folder
+
+
+def test_a_network_drives_the_tests_of_a_campaign_once(tmp_path: Path, engine: list[OfDriver]) -> None:
+    old, out = campaign(tmp_path / "old"), tmp_path / "out"
+    done = ds("campaign", "compare", old, "--driver", "other", "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    # 8 tests on 3 simulators; the reference drives only the three that check whether it repeats.
+    assert [len(executor.roads) for executor in engine] == [3, 24]
+    assert sum(row["tests"] for row in document["simulators"]) == len(document["tests"]) == 24
+    assert document["origin"] == "reference"
+    # The initial population of either search.
+    assert {row["random_roads"]["tests"] for row in document["simulators"]} == {4}
+    counted = [sum(test["change"] == "newly fails" for test in document["tests"])]
+    assert counted == [sum(row["newly_fail"] for row in document["simulators"])] and counted[0] > 0
+    worse = next(test for test in document["tests"] if "command" in test)
+    road = Path(worse["command"].split("--road ")[1].split()[0])
+    assert json.loads(road.read_text())[0]["seed"] == worse["seed"]
+    for name in ("comparison.html", "comparison.md", "comparison.json", "tables/compared_networks.csv"):
+        assert (out / name).stat().st_size > 0
+    again = ds("campaign", "compare", old, "other", "--out", out, "--json")
+    assert again.stdout == done.stdout and len(engine) == 2
+
+
+def test_a_stopped_comparison_goes_on(tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch) -> None:
+    old, out = campaign(tmp_path / "old"), tmp_path / "out"
+
+    @contextmanager
+    def stopping(config: CampaignConfig, *_: object, **__: object) -> Iterator[OfDriver]:
+        engine.append(OfDriver(config.driver, runs=10))
+        yield engine[-1]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(given_tests, "running_engine", stopping)
+        stopped = ds("campaign", "compare", old, "other", "--out", out)
+    assert stopped.returncode == 130 and "the same command" in stopped.stderr
+    assert ds("campaign", "compare", old, "other", "--out", out).returncode == 0
+    assert [len(executor.roads) for executor in engine] == [3, 10, 14]
+
+
+def test_two_campaigns_share_the_tests_that_both_drove(tmp_path: Path, engine: list[OfDriver]) -> None:
+    """Both begin with the same random roads; what is left are the mutants of each, which the other network drives."""
+    search = {"search": {"population": 2, "iterations": 8, "runs": 1}}
+    old, new = campaign(tmp_path / "old", **search), campaign(tmp_path / "new", driver="other", **search)
+    mine, theirs = contents_of(old), contents_of(new)
+    document = json.loads(ds("campaign", "compare", old, new, "--out", tmp_path / "out", "--json").stdout)
+    compared = {(test["road_id"], test["seed"]) for test in document["tests"]}
+    assert compared == mine | theirs and len(mine & theirs) >= 4 and theirs - mine
+    assert {row["tests"] for row in document["simulators"]} == {len(compared)}
+    again = 2 * 3  # both networks on three simulators, to check that they repeat
+    assert sum(len(executor.roads) for executor in engine) == again + 3 * len(mine ^ theirs)
+    assert document["origin"] == "both"
+
+
+def contents_of(folder: Path) -> set[tuple[str, int]]:
+    with closing(Store(folder / "campaign.sqlite")) as store:
+        return {(test.road.road_id, test.seed) for test in store.tests()}
+
+
+def test_two_networks_drive_the_same_random_roads(tmp_path: Path, engine: list[OfDriver]) -> None:
+    options = ("--roads", 3, "--sims", "bullet,donkey", "--out", tmp_path / "out", "--json")
+    document = json.loads(ds("campaign", "compare", "autopilot", "other", *options).stdout)
+    assert [sorted(executor.roads) for executor in engine][0] == sorted(engine[1].roads)
+    assert document["origin"] == "random" and {row["tests"] for row in document["simulators"]} == {3}
+
+
+def test_a_reference_that_drives_differently_than_before_is_refused(tmp_path: Path, engine: list[OfDriver]) -> None:
+    old = campaign(tmp_path / "old")
+    store = Store(old / "campaign.sqlite")
+    for execution in store.executions():
+        first = execution.trajectory.copy()
+        first[:, 0] += 1.0
+        digest = trajectory_sha256(first)
+        store.add_execution(type(execution)(**{**vars(execution), "trajectory": first, "trajectory_sha256": digest}))
+    store.close()
+    done = ds("campaign", "compare", old, "other", "--out", tmp_path / "out")
+    assert (
+        done.returncode == 2
+        and "--again drives the reference again" in done.stderr
+        and done.stderr.count("error:") == 1
+    )
+    assert ds("campaign", "compare", old, "other", "--again", "--out", tmp_path / "out").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("changed", "key"),
+    [
+        ({"twin": "panda"}, "twin"),
+        ({"conditions": "visibility=60"}, "conditions"),
+        ({"siblings": ["bullet"]}, "siblings"),
+    ],
+)
+def test_campaigns_that_do_not_compare_are_refused_in_one_line(
+    tmp_path: Path, engine: list[OfDriver], changed: dict[str, Any], key: str
+) -> None:
+    old, new = campaign(tmp_path / "old"), tmp_path / "new"
+    if "conditions" in changed:
+        new.mkdir()
+        config = parse_config({"siblings": ["bullet", "softbody"], "record": "none", **changed}, "here")
+        store_of(new, config).close()
+    else:
+        campaign(new, driver="other", **changed)
+    done = ds("campaign", "compare", old, new, "--out", tmp_path / "out")
+    assert done.returncode == 2 and f"differ in {key} (" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("a",), "expected one candidate"),
+        (("a", "b", "--driver", "c"), "expected one candidate"),
+        (("{old}", "b", "--roads", "3"), "--roads is for two networks"),
+        (("a", "{old}"), "is no campaign folder"),
+        (("{old}", "b", "--max-failures", "500%"), "expected a share from 0% to 100%"),
+        (("{old}", "b", "--junit", "/nowhere/x.xml"), "there is no such folder"),
+        (("{old}/..", "b"), "no campaign in"),
+        (("{old}", "b", "--engine", "steam"), "expected one of graph, local, dask"),
+    ],
+)
+def test_bad_input_gets_one_line(
+    tmp_path: Path, engine: list[OfDriver], arguments: tuple[str, ...], problem: str
+) -> None:
+    old = campaign(tmp_path / "old")
+    given = [argument.format(old=old) for argument in arguments]
+    done = ds("campaign", "compare", *given, "--out", tmp_path / "out")
+    assert done.returncode == 2 and problem in done.stderr, done.stderr
+    assert len(done.stderr.splitlines()) == 1 and not done.stdout
+
+
+def test_a_suite_holds_the_tests_that_tell_most_and_compares_by_itself(tmp_path: Path, engine: list[OfDriver]) -> None:
+    old, file = campaign(tmp_path / "old"), tmp_path / "suite.json"
+    made = ds("suite", "make", old, "--out", file, "--tests", 5, "--json")
+    assert made.returncode == 0, made.stderr
+    assert json.loads(made.stdout)["tests"] == 5 and json.loads(made.stdout)["drives"] == 15
+    suite = json.loads(file.read_text())
+    assert all(len(test["outcomes"]) == 3 for test in suite["tests"])
+    assert file.read_text().count('"name"') == 5
+    # The same driver: nothing changes, and every criterion of change is met.
+    same = ds("suite", "run", file, "--driver", "autopilot", "--out", tmp_path / "same", "--fail-on", "regression")
+    assert same.returncode == 0 and "identically, to the bit" in same.stdout, same.stderr
+    # Another one: some test newly fails.
+    out, junit, summary = tmp_path / "other", tmp_path / "junit.xml", tmp_path / "summary.md"
+    other = ds("suite", "run", file, "--driver", "other", "--out", out, "--fail-on", "regression", "--junit", junit,
+               "--markdown", summary, "--update", tmp_path / "updated.json")  # fmt: skip
+    document = json.loads((out / "comparison.json").read_text())
+    newly = sum(test["change"] == "newly fails" for test in document["tests"])
+    assert newly > 0 and other.returncode == 3 and "not passed:" in other.stderr
+    assert int(ElementTree.parse(junit).getroot().get("failures", "")) == newly
+    assert (
+        summary.read_text() == (out / "comparison.md").read_text() and "Pass criterion not met" in summary.read_text()
+    )
+    # The updated suite expects what the other driver did.
+    updated = ds(
+        "suite", "run", tmp_path / "updated.json", "--driver", "other", "--out", out, "--fail-on", "regression"
+    )
+    assert updated.returncode == 0 and "identically" in updated.stdout
+
+
+def test_a_suite_with_conditions_drives_no_autopilot(tmp_path: Path, engine: list[OfDriver]) -> None:
+    file = tmp_path / "suite.json"
+    assert ds("suite", "make", campaign(tmp_path / "old"), "--out", file, "--tests", 2).returncode == 0
+    suite = json.loads(file.read_text())
+    suite["tests"][0]["conditions"] = "visibility=60"
+    file.write_text(json.dumps(suite))
+    done = ds("suite", "run", file, "--driver", "autopilot", "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    assert {test["conditions"] for test in json.loads(done.stdout)["tests"]} == {"", "visibility=60"}
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"version": 2}, "made by a newer version of ds (suite version 2, expected 1)"),
+        ({"version": "x"}, "made by another version of ds"),
+        ({"format": "other"}, "no suite, expected a file of `ds suite make`"),
+        ({"surprise": 1}, "surprise: there is no such key"),
+        ({"tests": []}, "expected at least 1 of them"),
+        ({"siblings": ["nowhere:Code"]}, "--trust"),
+    ],
+)
+def test_a_suite_that_cannot_be_run_is_refused_in_one_line(
+    tmp_path: Path, engine: list[OfDriver], change: dict[str, Any], problem: str
+) -> None:
+    file = tmp_path / "suite.json"
+    ds("suite", "make", campaign(tmp_path / "old"), "--out", file, "--tests", 2)
+    suite = {**json.loads(file.read_text()), **change}
+    if "siblings" in change:
+        for test in suite["tests"]:
+            test["outcomes"] = {"nowhere:Code": test["outcomes"]["bullet"]}
+    file.write_text(json.dumps(suite))
+    done = ds("suite", "run", file, "--driver", "autopilot", "--out", tmp_path / "out")
+    assert done.returncode == 2 and problem in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+
+
+def test_a_road_that_was_changed_is_found_by_its_digest(tmp_path: Path, engine: list[OfDriver]) -> None:
+    file = tmp_path / "suite.json"
+    ds("suite", "make", campaign(tmp_path / "old"), "--out", file)
+    suite = json.loads(file.read_text())
+    suite["tests"][1]["control_points"][4][0] += 1.0
+    file.write_text(json.dumps(suite))
+    done = ds("suite", "run", file, "--driver", "autopilot", "--out", tmp_path / "out")
+    assert done.returncode == 2 and "does not match its digest" in done.stderr
+
+
+def test_runs_lists_campaigns_with_their_state(tmp_path: Path, engine: list[OfDriver]) -> None:
+    campaign(tmp_path / "old")
+    campaign(tmp_path / "new", driver="other")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken/campaign.sqlite").write_bytes(b"no database")
+    with locked(tmp_path / "new"):
+        found = {Path(row["folder"]).name: row for row in json.loads(ds("runs", tmp_path, "--json").stdout)}
+    assert {name: row["state"] for name, row in found.items() if name != "broken"} == {
+        "old": "stopped",
+        "new": "running",
+    }
+    assert "damaged" in found["broken"]["state"] or "not a database" in found["broken"]["state"]
+    assert found["old"]["drives"] == found["old"]["drives_at_most"] == 24
+    assert found["new"]["sha256"].startswith(b"other".hex())
+    assert sum(tests for _, tests in found["old"]["failures"].values()) == 24
+    assert "old" in ds("runs", tmp_path).stdout
+    assert ds("runs", tmp_path / "nowhere").returncode == 2
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_template_names_every_key_and_is_what_was_asked_for(tmp_path: Path, size: str) -> None:
+    text = template("my nets/a: b.yaml", ["bullet", "panda"], "donkey", size)
+    path = tmp_path / "campaign.yaml"
+    path.write_text(text)
+    asked = CampaignConfig(driver="my nets/a: b.yaml", siblings=["bullet", "panda"], search=SIZES[size])
+    assert read_config(path) == asked
+    assert all(f"{key}:" in text for key in CampaignConfig.model_fields)
+    assert all(f"{key}:" in text for key in type(asked.search).model_fields)
+    assert f"{asked.executions_at_most} drives" in text.splitlines()[0]
+
+
+def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, engine: list[OfDriver]) -> None:
+    file = tmp_path / "campaign.yaml"
+    assert ds("campaign", "init", file, "--driver", "autopilot", "--sims", "bullet").returncode == 0
+    assert read_config(file).twin is None
+    again = ds("campaign", "init", file)
+    assert again.returncode == 2 and "exists already" in again.stderr
+    assert ds("campaign", "init", file, "--force", "--size", "huge").returncode == 2
