@@ -73,7 +73,7 @@ def test_the_fewest_changes_are_the_first_that_reach_significance() -> None:
 
 def test_a_network_that_newly_fails_often_is_worse_and_is_not_merged() -> None:
     found = compared([*pairs("bullet", (12, 1, 3, 24)), *pairs("donkey", (1, 1, 3, 35))], twin="donkey")
-    assert [row.verdict for row in found.simulators] == ["worse", "no difference shown"]
+    assert [row.verdict for row in found.simulators] == ["worse", "not significant"]
     assert advice_of(found) == "do not merge" and answer_of(found) == "Merge? No: it is worse."
     # Two comparisons: Holm doubles the smaller p.
     assert found.simulators[0].p_adjusted == pytest.approx(2 * binomtest(12, 13, 0.5).pvalue)
@@ -86,7 +86,7 @@ def test_tests_that_were_searched_against_the_reference_show_no_improvement() ->
     fixed = pairs("bullet", (0, 20, 5, 15))
     assert compared(fixed).simulators[0].verdict == "better"
     searched = compared(fixed, origin="reference")
-    assert searched.simulators[0].verdict == "no difference shown"
+    assert searched.simulators[0].verdict == "not significant"
     assert "no evidence that the candidate is better" in cautions_of(searched)[0]
     with_random = compared(pairs("bullet", (0, 20, 5, 15), unsearched=range(20)), origin="reference")
     assert with_random.simulators[0].verdict == "better"

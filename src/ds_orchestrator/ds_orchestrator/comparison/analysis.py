@@ -13,7 +13,7 @@ from ds_orchestrator.comparison.drives import Network, PairedDrive
 from ds_orchestrator.comparison.paired_statistics import ALPHA, PairedCounts, adjusted
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
 
-Verdict = Literal["worse", "better", "no difference shown"]
+Verdict = Literal["worse", "better", "not significant"]
 Origin = Literal["random", "both", "reference", "suite"]
 """How tests were chosen: at random; by a search against each network; by a search against the reference alone; or for
 a suite, which was selected by the reference's outcomes."""
@@ -164,16 +164,18 @@ def compare_networks(
 def _simulators(of: Mapping[str, Sequence[PairedDrive]], *, is_fair: bool) -> list[SimulatorComparison]:
     every = {name: PairedCounts.of(drives) for name, drives in of.items()}
     unsearched = {name: PairedCounts.of(d for d in drives if d.test.unsearched) for name, drives in of.items()}
-    p = [counts.p for counts in every.values()]
-    p += [] if is_fair else [counts.p for counts in unsearched.values()]
-    corrected = adjusted(p, "holm")
-    of_all = dict(zip(every, corrected, strict=False))
-    of_unsearched = of_all if is_fair else dict(zip(every, corrected[len(every) :], strict=True))
+    # Without tests there is no comparison, and nothing to correct for.
+    family = {(name, "all"): counts.p for name, counts in every.items() if counts.tests}
+    if not is_fair:
+        family |= {(name, "unsearched"): counts.p for name, counts in unsearched.items() if counts.tests}
+    p = dict(zip(family, adjusted(list(family.values()), "holm"), strict=True))
     rows = []
     for name, drives in of.items():
-        fair, fair_p = (every[name], of_all[name]) if is_fair else (unsearched[name], of_unsearched[name])
-        verdict: Verdict = "no difference shown"
-        if of_all[name] < ALPHA and every[name].newly_fail > every[name].fixed:
+        of_all = p.get((name, "all"), 1.0)
+        of_unsearched = of_all if is_fair else p.get((name, "unsearched"), 1.0)
+        fair, fair_p = (every[name], of_all) if is_fair else (unsearched[name], of_unsearched)
+        verdict: Verdict = "not significant"
+        if of_all < ALPHA and every[name].newly_fail > every[name].fixed:
             verdict = "worse"
         elif fair_p < ALPHA and fair.fixed > fair.newly_fail:
             verdict = "better"
@@ -181,9 +183,9 @@ def _simulators(of: Mapping[str, Sequence[PairedDrive]], *, is_fair: bool) -> li
             SimulatorComparison(
                 simulator=name,
                 counts=every[name],
-                p_adjusted=of_all[name],
+                p_adjusted=of_all,
                 unsearched=unsearched[name],
-                unsearched_p_adjusted=of_unsearched[name],
+                unsearched_p_adjusted=of_unsearched,
                 verdict=verdict,
                 margin_change=float(np.median([d.margin_change for d in drives])) if drives else None,
             )

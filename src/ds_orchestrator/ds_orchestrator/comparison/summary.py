@@ -52,7 +52,10 @@ def _too_few(comparison: Comparison) -> bool:
 
 def family_of(comparison: Comparison) -> int:
     """Number of p-values from which verdicts are made."""
-    return len(comparison.simulators) * (1 if comparison.origin in ("random", "both") else 2)
+    families = [row.counts for row in comparison.simulators]
+    if comparison.origin in ("reference", "suite"):
+        families += [row.unsearched for row in comparison.simulators]
+    return sum(counts.tests > 0 for counts in families)
 
 
 def sentences_of(comparison: Comparison) -> list[str]:
@@ -64,7 +67,9 @@ def sentences_of(comparison: Comparison) -> list[str]:
             f"Both networks drove all {count(len(comparison.drives), 'pair')} identically, to the bit."
             + (" They are the same files." if comparison.reference.sha256 == comparison.candidate.sha256 else "")
         ]
-    found = [_sentence(row, row.simulator == comparison.twin) for row in comparison.simulators if row.counts.tests]
+    order = {"worse": 0, "better": 1, "not significant": 2}
+    rows = sorted(comparison.simulators, key=lambda row: order[row.verdict])
+    found = [_sentence(row, row.simulator == comparison.twin) for row in rows if row.counts.tests]
     found += [f"{count(len(comparison.left_out), 'pair')} left out: a drive ended in an error."] * bool(
         comparison.left_out
     )
@@ -103,7 +108,8 @@ def cautions_of(comparison: Comparison) -> list[str]:
 def _sentence(row: SimulatorComparison, is_twin: bool) -> str:
     counts = row.counts
     where = f"{row.simulator} (twin)" if is_twin else row.simulator
-    changes = f"{counts.newly_fail} of {count(counts.tests, 'test')} newly fail, {counts.fixed} are fixed"
+    fails, are = ("fails" if counts.newly_fail == 1 else "fail"), ("is" if counts.fixed == 1 else "are")
+    changes = f"{counts.newly_fail} of {count(counts.tests, 'test')} newly {fails}, {counts.fixed} {are} fixed"
     if row.verdict == "worse":
         return f"Worse on {where}: {changes} (p = {row.p_adjusted:.2g} after Holm)."
     if row.verdict == "better":
@@ -111,8 +117,8 @@ def _sentence(row: SimulatorComparison, is_twin: bool) -> str:
     assert counts.interval is not None
     low, high = counts.interval
     return (
-        f"No difference shown on {where}: {changes}; between {_signed(low)} and {_signed(high)} failures in 100 such "
-        "tests are compatible with that."
+        f"Not significant on {where}: {changes} (p = {row.p_adjusted:.2g} after Holm); 95 %: {_signed(low)} to "
+        f"{_signed(high)} failures in 100 such tests."
     )
 
 

@@ -23,7 +23,7 @@ MOST_ROWS = 12
 def simulator_table(comparison: Comparison) -> Table:
     """Tabulate paired outcomes, one row for each simulator."""
     # Where all tests are alike, a column on random roads would repeat the others.
-    with_random = comparison.origin == "reference"
+    with_random = comparison.origin == "reference" and any(row.unsearched.tests for row in comparison.simulators)
     rows: list[tuple[Value, ...]] = []
     for row in comparison.simulators:
         counts, random = row.counts, row.unsearched
@@ -71,6 +71,7 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
         numbers = (counts.tests, counts.newly_fail, counts.fixed, counts.difference, counts.interval, one.p_adjusted)
         rows.append((one.simulator, *bins, *numbers))
     left = f" The worst {most} of {len(changed)} are shown." if most is not None and len(changed) > most else ""
+    smallest = f"the smallest is {min(one.p_adjusted for one in changed):.2g}" if changed else "none changed"
     return Table(
         name="compared_cells",
         title="Cells of the feature map that changed",
@@ -80,7 +81,9 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
             Column("95 %", "number"), Column("p (BH)", "p"),
         ],
         rows=rows,
-        notes=[f"p by Benjamini and Hochberg over {len(comparison.cells)} filled cells of all simulators.{left}"],
+        notes=[
+            f"p by Benjamini and Hochberg over {len(comparison.cells)} cells of all simulators; {smallest}.{left}"
+        ],
     )  # fmt: skip
 
 
@@ -95,19 +98,21 @@ def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
     shown = worse or [drive for drive in comparison.drives if drive.margin_change < 0.0]
     if most is None:
         shown = list(comparison.drives)
+    every = most is None
     title = "Tests that newly fail" if worse else "No test newly fails; nearest to it, by the lost distance"
     left = [f"{most} of {len(shown)} are shown."] if most is not None and len(shown) > most else []
     return Table(
         name="compared_tests",
-        title=title if most is not None else "Every test, the worst change first",
+        title="Every test, the worst change first" if every else title,
         columns=[
-            Column("test"), Column("simulator"), Column("change"), Column("before"), Column("now"),
-            Column("margin before, m", "number"), Column("margin now, m", "number"),
+            Column("test"), Column("simulator"), *((Column("change"),) if every else ()), Column("before"),
+            Column("now"), Column("margin before, m", "number"), Column("margin now, m", "number"),
         ],
         rows=[
             (
-                drive.test.name, drive.simulator, drive.change, _words(drive.reference.outcome.name),
-                _words(drive.candidate.outcome.name), drive.reference.fitness, drive.candidate.fitness,
+                drive.test.name, drive.simulator, *((drive.change,) if every else ()),
+                _words(drive.reference.outcome.name), _words(drive.candidate.outcome.name), drive.reference.fitness,
+                drive.candidate.fitness,
             )
             for drive in shown[:most]
         ],

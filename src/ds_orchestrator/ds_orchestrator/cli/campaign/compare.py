@@ -227,11 +227,13 @@ def write_comparison(
 
         console = Console()
         simulator_table(found).show(console)
-        for heading, grid in difference_grids(found):
+        grids, cells = difference_grids(found), cell_table(found, most=MOST_ROWS)
+        for heading, grid in grids:
             print(heading)
             console.print(grid)
-        cells = cell_table(found, most=MOST_ROWS)
-        if cells.rows:
+        if grids:
+            print(cells.notes[0])
+        elif cells.rows:
             cells.show(console)
         worse = drive_table(found, most=MOST_ROWS)
         if worse.rows:
