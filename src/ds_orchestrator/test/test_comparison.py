@@ -160,7 +160,7 @@ def test_criteria_name_what_they_miss() -> None:
     assert Criteria().unmet(tally) == []
     assert Criteria(fail_on="failure").unmet(tally) == ["tests fail: 2 on bullet, 3 on donkey"]
     assert Criteria(fail_on="regression").unmet(tally, newly_failing=0) == []
-    assert Criteria(fail_on="regression").unmet(tally, newly_failing=1) == ["1 test newly fails"]
+    assert Criteria(fail_on="regression").unmet(tally, newly_failing=1) == ["1 drive newly fails"]
     assert Criteria(fail_on="worse").unmet(tally, newly_failing=9) == []
     assert Criteria(fail_on="worse").unmet(tally, newly_failing=9, worse=["donkey"])
     # 5 % of 40 tests are 2.

@@ -69,7 +69,7 @@ class Criteria:
 
         Args:
             tally: simulator -> failures and tests.
-            newly_failing: number of tests that newly fail; None if there is nothing to compare with.
+            newly_failing: number of drives that newly fail; None if there is nothing to compare with.
             worse: simulators on which the candidate is significantly worse.
 
         Raises:
@@ -81,7 +81,7 @@ class Criteria:
         if self.fail_on == "failure" and failing:
             found.append("tests fail: " + ", ".join(f"{n} on {name}" for name, n in failing.items()))
         if self.fail_on == "regression" and newly_failing:
-            found.append(f"{newly_failing} {'test newly fails' if newly_failing == 1 else 'tests newly fail'}")
+            found.append(f"{newly_failing} {'drive newly fails' if newly_failing == 1 else 'drives newly fail'}")
         if self.fail_on == "worse" and worse:
             found.append(f"significantly worse on {', '.join(worse)}")
         if self.max_failures is not None:
