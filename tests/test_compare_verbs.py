@@ -12,14 +12,19 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+import typer
 from tests.campaign.executors import MadeUpExecutor
 
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
 from ds_orchestrator.campaign.folder import locked, store_of
+from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.template import SIZES, template
 from ds_orchestrator.cli import application
+from ds_orchestrator.cli.campaign.run import judged
+from ds_orchestrator.cli.output import Result, end
 from ds_orchestrator.comparison import given_tests
+from ds_orchestrator.comparison.criteria import Criteria
 from ds_orchestrator.run import SilentListener
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
@@ -124,7 +129,7 @@ def test_a_stopped_comparison_goes_on(tmp_path: Path, engine: list[OfDriver], mo
 
 def test_two_campaigns_share_the_tests_that_both_drove(tmp_path: Path, engine: list[OfDriver]) -> None:
     """Both begin with the same random roads; what is left are the mutants of each, which the other network drives."""
-    search = {"search": {"population": 2, "iterations": 8, "runs": 1}}
+    search: dict[str, Any] = {"search": {"population": 2, "iterations": 8, "runs": 1}}
     old, new = campaign(tmp_path / "old", **search), campaign(tmp_path / "new", driver="other", **search)
     mine, theirs = contents_of(old), contents_of(new)
     document = json.loads(ds("campaign", "compare", old, new, "--out", tmp_path / "out", "--json").stdout)
@@ -324,3 +329,54 @@ def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, en
     again = ds("campaign", "init", file)
     assert again.returncode == 2 and "exists already" in again.stderr
     assert ds("campaign", "init", file, "--force", "--size", "huge").returncode == 2
+
+
+def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing(
+    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", given_tests.running_engine)
+    file = tmp_path / "campaign.yaml"
+    file.write_text("{driver: autopilot, search: {population: 3, iterations: 2, runs: 2}, conditions: visibility=60}")
+    done = ds("campaign", "run", file, "--out", tmp_path / "new/deep", "--dry-run", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert sorted(simulator for simulator, _ in engine[0].roads) == ["bullet", "donkey", "softbody"]
+    # 2 siblings x 2 searches x 5 tests on 3 simulators, and as many drives of the autopilot for their gates.
+    assert (found["drives"], found["search_drives"], found["searches"], found["gate_drives"]) == (60, 20, 4, 60)
+    assert found["disk"] > 0 and found["seconds"] >= 0 and not (tmp_path / "new").exists()
+    assert ds("campaign", "run", file, "--out", tmp_path, "--dry-run", "--attach").returncode == 2
+
+
+def test_a_forecast_lets_searches_drive_one_test_at_a_time() -> None:
+    drives = tuple(MeasuredDrive(simulator=name, outcome="", seconds=10.0, disk=100) for name in ("a", "b", "c"))
+    forecast = Forecast(
+        drives=60, search_drives=20, searches=2, gate_drives=0, start_seconds=5.0, measured=drives, free=0
+    )
+    # 20 drives, two at a time, then 40, three at a time, of 10 s each.
+    assert forecast.seconds == pytest.approx(5 + 20 * 10 / 2 + 40 * 10 / 3) and forecast.disk == 6000
+
+
+def test_a_campaign_is_held_against_criteria(tmp_path: Path) -> None:
+    folder, junit = campaign(tmp_path / "old"), tmp_path / "junit.xml"
+    with closing(Store(folder / "campaign.sqlite")) as store:
+        failures = sum(execution.outcome.is_failure for execution in store.executions())
+    result = Result(document=None, show=lambda: None)
+    assert judged(result, folder, Criteria(), None) is result
+    unmet = judged(result, folder, Criteria(fail_on="failure"), junit).unmet
+    assert len(unmet) == 1 and unmet[0].startswith("tests fail: ")
+    root = ElementTree.parse(junit).getroot()
+    assert (root.get("tests"), root.get("failures")) == ("24", str(failures))
+    for option in ("regression", "worse"):
+        refused = ds("campaign", "run", tmp_path / "none.yaml", "--out", tmp_path / "x", "--fail-on", option)
+        assert refused.returncode == 2
+
+
+def test_an_error_prevails_over_a_criterion() -> None:
+    for error, unmet, status in ((False, [], None), (False, ["a"], 3), (True, ["a"], 1), (True, [], 1)):
+        result = Result(document={}, show=lambda: None, error=error, unmet=unmet)
+        if status is None:
+            end(result, True)
+            continue
+        with pytest.raises(typer.Exit) as exit_, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            end(result, True)
+        assert exit_.value.exit_code == status

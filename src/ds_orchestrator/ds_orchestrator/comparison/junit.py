@@ -84,10 +84,10 @@ def junit_of(name: str, cases: Sequence[Case]) -> str:
         name: name of the whole.
         cases: sorted by simulator.
     """
-    root = ElementTree.Element("testsuites", name=_clean(name), **_counts(cases))
+    root = ElementTree.Element("testsuites", {"name": _clean(name), **_counts(cases)})
     for simulator in dict.fromkeys(case.simulator for case in cases):
         of = [case for case in cases if case.simulator == simulator]
-        suite = ElementTree.SubElement(root, "testsuite", name=_clean(simulator), **_counts(of))
+        suite = ElementTree.SubElement(root, "testsuite", {"name": _clean(simulator), **_counts(of)})
         for case in of:
             entry = ElementTree.SubElement(
                 suite, "testcase", classname=_clean(simulator), name=_clean(case.test), time=f"{case.seconds:.3f}"

@@ -55,6 +55,7 @@ def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
     """
     from ds_orchestrator.campaign.campaign_data import read_campaign
     from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.search.features import feature_of
     from ds_orchestrator.suite.selection import suite_of
     from ds_orchestrator.suite.suite_file import SuiteError, write_suite
 
@@ -71,9 +72,11 @@ def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
     document = {"suite": str(out), "tests": len(suite.tests), "drives": drives, "why": counts}
 
     def show() -> None:
+        axes = [feature_of(name) for name in suite.features]
         table = Table("test", "why", "cell", *suite.simulators)
         for test in suite.tests:
-            cell = "" if test.cell is None else ", ".join(map(str, test.cell))
+            bins = zip(axes, test.cell or (), strict=False)
+            cell = ",".join(axis.label(bin_) for axis, bin_ in bins)
             outcomes = (f"{test.outcomes[name].fitness:+.2f} m" for name in suite.simulators)
             table.add_row(test.name, ", ".join(test.why), cell, *outcomes)
         Console().print(table)
