@@ -56,6 +56,7 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
         yield started[-1]
 
     monkeypatch.setattr(given_tests, "running_engine", running)
+    monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", running)
     monkeypatch.setattr(given_tests, "check_driver", lambda *_: None)
     monkeypatch.setattr("ds_orchestrator.graph.process_specs.check_driver", lambda *_: None)
     monkeypatch.setattr(
@@ -332,9 +333,8 @@ def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, en
 
 
 def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing(
-    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, engine: list[OfDriver]
 ) -> None:
-    monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", given_tests.running_engine)
     file = tmp_path / "campaign.yaml"
     file.write_text("{driver: autopilot, search: {population: 3, iterations: 2, runs: 2}, conditions: visibility=60}")
     done = ds("campaign", "run", file, "--out", tmp_path / "new/deep", "--dry-run", "--json")

@@ -133,6 +133,7 @@ def test_identical_drives_are_said_to_be_identical() -> None:
         for drive in pairs("bullet", (0, 0, 1, 0))
     ]  # fmt: skip
     assert "identically, to the bit" in sentences_of(compared(same))[0]
+    assert answer_of(compared(same)) == "Merge? Nothing changes: every drive is the same."
 
 
 def test_the_worst_changes_come_first() -> None:

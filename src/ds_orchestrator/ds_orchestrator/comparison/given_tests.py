@@ -12,6 +12,7 @@ from ds_orchestrator.campaign.folder import locked
 from ds_orchestrator.campaign.provenance import record_provenance
 from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
 from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.engines.start import check_engine, running_engine, running_gate_driver
 from ds_orchestrator.graph.process_specs import check_driver, namespaces_of
 from ds_orchestrator.search.objectives import OBJECTIVES
@@ -96,6 +97,8 @@ def drive_tests(
     ):
         store.check(config.siblings, config.simulators, runs=config.search.runs, budget=config.settings.budget)
         record_provenance(store, config, folder)
+        if store.note("code", (code := code_sha256())) != code:
+            engine.say(f"the code has changed since {folder} began: its drives are kept, another --out has none")
         if _read(store, work).errors:
             _drive(config, work, folder, store, engine, gates or {})
         return _read(store, work)

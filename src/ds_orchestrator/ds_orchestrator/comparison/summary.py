@@ -37,6 +37,8 @@ def answer_of(comparison: Comparison) -> str:
     if advice == "not decided":
         missing = "drives are missing" if comparison.left_out else "too few tests to tell, though none newly fails"
         return f"Merge? Not decided: {missing}."
+    if comparison.is_identical:
+        return "Merge? Nothing changes: every drive is the same."
     worst = max(row.counts.interval[1] for row in comparison.simulators if row.counts.interval)
     return (
         "Merge? Nothing speaks against it: no drive newly fails; "
@@ -69,7 +71,7 @@ def sentences_of(comparison: Comparison) -> list[str]:
         ]
     order = {"worse": 0, "better": 1, "not significant": 2}
     rows = sorted(comparison.simulators, key=lambda row: order[row.verdict])
-    found = [_sentence(row, row.simulator == comparison.twin) for row in rows if row.counts.tests]
+    found = [_sentence(row, comparison) for row in rows if row.counts.tests]
     found += [f"{count(len(comparison.left_out), 'pair')} left out: a drive ended in an error."] * bool(
         comparison.left_out
     )
@@ -78,26 +80,15 @@ def sentences_of(comparison: Comparison) -> list[str]:
 
 def cautions_of(comparison: Comparison) -> list[str]:
     """Say what the numbers cannot carry."""
-    found = []
-    reference = comparison.reference.driver
-    random = max((row.unsearched.tests for row in comparison.simulators), default=0)
-    if comparison.origin in ("reference", "suite"):
-        how = "searched for failures of" if comparison.origin == "reference" else "chosen by the outcomes of"
-        found.append(
-            f"The tests were {how} {reference}, so a network that is as good fails on fewer of them: "
-            "here, fixed tests are no evidence that the candidate is better, but tests that newly fail are real. "
-            + (
-                f'"better" is judged by the {count(random, "random road")} among them.'
-                if random
-                else 'No random roads are among them, so nothing is called "better".'
-            )
-        )
+    if comparison.is_identical:
+        return []
+    found = _of_selection(comparison)
     if comparison.origin != "random":
         found.append("Tests of a search resemble each other, so p and intervals are too optimistic.")
     family = family_of(comparison)
     needed = fewest_changes(family)
     changed = max((row.counts.newly_fail + row.counts.fixed for row in comparison.simulators), default=0)
-    if changed < needed and not comparison.is_identical:
+    if changed < needed:
         found.append(
             f"Too few tests change for a conclusion: {changed} at most on one simulator; with "
             f"{count(family, 'comparison')}, a significant difference needs {needed} in the same direction."
@@ -105,11 +96,30 @@ def cautions_of(comparison: Comparison) -> list[str]:
     return found
 
 
-def _sentence(row: SimulatorComparison, is_twin: bool) -> str:
-    counts = row.counts
-    where = f"{row.simulator} (twin)" if is_twin else row.simulator
+def _of_selection(comparison: Comparison) -> list[str]:
+    """Say what follows from how the tests were chosen."""
+    if comparison.origin == "suite":
+        return ["The tests of a suite were selected and are no sample: what counts are tests that newly fail."]
+    if comparison.origin != "reference":
+        return []
+    random = max((row.unsearched.tests for row in comparison.simulators), default=0)
+    by = (
+        f"is judged by the {count(random, 'random road')} among them" if random else "is not claimed, as none is random"
+    )
+    return [
+        f"The tests were searched for failures of {comparison.reference.driver}; a network that is as good fails on "
+        "fewer of them. So tests that newly fail are real, but fixed ones are no evidence that the candidate is better:"
+        f' "better" {by}.'
+    ]
+
+
+def _sentence(row: SimulatorComparison, comparison: Comparison) -> str:
+    where = f"{row.simulator} (twin)" if row.simulator == comparison.twin else row.simulator
+    of_random = row.verdict == "better" and comparison.origin == "reference"
+    counts = row.unsearched if of_random else row.counts
+    tests = count(counts.tests, "random road" if of_random else "test")
     fails, are = ("fails" if counts.newly_fail == 1 else "fail"), ("is" if counts.fixed == 1 else "are")
-    changes = f"{counts.newly_fail} of {count(counts.tests, 'test')} newly {fails}, {counts.fixed} {are} fixed"
+    changes = f"{counts.newly_fail} of {tests} newly {fails}, {counts.fixed} {are} fixed"
     if row.verdict == "worse":
         return f"Worse on {where}: {changes} (p = {row.p_adjusted:.2g} after Holm)."
     if row.verdict == "better":

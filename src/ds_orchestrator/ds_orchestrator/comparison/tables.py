@@ -40,15 +40,15 @@ def simulator_table(comparison: Comparison) -> Table:
         name="compared_networks",
         title=f"{comparison.candidate.label} against {comparison.reference.label}",
         columns=[
-            Column("simulator"), Column("tests", "count"), Column("failed before", "count"),
-            Column("fail now", "count"), Column("newly fail", "count"), Column("fixed", "count"),
+            Column("simulator"), Column("tests", "count"), Column("before", "count"),
+            Column("now", "count"), Column("newly fail", "count"), Column("fixed", "count"),
             Column("difference", "number"), Column("95 %", "number"), Column("p (Holm)", "p"),
             *((Column("random roads"),) if with_random else ()), Column("margin, m", "number"), Column("verdict"),
         ],
         rows=rows,
         notes=[
-            "Difference: failure probability now minus before; above 0 is worse. Margin: median change of the smallest "
-            "distance to the lane's edge."
+            "Before, now: tests on which the reference and the candidate fail. Difference: failure probability now "
+            "minus before; above 0 is worse. Margin: median change of the smallest distance to the lane's edge."
             + (" Random roads: newly fail, fixed, and all, of tests that no search chose." if with_random else "")
         ],
     )  # fmt: skip

@@ -107,9 +107,8 @@ def dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Resul
 
     def show() -> None:
         gates = f", and {found.gate_drives} of the autopilot for the gates" if found.gate_drives else ""
-        print(
-            f"{found.drives} drives at most{gates}, engine {config.engine}, {config.workers} worker{'' if config.workers == 1 else 's'}."
-        )
+        workers = f"{config.workers} worker{'' if config.workers == 1 else 's'}"
+        print(f"{found.drives} drives at most{gates}, engine {config.engine}, {workers}.")
         print(
             f"About {duration(found.seconds)} on this machine as it is now: "
             + ", ".join(f"{one.simulator} took {duration(one.seconds)}" for one in found.measured)

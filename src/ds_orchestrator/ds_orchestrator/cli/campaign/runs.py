@@ -56,5 +56,8 @@ def runs_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with campaigns.")] = Path("."),
     as_json: JsonFlag = False,
 ) -> None:
-    """List the campaigns below a folder: network, last drive, failures, state."""
+    """List the campaigns below a folder.
+
+    Each with its network and digest, the time of its last drive, drives, failures, and whether it is done.
+    """
     answer(runs(folder), as_json)

@@ -55,6 +55,7 @@ def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
     """
     from ds_orchestrator.campaign.campaign_data import read_campaign
     from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.comparison.summary import count
     from ds_orchestrator.search.features import feature_of
     from ds_orchestrator.suite.selection import suite_of
     from ds_orchestrator.suite.suite_file import SuiteError, write_suite
@@ -80,7 +81,9 @@ def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
             outcomes = (f"{test.outcomes[name].fitness:+.2f} m" for name in suite.simulators)
             table.add_row(test.name, ", ".join(test.why), cell, *outcomes)
         Console().print(table)
-        print(f"{len(suite.tests)} tests, {drives} drives, with the margins of {suite.driver}; below 0 it fails.")
+        print(
+            f"{count(len(suite.tests), 'test')}, {count(drives, 'drive')}, with the margins of {suite.driver}; below 0 it fails."
+        )
         print(out)
 
     return Result(document=document, show=show)
