@@ -81,9 +81,8 @@ def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
             outcomes = (f"{test.outcomes[name].fitness:+.2f} m" for name in suite.simulators)
             table.add_row(test.name, ", ".join(test.why), cell, *outcomes)
         Console().print(table)
-        print(
-            f"{count(len(suite.tests), 'test')}, {count(drives, 'drive')}, with the margins of {suite.driver}; below 0 it fails."
-        )
+        sizes = f"{count(len(suite.tests), 'test')}, {count(drives, 'drive')}"
+        print(f"{sizes}, with the margins of {suite.driver}; below 0 it fails.")
         print(out)
 
     return Result(document=document, show=show)
