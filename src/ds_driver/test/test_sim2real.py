@@ -78,7 +78,7 @@ def lanes(yellow: float, white: float, horizon: float, count: int = 8) -> NDArra
 def domains(rng: np.random.Generator) -> Domains:
     images = rng.integers(0, 256, (4, 5, *TINY.size, 3), dtype=np.uint8)
     return Domains(
-        simulated=images[0], real=images[1], shown_simulated=images[2][:1], shown_real=images[3][:1],
+        simulated=images[0], real=images[1], pairs=rng.integers(0, 5, (5, 3)), shown_simulated=images[2][:1], shown_real=images[3][:1],
         simulator="bullet", window=WHOLE, real_window=WHOLE,
     )  # fmt: skip
 

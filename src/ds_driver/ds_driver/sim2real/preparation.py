@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
 from ds_driver.sim2real.photographs import read_photographs, split
 from ds_driver.sim2real.settings import Sim2RealSettings
@@ -72,7 +73,7 @@ def prepare_domains(
     """
     spec = spec_of(simulator)
     check_roads_are_new(settings, data_sets)
-    photographs = read_photographs(source, limit=settings.images)
+    photographs = read_photographs(source, limit=settings.photographs)
     # Before the drives, which take minutes.
     real = measure_lane(photographs, "photographs")
     out.mkdir(parents=True, exist_ok=True)
@@ -88,21 +89,23 @@ def prepare_domains(
     size = settings.shape.size
     small = _prepared(images[_even(len(images), settings.images)], match.simulated, size)
     small_real = _prepared(training, match.real, size)
+    pairs = pair_lanes(small, small_real)
     held_out_real = _prepared(held_out, match.real, size)
     held_out_frames = np.flatnonzero(frames.held_out)
     shown = frames.images[held_out_frames[_even(len(held_out_frames), SHOWN)]]
     domains = Domains(
-        simulated=small,
+        simulated=small[pairs.simulated],
         real=small_real,
+        pairs=pairs.photographs,
         shown_simulated=_prepared(shown, match.simulated, size),
         shown_real=held_out_real[_even(len(held_out_real), SHOWN)],
         simulator=simulator,
         window=match.simulated,
         real_window=match.real,
     )
-    warnings = _warnings(match)
+    warnings = _warnings(match, pairs)
     if expected is None:
-        _write_card(out / CARD, simulator, source, settings, match, (simulated, real), domains)
+        _write_card(out / CARD, simulator, source, settings, match, (simulated, real), domains, pairs)
     return Prepared(domains=domains, frames=frames, held_out_real=held_out_real, match=match, warnings=warnings)
 
 
@@ -142,7 +145,7 @@ def settings_of(card: dict[str, Any]) -> Sim2RealSettings:
         raise Sim2RealError("the settings on the card are damaged: run `ds sim2real train` again") from None
 
 
-def _warnings(match: Match) -> tuple[str, ...]:
+def _warnings(match: Match, pairs: LanePairs) -> tuple[str, ...]:
     """Say what still differs between the domains."""
     warnings = []
     if match.difference > BOUND:
@@ -156,6 +159,8 @@ def _warnings(match: Match) -> tuple[str, ...]:
             f"the photographs show {match.kept:.0%} of what the simulator shows, expected at least {LEAST_KEPT:.0%}: "
             "networks will see little of the road"
         )
+    if pairs.warning is not None:
+        warnings.append(pairs.warning)
     return tuple(warnings)
 
 
@@ -167,6 +172,7 @@ def _write_card(
     match: Match,
     views: tuple[LaneView, LaneView],
     domains: Domains,
+    pairs: LanePairs,
 ) -> None:
     card = {
         "simulator": simulator,
@@ -179,6 +185,10 @@ def _write_card(
             for name, view, position in zip(("simulated", "real"), views, match.positions, strict=True)
         },
         "difference": round(match.difference, 4),
+        "pairs": {
+            "photographs_used": len(np.unique(pairs.photographs)),
+            "lines_apart": round(pairs.apart, 4),
+        },
     }
     write_whole(path, (json.dumps(card, indent=1, allow_nan=False) + "\n").encode())
 

@@ -25,7 +25,8 @@ class Sim2RealSettings:
         keep_every: epochs between two stored checkpoints.
         roads: random roads, each driven both ways.
         every: keep every n-th simulated frame.
-        images: largest number of images per domain.
+        images: largest number of simulated images.
+        photographs: largest number of photographs.
         longest: largest number of steps per drive; None for whole roads.
         seed: seed of weights, order and roads' drives.
         road_seed: seed of the roads.
@@ -45,6 +46,7 @@ class Sim2RealSettings:
     roads: int = 15
     every: int = 5
     images: int = 2_500
+    photographs: int = 5_000
     longest: int | None = None
     seed: int = 1
     road_seed: int = ROAD_SEED
@@ -73,6 +75,6 @@ PRESETS = {
         images=5_000,
     ),
 }
-"""`paper`: 5,000 images per domain, 60 epochs, a checkpoint every 5 (4.1.2), for a GPU.
+"""Both: 5,000 photographs (paper 4.1.2). `paper`: as many simulated images, 60 epochs, a checkpoint every 5 (4.1.2), for a GPU.
 `laptop`: 10,000 steps, chosen before any result from a budget: at 0.29 s of processor time a step, in bfloat16 on a
 busy machine, they take 50 minutes of one core, and those of four simulators, a process for each, 100 minutes of two."""

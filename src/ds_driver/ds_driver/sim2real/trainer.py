@@ -47,6 +47,8 @@ class Domains:
     Attributes:
         simulated: for training.
         real: for training.
+        pairs: (simulated images, k) for each of them, indices of the real images to draw from; see
+            `ds_driver.sim2real.lane_pairs`.
         shown_simulated: held-out ones for the sheets.
         shown_real: held-out ones for the sheets.
         simulator: name of the simulator.
@@ -56,6 +58,7 @@ class Domains:
 
     simulated: NDArray[np.uint8]
     real: NDArray[np.uint8]
+    pairs: NDArray[np.int64]
     shown_simulated: NDArray[np.uint8]
     shown_real: NDArray[np.uint8]
     simulator: str
@@ -170,7 +173,8 @@ def train(
         epoch, began = len(history) + 1, now()
         gan.set_learning_rate(learning_rate_share(epoch, settings.epochs))
         rng = np.random.default_rng([settings.seed, epoch])
-        simulated, real = (_order(len(part), steps, rng) for part in (domains.simulated, domains.real))
+        simulated = _order(len(domains.simulated), steps, rng)
+        real = domains.pairs[simulated, rng.integers(domains.pairs.shape[1], size=steps)]
         total = torch.zeros(len(LOSSES), device=device)
         for step in range(steps):
             there, back = (
@@ -243,7 +247,7 @@ def _sheet(gan: CycleGan, domains: Domains, device: torch.device) -> NDArray[np.
 def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
     """What must match for a training to be resumed; threads and device may change."""
     digest = hashlib.sha256()
-    for part in (domains.simulated, domains.real):
+    for part in (domains.simulated, domains.real, domains.pairs):
         digest.update(np.ascontiguousarray(part).tobytes())
     plan = asdict(replace(settings, threads=1, device="auto"))
     windows = [str(domains.window), str(domains.real_window)]

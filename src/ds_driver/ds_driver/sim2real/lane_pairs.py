@@ -1,0 +1,110 @@
+"""Pairs simulated images with photographs that show the lane alike, so that a generator gains nothing by moving lines.
+
+CycleGAN makes the distribution of translated images that of the photographs, including that of where the lines are. A
+car on straight roads of a simulator and one in the bends of a real track differ in that: without pairs, a generator
+bends lines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from ds_driver.sim2real.lane_view import BOUND
+from ds_driver.sim2real.line_finder import find_lines, lane_borders
+from ds_driver.sim2real.window import Sim2RealError
+
+HEIGHTS = (0.25, 0.35, 0.45, 0.62, 0.8, 0.99)
+"""Rows at which lines are compared, as shares of the picture's height; chosen: evenly spread from near the car to where
+a lane is still several pixels wide."""
+FIRST_ROW = 0.18
+"""First row in which lines are looked for, as a share of the height; chosen: above it both lines are a few pixels."""
+LEAST_ROWS, LEAST_SPAN = 0.05, 0.1
+"""Least number and span of the rows with a line, as shares of the height; chosen: two dashes of a centre line."""
+DEGREES = ((0.5, 3), (0.3, 2), (0.0, 1))
+"""Span of the rows with a line -> degree of the polynomial through it; chosen: dashes nearby do not tell a bend."""
+NEIGHBOURS = 10
+"""Photographs per simulated image; chosen: enough for a discriminator to see different ones."""
+FEWEST = 20
+"""Fewest photographs that are anyone's neighbour; chosen: as `ds_driver.sim2real.photographs.FEWEST`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LanePairs:
+    """Photographs for each simulated image.
+
+    Attributes:
+        simulated: (n,) indices of the simulated images that show both lines.
+        photographs: (n, `NEIGHBOURS` or fewer) indices of the photographs whose lane is nearest.
+        apart: median over the images of the root mean square distance of the lines to those of the photographs, in
+            widths of the picture.
+    """
+
+    simulated: NDArray[np.int64]
+    photographs: NDArray[np.int64]
+    apart: float
+
+    @property
+    def warning(self) -> str | None:
+        """Say that photographs are unlike the simulated images, if they are."""
+        if self.apart <= BOUND:
+            return None
+        return (
+            f"the photographs that are most like a simulated image show lines {self.apart:.2f} of the picture's width "
+            f"apart from its, expected at most {BOUND:g}: the generator will move lines; take more photographs, on "
+            "straights and in bends of both directions"
+        )
+
+
+def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Measure the columns of both lines at `HEIGHTS`.
+
+    Args:
+        images: (n, rows, columns, 3) uint8 RGB, prepared for a generator.
+
+    Returns:
+        (n, 2 * heights) in widths of the picture, first of the yellow line, then of the white one; NaN in images that do
+        not show both.
+    """
+    rows, columns = images.shape[1:3]
+    first, at = round(FIRST_ROW * rows), np.array(HEIGHTS) * rows
+    shapes = np.full((len(images), 2, len(HEIGHTS)), np.nan)
+    for image, shape in zip(images, shapes, strict=True):
+        borders = lane_borders(find_lines(image))
+        for side in (0, 1):
+            seen = first + np.flatnonzero(np.isfinite(borders[first:, side]))
+            span = np.ptp(seen) / rows if seen.size else 0.0
+            if seen.size < LEAST_ROWS * rows or span < LEAST_SPAN:
+                break
+            degree = next(degree for least, degree in DEGREES if span >= least)
+            line = np.polynomial.Polynomial.fit(seen, borders[seen, side], degree)
+            # A line that left the picture is not followed any further.
+            shape[side] = (line(at) / columns).clip(-0.25, 1.25)
+    return shapes.reshape(len(images), -1)
+
+
+def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> LanePairs:
+    """Find the photographs that show the lane where simulated images show it.
+
+    Args:
+        simulated: (n, rows, columns, 3) uint8 RGB, prepared.
+        photographs: (m, rows, columns, 3) uint8 RGB, prepared.
+
+    Raises:
+        Sim2RealError: too few images show both lines.
+    """
+    shapes = [lane_shapes(images) for images in (simulated, photographs)]
+    seen = [np.flatnonzero(np.isfinite(part).all(axis=1)) for part in shapes]
+    for name, found, images in zip(("simulated images", "photographs"), seen, (simulated, photographs), strict=True):
+        if len(found) < FEWEST:
+            raise Sim2RealError(
+                f"{len(found)} of {len(images)} {name} show both lines of the lane, expected at least {FEWEST}: take "
+                "more photographs from the right lane"
+            )
+    tree = KDTree(shapes[1][seen[1]])
+    distance, nearest = tree.query(shapes[0][seen[0]], k=min(NEIGHBOURS, len(seen[1])))
+    apart = float(np.median(distance) / np.sqrt(shapes[0].shape[1]))
+    return LanePairs(simulated=seen[0], photographs=seen[1][nearest], apart=apart)
