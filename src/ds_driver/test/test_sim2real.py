@@ -29,6 +29,7 @@ from ds_driver.sim2real.evaluation.lane_kept import lane_kept
 from ds_driver.sim2real.evaluation.line_truth import LineProjector
 from ds_driver.sim2real.generator_file import StoredGenerator, check_fits, load_generator, save_generator
 from ds_driver.sim2real.image_pool import ImagePool
+from ds_driver.sim2real.lane_pairs import NEIGHBOURS, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, lane_difference, match_windows, measure_lane
 from ds_driver.sim2real.line_finder import find_lines
 from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
@@ -78,8 +79,8 @@ def lanes(yellow: float, white: float, horizon: float, count: int = 8) -> NDArra
 def domains(rng: np.random.Generator) -> Domains:
     images = rng.integers(0, 256, (4, 5, *TINY.size, 3), dtype=np.uint8)
     return Domains(
-        simulated=images[0], real=images[1], pairs=rng.integers(0, 5, (5, 3)), shown_simulated=images[2][:1], shown_real=images[3][:1],
-        simulator="bullet", window=WHOLE, real_window=WHOLE,
+        simulated=images[0], real=images[1], pairs=rng.integers(0, 5, (5, 3)), shown_simulated=images[2][:1],
+        shown_real=images[3][:1], simulator="bullet", window=WHOLE, real_window=WHOLE,
     )  # fmt: skip
 
 
@@ -203,6 +204,34 @@ def test_both_domains_are_cropped_to_show_the_lane_alike() -> None:
     assert match.difference < BOUND / 2 and match.kept > 0.9
     # The lane of the photographs is narrower, so that they are cropped.
     assert match.real.right - match.real.left < 120
+
+
+def test_an_image_is_paired_with_photographs_that_show_the_lane_alike() -> None:
+    bottoms = [10.0, 20.0, 30.0, 40.0]
+    grass = np.full((3, 120, 160, 3), (60, 130, 50), np.uint8)
+    simulated = np.concatenate([*(lanes(bottom, bottom + 100, 20) for bottom in bottoms), grass])
+    photographs = np.concatenate([lanes(bottom, bottom + 100, 20, 12) for bottom in [*bottoms, 60.0]])
+    pairs = pair_lanes(simulated, photographs)
+    assert pairs.simulated.tolist() == list(range(32)), "those without lines are left out"
+    # Twelve photographs of each lane, in the order of the simulated ones; none has the last lane.
+    assert np.array_equal(pairs.photographs // 12, np.repeat(np.repeat(range(4), 8)[:, None], NEIGHBOURS, axis=1))
+    assert pairs.apart < 0.01 and pairs.warning is None
+    other = pair_lanes(lanes(10, 110, 20, 24), lanes(50, 150, 20, 24))
+    assert other.apart > 0.1 and "the generator will move lines" in str(other.warning)
+    with pytest.raises(Sim2RealError, match="5 of 5 photographs show both lines"):
+        pair_lanes(simulated, photographs[:5])
+
+
+def test_a_training_draws_real_images_from_the_pairs(tmp_path: Path) -> None:
+    data = domains(np.random.default_rng(3))
+    changed = data.real.copy()
+    changed[4] = 0
+    pairs = np.array([[i % 4] for i in range(5)])
+    results = []
+    for name, real in (("one", data.real), ("other", changed)):
+        (tmp_path / name).mkdir()
+        results.append(train(replace(data, real=real, pairs=pairs), SETTINGS, tmp_path / name, lambda line: None))
+    assert results[0] == results[1], "an image that nothing is paired with is never seen"
 
 
 def test_photographs_of_nothing_like_a_road_are_refused() -> None:

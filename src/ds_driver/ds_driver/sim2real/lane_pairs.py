@@ -66,8 +66,8 @@ def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
         images: (n, rows, columns, 3) uint8 RGB, prepared for a generator.
 
     Returns:
-        (n, 2 * heights) in widths of the picture, first of the yellow line, then of the white one; NaN in images that do
-        not show both.
+        (n, 2 * heights) in widths of the picture, first of the yellow line, then of the white one; NaN in images that
+        do not show both.
     """
     rows, columns = images.shape[1:3]
     first, at = round(FIRST_ROW * rows), np.array(HEIGHTS) * rows

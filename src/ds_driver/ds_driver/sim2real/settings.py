@@ -75,6 +75,7 @@ PRESETS = {
         images=5_000,
     ),
 }
-"""Both: 5,000 photographs (paper 4.1.2). `paper`: as many simulated images, 60 epochs, a checkpoint every 5 (4.1.2), for a GPU.
+"""Both: 5,000 photographs (paper 4.1.2). `paper`: as many simulated images, 60 epochs, a checkpoint every 5 (4.1.2),
+for a GPU.
 `laptop`: 10,000 steps, chosen before any result from a budget: at 0.29 s of processor time a step, in bfloat16 on a
 busy machine, they take 50 minutes of one core, and those of four simulators, a process for each, 100 minutes of two."""
