@@ -33,6 +33,8 @@ THRESHOLDS = (0.5, 0.1)
 cautious user would look; both chosen before any result was seen."""
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 """Edges of the reliability diagram's bins; chosen: narrow at the ends, where a probability decides something."""
+_PERFECT = 0.9999
+"""Correlation beyond which a drive's worth is not said: no sample shows it."""
 _SEED = 18
 """Seed of the bootstrap; any number does."""
 
@@ -76,6 +78,15 @@ class PredictorScore:
     r: float | None
     r_interval: Interval | None
     caution: str
+
+    @property
+    def worth(self) -> float | None:
+        """Real drives without the prediction that one drive with it is worth, for estimating a failure rate.
+
+        As a control variate, a prediction leaves a share 1 - r^2 of the variance (Sim2Val; prediction-powered
+        inference, Angelopoulos et al., Science 2023).
+        """
+        return None if self.r is None or abs(self.r) > _PERFECT else 1.0 / (1.0 - self.r**2)
 
     @property
     def verdict(self) -> str:
@@ -135,7 +146,7 @@ class PredictorComparison:
             "twin": self.twin,
             "siblings": list(self.siblings),
             "thresholds": list(THRESHOLDS),
-            "scores": [{**asdict(one), "verdict": one.verdict} for one in self.scores],
+            "scores": [{**asdict(one), "worth": one.worth, "verdict": one.verdict} for one in self.scores],
             "reliability": [asdict(one) for one in self.reliability],
         }
 
@@ -280,14 +291,17 @@ def _decision_table(twin: str, rows: Sequence[PredictorScore], level: str) -> Ta
                 for what in ("recall", "false alarms")
             ),
             Column("AUC-PRC", "number"), Column("95 %", "number"), Column("r", "number"),
-            Column("95 % of r", "number"),
+            Column("95 % of r", "number"), Column("worth, drives", "number"),
         ],
         rows=[
             (
                 one.predictor, *(v for pair in zip(one.recall, one.false_alarms, strict=True) for v in pair),
-                one.average_precision, one.average_precision_interval, one.r, one.r_interval,
+                one.average_precision, one.average_precision_interval, one.r, one.r_interval, one.worth,
             )
             for one in rows
+        ],
+        notes=[
+            "worth: drives on the twin that one drive is worth with this prediction as a control variate, 1 / (1 - r^2)"
         ],
     )  # fmt: skip
 

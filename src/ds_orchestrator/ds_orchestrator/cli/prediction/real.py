@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +15,8 @@ from ds_orchestrator.cli.output import Result, answer, say
 from ds_orchestrator.cli.prediction.predict import TestsFolder, cell_labels
 
 if TYPE_CHECKING:
+    from ds_orchestrator.prediction.real.proposal import Proposed
+    from ds_orchestrator.prediction.real.records import RealDrive
     from ds_orchestrator.prediction.real.update import Update
     from ds_orchestrator.prediction.sources import Source
     from ds_orchestrator.prediction.twin_prediction import TwinPrediction
@@ -71,22 +74,66 @@ def propose_drives(folder: Path, *, drives: int, scale: float | None) -> Result:
     return Result(document=document, show=show)
 
 
-def record_drives(folder: Path, file: Path, *, who: str | None, when: str | None, tolerated: float) -> Result:
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What the command line says about drives, where the file does not.
+
+    Attributes:
+        who: who drove.
+        when: date, ISO 8601.
+        test: test that a bag or tub recorded.
+        outcome: verdict on a bag or tub.
+        topic: odometry of a bag, or `TOPIC:FIELD` of a lateral position.
+    """
+
+    who: str | None
+    when: str | None
+    test: str | None
+    outcome: str | None
+    topic: str | None
+
+
+def record_drives(folder: Path, file: Path, given: Given, *, tolerated: float) -> Result:
     """Add real drives to those of a folder, and show what they change.
 
     Raises:
         ds_orchestrator.prediction.real.records.RecordError: a row is wrong, or of a test that was never proposed.
     """
     from ds_orchestrator.prediction.real.proposal import read_proposed
+    from ds_orchestrator.prediction.real.recordings import is_recording
     from ds_orchestrator.prediction.real.records import RecordError, added, read_csv, read_drives, write_drives
 
     proposed = read_proposed(folder)
     if proposed.scale is None:
         raise RecordError(f"nothing was proposed for {folder}: run `ds real propose {folder} --drives 6` first")
-    new = read_csv(file, proposed.half_lanes, scale=proposed.scale, who=who, when=when)
+    if is_recording(file):
+        new = [_recorded(file, proposed, given)]
+    else:
+        new = read_csv(file, proposed.half_lanes, scale=proposed.scale, who=given.who, when=given.when)
     path = write_drives(folder, added(read_drives(folder), new))
     say(f"{len(new)} drives recorded in {path}")
     return update_prediction(folder, tolerated=tolerated, out=None)
+
+
+def _recorded(path: Path, proposed: Proposed, given: Given) -> RealDrive:
+    """The drive that a bag or tub recorded."""
+    from ds_orchestrator.prediction.real.recordings import read_recording
+    from ds_orchestrator.prediction.real.records import RecordError, drive_of
+
+    if given.test not in proposed.roads:
+        known = ", ".join(sorted(proposed.roads)[:6])
+        raise RecordError(f"{path}: which proposed test is it? expected --test with one of {known}")
+    road, scale = proposed.roads[given.test], proposed.scale or 1.0
+    found = read_recording(path, road, scale=scale, topic=given.topic)
+    outcome = given.outcome or found.outcome(road.lane_width / 2)
+    if outcome is None:
+        driven = "" if found.share is None else f" after {found.share:.0%} of the road"
+        raise RecordError(f"{path}: the recording tells no verdict{driven}: expected --outcome, such as completed")
+    values = {
+        "test_id": given.test, "outcome": outcome, "who": given.who or "", "when": given.when or found.when,
+        "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale), "note": "",
+    }  # fmt: skip
+    return drive_of(values, proposed.half_lanes, scale, path.name)
 
 
 def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Result:
@@ -177,15 +224,29 @@ def record_command(
     folder: TestsFolder,
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE.csv", help="Columns test_id, outcome, who, when, max_lateral_position (m), note."),
+        typer.Argument(
+            metavar="FILE.csv|BAG|TUB", help="CSV: test_id, outcome, who, when, max_lateral_position (m), note."
+        ),
     ],
     who: Annotated[str | None, typer.Option(help="Who drove, where the file does not say.")] = None,
     when: Annotated[str | None, typer.Option(help="Date, where the file does not say, as 2026-03-01.")] = None,
+    test: Annotated[str | None, typer.Option(help="Proposed test that a bag or tub recorded.")] = None,
+    outcome: Annotated[
+        str | None, typer.Option(help="Verdict on a bag or tub: completed, failed, out_of_bounds, stuck or timeout.")
+    ] = None,
+    topic: Annotated[
+        str | None, typer.Option(help="Odometry of a bag, or TOPIC:FIELD of the lateral position, m of the car's.")
+    ] = None,
     tolerated: Tolerated = 0.1,
     as_json: JsonFlag = False,
 ) -> None:
-    """Record outcomes of proposed drives, apart from simulated ones, and show what they change."""
-    answer(record_drives(folder, file, who=who, when=when, tolerated=tolerated), as_json)
+    """Record outcomes of proposed drives, apart from simulated ones, and show what they change.
+
+    From a CSV with a row per drive; from a rosbag2 recording of one drive, by its odometry from the start of the road
+    or a topic with the lateral position; or from a Donkey Car tub with --outcome.
+    """
+    given = Given(who=who, when=when, test=test, outcome=outcome, topic=topic)
+    answer(record_drives(folder, file, given, tolerated=tolerated), as_json)
 
 
 @real_app.command("update")

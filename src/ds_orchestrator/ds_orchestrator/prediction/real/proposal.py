@@ -121,14 +121,19 @@ class Proposed:
     """What was proposed for a folder so far.
 
     Attributes:
-        half_lanes: test -> half the width of its lane, m of the road frame.
+        roads: test -> road.
         scale: metres of the road per metre of the car's; None before the first proposal.
         rounds: proposals, as JSON values.
     """
 
-    half_lanes: dict[str, float]
+    roads: dict[str, Road]
     scale: float | None
     rounds: list[list[dict[str, Any]]]
+
+    @property
+    def half_lanes(self) -> dict[str, float]:
+        """Test -> half the width of its lane, m of the road frame."""
+        return {test_id: road.lane_width / 2 for test_id, road in self.roads.items()}
 
 
 def read_proposed(folder: Path) -> Proposed:
@@ -141,14 +146,14 @@ def read_proposed(folder: Path) -> Proposed:
     try:
         document = json.loads(path.read_text("utf-8"))
         scale, rounds = float(document["scale"]), list(document["rounds"])
-        lanes = {row["test_id"]: road_from_json(row["road"]).lane_width / 2 for row in sum(rounds, [])}
+        roads = {row["test_id"]: road_from_json(row["road"]) for row in sum(rounds, [])}
         for row in sum(rounds, []):
             parse_conditions(row["conditions"])
     except FileNotFoundError:
-        return Proposed(half_lanes={}, scale=None, rounds=[])
+        return Proposed(roads={}, scale=None, rounds=[])
     except (OSError, ValueError, TypeError, KeyError, RoadError, ConditionsError):
         raise RecordError(f"{path} cannot be read: restore it, or remove it and propose again") from None
-    return Proposed(half_lanes=lanes, scale=scale, rounds=rounds)
+    return Proposed(roads=roads, scale=scale, rounds=rounds)
 
 
 def write_proposal(folder: Path, drives: Sequence[ProposedDrive]) -> list[Path]:

@@ -95,13 +95,24 @@ def read_csv(
     for number, row in enumerate(rows, start=2):
         values = {name: (row.get(name) or given.get(name) or "").strip() for name in (*COLUMNS, *OPTIONAL)}
         try:
-            found.append(_drive_of(values, proposed, scale, path.name))
+            found.append(drive_of(values, proposed, scale, path.name))
         except RecordError as error:
             raise RecordError(f"{path}, line {number}: {error}") from None
     return found
 
 
-def _drive_of(values: Mapping[str, str], proposed: Mapping[str, float], scale: float, source: str) -> RealDrive:
+def drive_of(values: Mapping[str, str], proposed: Mapping[str, float], scale: float, source: str) -> RealDrive:
+    """Check one drive.
+
+    Args:
+        values: text of every one of `COLUMNS` and `OPTIONAL`.
+        proposed: proposed test -> half the width of its lane, m of the road frame.
+        scale: metres of the road frame per metre of the car's.
+        source: file from which it was read.
+
+    Raises:
+        RecordError: a value is wrong.
+    """
     test_id, outcome = values["test_id"], values["outcome"].lower()
     if test_id not in proposed:
         raise RecordError(f"test {test_id!r:.60} was never proposed: expected one of {_some(proposed)}")

@@ -1,0 +1,106 @@
+"""Outcomes of real drives from recordings: bags of simulated drives stand in for those of a car."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from ds_bags.run_writer import write_bag
+from ds_driver import drive_road, make_driver
+from ds_orchestrator.prediction.real.recordings import is_recording, read_recording
+from ds_orchestrator.prediction.real.records import RecordError
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
+
+pytestmark = pytest.mark.graph
+
+ROAD = Road([(125.0, 20.0), (125.0, 45.0), (127.0, 70.0), (133.0, 94.0), (134.0, 119.0)])
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunRecord]:
+    simulator = make_simulator("donkey")
+    run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 3)
+    simulator.close()
+    folder = tmp_path_factory.mktemp("real") / "bag"
+    write_bag(folder, "/car", "donkey", run, {"driver": "autopilot"})
+    return folder, run
+
+
+def test_odometry_gives_the_lateral_position_and_the_verdict(driven: tuple[Path, RunRecord]) -> None:
+    folder, run = driven
+    found = read_recording(folder, ROAD, scale=1.0)
+    assert found.lateral == pytest.approx(run.max_lateral_position, abs=0.05)
+    assert found.outcome(2.0) == "completed" and found.share is not None and found.share > 0.95
+    assert found.when.startswith("1970-01-01T")  # simulated time
+    assert is_recording(folder)
+
+
+def test_a_road_with_another_bend_is_left(driven: tuple[Path, RunRecord]) -> None:
+    mirrored = Road([(250.0 - x, y) for x, y in ROAD.control_points])
+    found = read_recording(driven[0], mirrored, scale=1.0)
+    assert found.outcome(2.0) == "out_of_bounds" and found.lateral is not None and 2.0 < found.lateral < 2.5
+
+
+def test_a_topic_with_the_lateral_position_is_read(driven: tuple[Path, RunRecord]) -> None:
+    folder, run = driven
+    found = read_recording(folder, ROAD, scale=2.0, topic="/car/state:lateral_position")
+    assert found.lateral == pytest.approx(2.0 * run.max_lateral_position, abs=1e-6) and found.outcome(2.0) is None
+    for topic, named in (
+        ("/car/nothing:x", "has no topic '/car/nothing', expected one of /car/drive"),
+        ("/car/state:nothing", "has no number 'nothing'"),
+        ("/car/state", "name one topic of odometry .it has /car/odom."),
+    ):
+        with pytest.raises(RecordError, match=named):
+            read_recording(folder, ROAD, scale=1.0, topic=topic)
+    with pytest.raises(RecordError, match="the odometry jumps"):
+        read_recording(folder, ROAD, scale=30.0)
+
+
+def test_a_bag_of_another_robot_is_read(tmp_path: Path) -> None:
+    """Written by rosbags, in the car's metres, turned by a quarter and begun somewhere else; it stops half-way."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    lane = ROAD.lane_centre[: len(ROAD.lane_centre) // 2]
+    ahead = lane[1] - lane[0]
+    heading = float(np.arctan2(ahead[1], ahead[0])) + np.pi / 2
+    points = (lane - lane[0]) / 16 @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + (3.0, -1.0)
+    point, quaternion = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Quaternion"]
+    vector, stamp = types["geometry_msgs/msg/Vector3"], types["builtin_interfaces/msg/Time"](sec=1, nanosec=0)
+    zero = types["geometry_msgs/msg/TwistWithCovariance"](
+        twist=types["geometry_msgs/msg/Twist"](linear=vector(x=0.0, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=0.0)),
+        covariance=np.zeros(36),
+    )
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/odometry", "nav_msgs/msg/Odometry", typestore=store)
+        for k, (x, y) in enumerate(points):
+            pose = types["geometry_msgs/msg/Pose"](
+                position=point(x=float(x), y=float(y), z=0.0),
+                orientation=quaternion(x=0.0, y=0.0, z=float(np.sin(heading / 2)), w=float(np.cos(heading / 2))),
+            )
+            message = types["nav_msgs/msg/Odometry"](
+                header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="odom"),
+                child_frame_id="base",
+                pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+                twist=zero,
+            )
+            raw = store.serialize_cdr(message, "nav_msgs/msg/Odometry")
+            writer.write(connection, 1_772_323_200_000_000_000 + k * 50_000_000, raw)
+    found = read_recording(tmp_path / "bag", ROAD, scale=16.0)
+    assert found.lateral is not None and found.lateral < 0.01 and found.outcome(2.0) is None
+    assert found.share == pytest.approx(0.5, abs=0.05) and found.when == "2026-03-01T00:00:00+00:00"
+
+
+def test_a_tub_tells_when_and_leaves_the_verdict_to_a_person(tmp_path: Path) -> None:
+    index = {"created_at": 1.0, "sessions": {}, "paths": ["catalog_0.catalog"], "current_index": 1, "max_len": 1000}
+    (tmp_path / "manifest.json").write_text("[]\n[]\n{}\n{}\n" + json.dumps(index) + "\n")
+    (tmp_path / "catalog_0.catalog").write_text(json.dumps({"_index": 0, "_timestamp_ms": 1_772_323_200_000}) + "\n")
+    found = read_recording(tmp_path, ROAD, scale=16.0)
+    assert (found.lateral, found.share, found.outcome(2.0)) == (None, None, None)
+    assert found.when == "2026-03-01T00:00:00+00:00"
