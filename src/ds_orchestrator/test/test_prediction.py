@@ -108,7 +108,7 @@ def test_one_more_simulator_is_what_brute_force_says() -> None:
     prediction = predict_twin(table_of_margins(margins, np.zeros((80, 1))))
     population, known = prediction.population, margins[:, :3].mean(axis=0)
     error = (population.omega**2 * np.ones((3, 3)) + population.sigma**2 * np.eye(3)) / 80
-    mean, tau = rng.normal(np.log(0.25), 2.0, 200_000), np.abs(rng.normal(0.0, 0.5, 200_000))
+    mean, tau = rng.normal(np.log(0.25), 2.0, 200_000), np.abs(rng.normal(0.0, 1.0, 200_000))
     total = error + tau[:, None, None] ** 2 * np.eye(3)
     off = known - mean[:, None]
     log_weight = -0.5 * np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off) - 0.5 * np.linalg.slogdet(total)[1]
@@ -128,7 +128,7 @@ def test_intervals_of_a_simulator_that_was_never_driven_hold_what_they_say() -> 
     """A known population, drawn twenty times: 90 % intervals hold 85 to 95 % of the rates of cells."""
     forecasts = []
     for seed in range(20):
-        table, _ = made_up(100 + seed, tests=120)
+        table, _ = made_up(100 + seed, tests=120, tau=(0.67, 0.17))  # the medians of their priors
         forecasts += forecast_cells(table, predict_twin(table), fewest=5)
     assert len(forecasts) > 150
     ranks = np.array([one.rank for one in forecasts])

@@ -79,8 +79,8 @@ def test_a_driven_or_excluded_test_is_not_proposed() -> None:
 def test_chosen_drives_tell_more_than_random_ones() -> None:
     chosen: list[float] = []
     random: list[float] = []
-    for seed in range(10):
-        table, truth = made_up(400 + seed, tests=120, twin=np.array([0.4, 0.3, 0.2, -0.2, 0.1]))
+    for seed in range(12):
+        table, truth = made_up(400 + seed, tests=120, tau=(0.67, 0.17))  # the medians of their priors
         twin = truth.margins[:, 3]
         prediction = predict_twin(table)
         failed = twin > 0

@@ -10,7 +10,7 @@ J. R. Stat. Soc. B 2009). The result is a mixture of normals, without random num
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,13 @@ from ds_orchestrator.prediction.margins import Curvature, Margins, curvature_of
 
 Array = NDArray[np.float64]
 
-INTERCEPT_SCALE = 0.5
-"""Scale of the half-normal prior of tau_a: the one that Roever et al. (Res. Synth. Methods 2021) recommend for
-logarithms of ratios; lateral positions of two simulators on the same test then differ by a factor of 2.7 at most in two
-of three populations."""
+INTERCEPT_SCALE = 1.0
+"""Scale of the half-normal prior of tau_a: the wider of the two (0.5 and 1) that Roever et al. (Res. Synth. Methods
+2021) recommend for logarithms of ratios. Fits of four simulators with two networks have tau_a near 1.6, which 0.5 all
+but rules out (docs/merge.md)."""
 SLOPE_SCALE = 0.25
-"""Scale of the half-normal prior of tau_b, for standardised features: half of `INTERCEPT_SCALE`, so that at a feature
-two standard deviations from its mean a slope matters as much as the intercept."""
+"""Scale of the half-normal prior of tau_b, for standardised features; chosen: half of the narrower scale of Roever et
+al., so that two standard deviations from a feature's mean a slope matters as much. Those fits have 0.25 to 0.36."""
 SPREAD_SCALE = 0.25
 """Standard deviation of the twin's log sigma around that of the siblings: a factor of 1.6 either way (two standard
 deviations); chosen, as `SLOPE_SCALE`."""
@@ -41,8 +41,8 @@ _MEAN_SLOPE_SCALE = 1.0
 _NOISE_CENTRE, _NOISE_SCALE = float(np.log(0.3)), 0.5
 """Prior of log sigma and log omega: ratios of lateral positions of repeated or similar tests between 1.1 and 2.3 (two
 standard deviations either way of 0.3). It decides where few margins are known."""
-_GRID = 6
-"""Values of each between-simulator standard deviation: midpoints of as many equally probable parts of its prior."""
+_GRID = (9, 5)
+"""Values of tau_a and tau_b: Gauss-Legendre nodes of their prior probabilities."""
 _SPREAD_NODES = 3
 """Gauss-Hermite nodes of the twin's log sigma."""
 _STEPS, _CLOSE = 50, 1e-8
@@ -150,29 +150,28 @@ def fit_population(margins: Margins) -> Population:
     options = {"xatol": 0.01, "fatol": 0.01, "initial_simplex": simplex}
     noise = minimize(loss, simplex[0], method="Nelder-Mead", options=options)
     sigma, omega = (float(value) for value in np.exp(noise.x))
-    taus = _half_normal_nodes(INTERCEPT_SCALE), _half_normal_nodes(SLOPE_SCALE)
+    taus = _half_normal_grid()
     points, mode = [], last["mode"]
-    for tau_a in taus[0]:
-        for tau_b in taus[1]:
-            points.append(_point(margins, float(tau_a), float(tau_b), sigma, omega, mode))
-            mode = points[-1].mode
+    for tau_a, tau_b, weight in taus:
+        point = _point(margins, tau_a, tau_b, sigma, omega, mode)
+        points.append(replace(point, log_evidence=point.log_evidence + float(np.log(weight))))
+        mode = point.mode
     return _population(margins, points, taus, sigma, omega)
 
 
 def _population(
-    margins: Margins, points: list[_Point], taus: tuple[Array, Array], sigma: float, omega: float
+    margins: Margins, points: list[_Point], taus: list[tuple[float, float, float]], sigma: float, omega: float
 ) -> Population:
     p = margins.predictors.shape[1]
     grid = np.array([point.log_evidence for point in points])
     grid = grid - logsumexp(grid)
     weights = np.exp(grid)
     modes, covariances = np.array([q.mode for q in points]), np.array([q.covariance for q in points])
-    between = np.array([_between(a, b, p) for a in taus[0] for b in taus[1]])
+    between = np.array([_between(a, b, p) for a, b, _ in taus])
     means, errors = modes[:, -p:], covariances[:, -p:, -p:]
     nodes, node_weights = np.polynomial.hermite_e.hermegauss(_SPREAD_NODES)
     mean = weights @ means
     second = np.diagonal(errors, axis1=1, axis2=2) + means**2
-    by_tau = weights.reshape(len(taus[0]), -1)
     effects = _curvature(margins, weights @ modes, sigma, omega)
     return Population(
         twin=CoefficientMixture(
@@ -186,8 +185,8 @@ def _population(
         grid_weights=weights,
         mean=mean,
         mean_error=np.sqrt(np.maximum(weights @ second - mean**2, 0.0)),
-        tau_intercept=float(by_tau.sum(axis=1) @ taus[0]),
-        tau_slope=float(by_tau.sum(axis=0) @ taus[1]),
+        tau_intercept=float(weights @ [tau_a for tau_a, _, _ in taus]),
+        tau_slope=float(weights @ [tau_b for _, tau_b, _ in taus]),
         sigma=sigma,
         omega=omega,
         effect_mean=effects.effect_mean,
@@ -195,9 +194,15 @@ def _population(
     )
 
 
-def _half_normal_nodes(scale: float) -> Array:
-    """Midpoints of `_GRID` equally probable parts of a half-normal distribution."""
-    return np.asarray(scale * norm.ppf(0.5 + 0.5 * (np.arange(_GRID) + 0.5) / _GRID))
+def _half_normal_grid() -> list[tuple[float, float, float]]:
+    """Values of tau_a and tau_b with the weights of their half-normal priors."""
+    axes = []
+    for scale, count in zip((INTERCEPT_SCALE, SLOPE_SCALE), _GRID, strict=True):
+        nodes, weights = np.polynomial.legendre.leggauss(count)
+        axes.append((scale * norm.ppf(0.75 + 0.25 * nodes), weights / 2.0))
+    return [
+        (float(a), float(b), float(u * v)) for a, u in zip(*axes[0], strict=True) for b, v in zip(*axes[1], strict=True)
+    ]
 
 
 def _between(tau_a: float, tau_b: float, p: int) -> Array:
