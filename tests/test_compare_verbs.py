@@ -380,3 +380,27 @@ def test_an_error_prevails_over_a_criterion() -> None:
         with pytest.raises(typer.Exit) as exit_, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             end(result, True)
         assert exit_.value.exit_code == status
+
+
+def test_init_asks_three_questions_at_a_terminal(
+    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Enter takes the value in brackets."""
+    answers, asked = iter(["mine.yaml", "softbody,panda,donkey", "medium"]), []
+
+    def prompt(question: str, default: str, **_: object) -> str:
+        asked.append((question, default))
+        return next(answers)
+
+    monkeypatch.setattr("sys.stdin", type("Terminal", (io.StringIO,), {"isatty": lambda self: True})())
+    monkeypatch.setattr(typer, "prompt", prompt)
+    file = tmp_path / "campaign.yaml"
+    assert ds("campaign", "init", file).returncode == 0
+    config = read_config(file)
+    assert (config.driver, config.siblings, config.twin) == ("mine.yaml", ["softbody", "panda"], "donkey")
+    assert config.search == SIZES["medium"] and [default for _, default in asked][0] == "dave2"
+
+
+def test_a_name_that_is_neither_a_campaign_nor_a_network_is_refused_in_one_line(tmp_path: Path) -> None:
+    done = ds("campaign", "compare", tmp_path / "gone", "autopilot", "--sims", "bullet", "--out", tmp_path / "out")
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "gone" in done.stderr, done.stderr

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
+from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.comparison.analysis import Comparison, compare_networks
 from ds_orchestrator.comparison.drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.comparison.given_tests import Engine, drive_tests
@@ -16,14 +16,19 @@ from ds_sim.simulator import Outcome
 
 
 def config_of_suite(suite: Suite, driver: str) -> CampaignConfig:
-    """A configuration under which a suite's tests are driven."""
-    search = SearchConfig(method="random", population=len(suite.tests), iterations=0, runs=1)
-    # Only a store with gates keeps conditions; the tests are known to be valid, so that no gate is driven.
-    return CampaignConfig(
-        siblings=list(suite.siblings), twin=suite.twin, driver=driver, lane=suite.lane, search=search,
-        maxitwo_compatible=suite.maxitwo_compatible,
-        gates="all" if any(test.conditions for test in suite.tests) else "conditions",
-    )  # fmt: skip
+    """A configuration under which a suite's tests are driven.
+
+    Raises:
+        ds_orchestrator.campaign.config.ConfigError: the suite's simulators do not make a campaign.
+    """
+    raw = {
+        "siblings": suite.siblings, "twin": suite.twin, "driver": driver, "lane": suite.lane,
+        "maxitwo_compatible": suite.maxitwo_compatible,
+        "search": {"method": "random", "population": len(suite.tests), "iterations": 0, "runs": 1},
+        # Only a store with gates keeps conditions; the tests are known to be valid, so that no gate is driven.
+        "gates": "all" if any(test.conditions for test in suite.tests) else "conditions",
+    }  # fmt: skip
+    return parse_config(raw, "the suite")
 
 
 def run_suite(

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.config_errors import problems
-from ds_orchestrator.search.features import DEFAULT_FEATURES
+from ds_orchestrator.search.features import DEFAULT_FEATURES, feature_of
 from ds_road import Road
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.conditions.text import parse_conditions
@@ -113,7 +113,11 @@ class Suite(_Strict):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"tests: {twice[0]} is there twice, expected each name once")
+        if not 2 <= len([feature_of(name) for name in self.features]) <= 3:
+            raise ValueError(f"features: {len(self.features)} of them, expected two or three")
         for test in self.tests:
+            if test.cell is not None and len(test.cell) != len(self.features):
+                raise ValueError(f"test {test.name} has a cell of {len(test.cell)} bins, expected {len(self.features)}")
             if road_sha256(test.control_points) != test.road_sha256:
                 raise ValueError(
                     f"the road of test {test.name} does not match its digest: it was changed after the suite was made; "
@@ -123,7 +127,9 @@ class Suite(_Strict):
             if unknown:
                 raise ValueError(f"test {test.name} has an outcome on {unknown[0]}, which is not among the simulators")
             parse_conditions(test.conditions)
-            self.road_of(test)
+            validity = self.road_of(test).validity
+            if not validity.valid:
+                raise ValueError(f"the road of test {test.name} is not valid: {validity.reason}")
         return self
 
     @property

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.engines.cluster import ClusterOptions
 
+WITHOUT_ROS = "local"
+"""Engine of comparisons and suites if none is named: nobody watches their nodes, and a CI job may have no ROS."""
+
 Workers = Annotated[
     int | None,
     typer.Option(

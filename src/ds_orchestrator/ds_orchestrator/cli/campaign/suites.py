@@ -11,8 +11,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_orchestrator.cli.campaign.compare import WORKERS, network_named, write_comparison
+from ds_orchestrator.cli.campaign.compare_plan import network_named
+from ds_orchestrator.cli.campaign.compare_results import write_comparison
 from ds_orchestrator.cli.campaign.engine_options import (
+    WITHOUT_ROS,
     EngineName,
     Listen,
     Scheduler,
@@ -126,7 +128,7 @@ def run_suite_file(
     if changed:
         say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
     out.mkdir(parents=True, exist_ok=True)
-    config = with_engine(config_of_suite(suite, driver), workers or WORKERS, engine or "local")
+    config = with_engine(config_of_suite(suite, driver), workers or 1, engine or WITHOUT_ROS)
     source = f"The {len(suite.tests)} tests of the suite {path.name} on {', '.join(suite.simulators)}" + (
         ", made with other code of the simulators" if changed else ""
     )

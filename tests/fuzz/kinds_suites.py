@@ -1,0 +1,40 @@
+"""Kind of received file: a regression suite."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from tests.fuzz.damage import damaged_file
+from tests.fuzz.harness import Kind
+
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.suite.run_suite import config_of_suite
+from ds_orchestrator.suite.suite_file import Suite, read_suite, road_sha256, write_suite
+from ds_road import generate
+
+
+def _write(folder: Path) -> Path:
+    tests = []
+    for number in range(2):
+        points = [list(map(float, point)) for point in generate(np.random.default_rng(number)).control_points]
+        outcome = {"outcome": "COMPLETED", "fitness": 0.5, "trajectory_sha256": "0" * 64}
+        tests.append(
+            {
+                "name": f"bullet-0-000{number}", "why": ["failing", "cell"], "control_points": points,
+                "road_sha256": road_sha256(points), "seed": number, "conditions": "visibility=80" if number else "",
+                "cell": [3, 17], "outcomes": {"bullet": outcome, "donkey": outcome},
+            }
+        )  # fmt: skip
+    raw = {"campaign": "mine", "driver": "dave2", "siblings": ["bullet"], "twin": "donkey", "tests": tests}
+    write_suite(Suite.model_validate(raw), folder / "suite.json")
+    return folder / "suite.json"
+
+
+def _read(path: Path) -> object:
+    """Read a suite as `ds suite run` does before it drives."""
+    suite = read_suite(path)
+    return config_of_suite(suite, "autopilot"), [suite.road_of(test).points for test in suite.tests]
+
+
+KINDS = [Kind(name="suite", write=_write, damage=damaged_file, read=_read, errors=(ConfigError,))]
