@@ -236,6 +236,8 @@ def test_bad_requests_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
         assert captured.out == "" and len(lines) == 1 and named in lines[0], captured.err
     assert run(["real", "propose", str(folder), "--drives", "1"]) == 0
     capsys.readouterr()
+    assert run(["real", "record", str(folder), str(tmp_path)]) == 2
+    assert "which proposed test is it? expected --test with one of" in capsys.readouterr().err
     assert run(["real", "record", str(folder), str(file)]) == 2
     assert "test 'a' was never proposed" in capsys.readouterr().err
     assert run(["real", "propose", str(folder), "--drives", "1", "--scale", "10"]) == 2
