@@ -69,8 +69,8 @@ def test_eight_bits_halve_the_file_and_keep_the_steering(tmp_path: Path) -> None
         assert (np.abs(after[key] - value) <= 0.5001 * step).all()
     images = torch.rand(8, 3, 160, 320) * 255
     with torch.inference_mode():
-        steering = [load_network(str(path))(images) for path in (whole, small)]
-    assert torch.allclose(*steering, atol=2e-3)
+        expected, found = (load_network(str(path))(images) for path in (whole, small))
+    assert torch.allclose(found, expected, atol=2e-3)
 
 
 @pytest.mark.parametrize("missing", ["scale", "matrix"])

@@ -29,9 +29,9 @@ from ds_driver.sim2real.evaluation.lane_kept import lane_kept
 from ds_driver.sim2real.evaluation.line_truth import LineProjector
 from ds_driver.sim2real.generator_file import StoredGenerator, check_fits, load_generator, save_generator
 from ds_driver.sim2real.image_pool import ImagePool
-from ds_driver.sim2real.lane_pairs import NEIGHBOURS, pair_lanes
-from ds_driver.sim2real.lane_view import BOUND, lane_difference, match_windows, measure_lane
-from ds_driver.sim2real.line_finder import find_lines
+from ds_driver.sim2real.lane.lane_pairs import NEIGHBOURS, pair_lanes
+from ds_driver.sim2real.lane.lane_view import BOUND, lane_difference, match_windows, measure_lane
+from ds_driver.sim2real.lane.line_finder import find_lines
 from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
 from ds_driver.sim2real.preparation import network_window, prepare_domains, read_card, settings_of
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
-from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
+from ds_driver.sim2real.lane.lane_pairs import LanePairs, pair_lanes
+from ds_driver.sim2real.lane.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
 from ds_driver.sim2real.photographs import read_photographs, split
 from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.shape import GeneratorShape

@@ -48,7 +48,7 @@ class Domains:
         simulated: for training.
         real: for training.
         pairs: (simulated images, k) for each of them, indices of the real images to draw from; see
-            `ds_driver.sim2real.lane_pairs`.
+            `ds_driver.sim2real.lane.lane_pairs`.
         shown_simulated: held-out ones for the sheets.
         shown_real: held-out ones for the sheets.
         simulator: name of the simulator.

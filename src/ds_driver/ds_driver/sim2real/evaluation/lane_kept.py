@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.line_finder import find_lines
+from ds_driver.sim2real.lane.line_finder import find_lines
 
 NEAR = 0.06
 """Distance from the true line in which a found one is its own, in widths of the image; chosen: a tenth of a lane."""

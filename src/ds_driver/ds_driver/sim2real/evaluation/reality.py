@@ -14,7 +14,7 @@ from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.sim2real.generator_file import StoredGenerator
-from ds_driver.sim2real.lane_view import SAMPLE, match_windows, measure_lane
+from ds_driver.sim2real.lane.lane_view import SAMPLE, match_windows, measure_lane
 from ds_driver.sim2real.photographs import FEWEST, read_photograph, read_photographs
 from ds_driver.sim2real.settings import HELD_OUT
 from ds_driver.sim2real.window import Sim2RealError, Window, prepare, resize

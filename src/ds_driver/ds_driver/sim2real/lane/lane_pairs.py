@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ds_driver.sim2real.lane_view import BOUND
-from ds_driver.sim2real.line_finder import find_lines, lane_borders
+from ds_driver.sim2real.lane.lane_view import BOUND
+from ds_driver.sim2real.lane.line_finder import find_lines, lane_borders
 from ds_driver.sim2real.window import Sim2RealError
 
 HEIGHTS = (0.25, 0.35, 0.45, 0.62, 0.8, 0.99)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.line_finder import find_lines, lane_borders
+from ds_driver.sim2real.lane.line_finder import find_lines, lane_borders
 from ds_driver.sim2real.window import Sim2RealError, Window
 
 SAMPLE = 300
