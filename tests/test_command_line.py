@@ -266,6 +266,10 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("completion", ("completion", "tcsh")),
         ("at least two", ("siblings", "compare", "--sims", "donkey")),
         ("condition 'rain' is unknown", ("sensitivity", "--sims", "donkey", "--conditions", "rain,visibility")),
+        ("--levels 5 is not possible: expected 4, 8, 16", ("sensitivity", "--sims", "donkey", "--levels", "5")),
+        ("expected two or three different features", ("maps", "out", "--axes", "curvature,curvature")),
+        ("unknown feature 'length'", ("maps", "out", "--axes", "length,curvature")),
+        ("no test in", ("maps", campaign, "--axes", "curvature,measured_line_contrast")),
         (
             "not among",
             ("siblings", "compare", "--sims", "donkey,softbody", "--twin", "bullet", "--driver", "autopilot"),

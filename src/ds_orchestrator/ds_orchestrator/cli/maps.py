@@ -50,6 +50,10 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability", axes:
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
     every = maps_of(data, features=axes)
+    if axes is not None and not any(made.cells or made.excluded for made in every.values()):
+        raise ConfigError(
+            f"no test in {folder} has a cell over {','.join(axes)}: expected other --axes, or tests driven"
+        )
     found = {map_id.name: feature_map for map_id, feature_map in every.items()}
     if name not in found:
         raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
