@@ -56,14 +56,16 @@ def test_maps_as_a_frame() -> None:
     full = MapCell(tests=4, failures=1, probability=0.25, quality_loss=0.5, interval=(0.1, 0.6))
     bare = MapCell(tests=2, failures=None, probability=0.0, quality_loss=0.0)
     maps = {
-        MapId.migration(TRICKY, "t"): FeatureMap(id=MapId.migration(TRICKY, "t"), cells={(3, 12): full, (2, 9): bare}),
+        MapId.migration(TRICKY, "t"): FeatureMap(
+            id=MapId.migration(TRICKY, "t"), cells={(3, 12): full, (2, 9): bare}, excluded={(3, 12): 2}
+        ),
         MapId.merged(): FeatureMap(id=MapId.merged(), cells={(2, 9): bare}),
         MapId.twin("t"): FeatureMap(id=MapId.twin("t"), cells={}),
     }
     frame = maps_frame(maps)
     assert list(frame.columns) == [
         "map", "kind", "simulator", "origin", "operator", "turns_count", "curvature", "tests", "failures",
-        "probability", "interval_low", "interval_high", "quality_loss",
+        "probability", "interval_low", "interval_high", "quality_loss", "excluded",
     ]  # fmt: skip
     assert frame[["kind", "turns_count", "curvature"]].to_numpy().tolist() == [
         ["migration", 2, 9], ["migration", 3, 12], ["merged", 2, 9],
@@ -71,6 +73,7 @@ def test_maps_as_a_frame() -> None:
     row = frame.iloc[1]
     assert (row.origin, row.simulator, row.failures, row.interval_high) == (TRICKY, "t", 1, 0.6)
     assert frame.failures.isna().tolist() == [True, False, True] and frame.interval_low.isna().tolist()[0]
+    assert frame.excluded.tolist() == [0, 2, 0]
     assert len(maps_frame({})) == 0
     other = FeatureMap(id=MapId.merged("mean"), cells={}, features=("curvature", "turns_count"))
     with pytest.raises(ValueError, match="maps of different features"):

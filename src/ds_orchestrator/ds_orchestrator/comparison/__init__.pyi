@@ -1,12 +1,12 @@
 from .analysis import CellComparison, Comparison, SimulatorComparison, compare_networks
 from .compare import compare
+from .compared_tests import GivenTests, random_tests, tests_of_campaign, tests_of_campaigns
 from .criteria import Criteria, MaxFailures
 from .drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
 from .given_tests import Engine, drive_tests
 from .markdown import markdown_of
 from .paired_statistics import PairedCounts, adjusted, difference_interval
 from .summary import advice_of, answer_of, cautions_of, sentences_of
-from .test_sets import GivenTests, random_tests, tests_of_campaign, tests_of_campaigns
 
 __all__ = [
     "CellComparison",

@@ -8,9 +8,9 @@ from typing import Literal
 
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.comparison.analysis import Comparison, Origin, compare_networks
+from ds_orchestrator.comparison.compared_tests import Drives, GivenTests
 from ds_orchestrator.comparison.drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.comparison.given_tests import Engine, GivenDrives, Key, drive_tests
-from ds_orchestrator.comparison.test_sets import Drives, GivenTests
 from ds_orchestrator.store.store import Execution, Test
 
 Role = Literal["reference", "candidate"]

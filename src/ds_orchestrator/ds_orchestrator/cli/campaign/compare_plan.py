@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ds_orchestrator.comparison.analysis import Origin
+    from ds_orchestrator.comparison.compared_tests import GivenTests
     from ds_orchestrator.comparison.drives import Network
-    from ds_orchestrator.comparison.test_sets import GivenTests
 
 TWIN = "donkey"
 """Simulator that acts as the twin of two networks' random roads, if it is among others."""
@@ -50,7 +50,7 @@ def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan
     """
     from ds_orchestrator.campaign.campaign_data import read_campaign
     from ds_orchestrator.campaign.folder import open_store
-    from ds_orchestrator.comparison.test_sets import network_of_campaign, tests_of_campaign, tests_of_campaigns
+    from ds_orchestrator.comparison.compared_tests import network_of_campaign, tests_of_campaign, tests_of_campaigns
     from ds_orchestrator.run import check_trust
 
     folders = [first, *([Path(second)] if is_campaign(second) else [])]
@@ -84,7 +84,7 @@ def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan
 def plan_of_networks(first: str, second: str, simulators: list[str], roads: int, seed: int) -> Plan:
     """Compare two networks on random roads."""
     from ds_driver.closed_loop.success_rate import unseen_roads
-    from ds_orchestrator.comparison.test_sets import random_tests
+    from ds_orchestrator.comparison.compared_tests import random_tests
 
     twin = TWIN if TWIN in simulators and len(simulators) > 1 else None
     siblings = [name for name in simulators if name != twin]
