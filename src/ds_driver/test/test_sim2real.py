@@ -32,7 +32,7 @@ from ds_driver.sim2real.image_pool import ImagePool
 from ds_driver.sim2real.lane.lane_pairs import NEIGHBOURS, pair_lanes
 from ds_driver.sim2real.lane.lane_view import BOUND, lane_difference, match_windows, measure_lane
 from ds_driver.sim2real.lane.line_finder import find_lines
-from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
+from ds_driver.sim2real.networks import Discriminator, Generator, InstanceNorm, to_batch, to_images
 from ds_driver.sim2real.preparation import network_window, prepare_domains, read_card, settings_of
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
 from ds_driver.sim2real.shape import GeneratorShape
@@ -97,6 +97,20 @@ def test_the_networks_of_the_paper_have_its_numbers_of_parameters() -> None:
     generator, discriminator = Generator(preset.shape), Discriminator(preset.discriminator_filters)
     assert sum(p.numel() for p in generator.parameters()) == 11_378_179
     assert sum(p.numel() for p in discriminator.parameters()) == 2_764_737
+
+
+@pytest.mark.parametrize(("depth", "side"), [(3, 70), (2, 34)])
+def test_a_discriminator_judges_patches(depth: int, side: int) -> None:
+    judge = Discriminator(2, depth).eval()
+    # Without normalisation, which mixes all patches of an image.
+    judge.layers = torch.nn.Sequential(*(layer for layer in judge.layers if not isinstance(layer, InstanceNorm)))
+    image = torch.rand(1, 3, 160, 160, requires_grad=True)
+    verdicts = judge(image)
+    verdicts[0, 0, verdicts.shape[2] // 2, verdicts.shape[3] // 2].backward()
+    assert image.grad is not None
+    for axis in (2, 3):
+        seen = image.grad.abs().sum(dim=(1, 5 - axis)).squeeze().nonzero()
+        assert int(seen.max() - seen.min()) + 1 == side
 
 
 def test_a_stored_generator_computes_in_onnx_what_pytorch_computes(tmp_path: Path) -> None:

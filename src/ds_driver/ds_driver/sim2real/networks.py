@@ -72,18 +72,24 @@ class Generator(nn.Module):
 
 
 class Discriminator(nn.Module):
-    """Judges overlapping patches of 70 x 70 pixels (PatchGAN); (n, 3, rows, columns) to (n, 1, ...), 1 for real."""
+    """Judges overlapping patches (PatchGAN); (n, 3, rows, columns) to (n, 1, ...), 1 for real.
 
-    def __init__(self, filters: int) -> None:
+    Args:
+        filters: channels of the first layer.
+        depth: layers that halve the image; 3 judges patches of 70 x 70 pixels (Zhu et al. 2017), 2 of 34 x 34.
+    """
+
+    def __init__(self, filters: int, depth: int = 3) -> None:
         super().__init__()
         layers: list[nn.Module] = [nn.Conv2d(3, filters, 4, stride=2, padding=1), nn.LeakyReLU(0.2, inplace=True)]
-        for channels, stride in ((filters, 2), (2 * filters, 2), (4 * filters, 1)):
+        for layer in range(1, depth + 1):
+            channels = filters * 2 ** (layer - 1)
             layers += [
-                nn.Conv2d(channels, 2 * channels, 4, stride=stride, padding=1),
+                nn.Conv2d(channels, 2 * channels, 4, stride=2 if layer < depth else 1, padding=1),
                 InstanceNorm(),
                 nn.LeakyReLU(0.2, inplace=True),
             ]
-        self.layers = nn.Sequential(*layers, nn.Conv2d(8 * filters, 1, 4, padding=1))
+        self.layers = nn.Sequential(*layers, nn.Conv2d(filters * 2**depth, 1, 4, padding=1))
         initialise(self)
 
     def forward(self, image: Tensor) -> Tensor:

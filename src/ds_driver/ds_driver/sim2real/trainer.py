@@ -77,8 +77,8 @@ class CycleGan:
     def __init__(self, settings: Sim2RealSettings, device: torch.device) -> None:
         torch.manual_seed(settings.seed)
         self.to_real, self.to_simulated = Generator(settings.shape), Generator(settings.shape)
-        self.judges_real = Discriminator(settings.discriminator_filters)
-        self.judges_simulated = Discriminator(settings.discriminator_filters)
+        judge = settings.discriminator_filters, settings.discriminator_depth
+        self.judges_real, self.judges_simulated = Discriminator(*judge), Discriminator(*judge)
         for network in self.networks():
             network.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._judges = [*self.judges_real.parameters(), *self.judges_simulated.parameters()]
