@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 from report_campaigns import make_campaign, make_tests, report_of
@@ -283,6 +285,48 @@ def test_a_click_opens_the_tests_with_their_roads_and_drives(opened: Opened, cam
         images = opened.page.locator(".strip img")
         assert images.count() == 5
         assert images.first.evaluate("image => image.decode().then(() => image.naturalWidth)") == 240
+    assert opened.complaints == []
+
+
+def test_a_failed_test_is_replayed_by_keys_and_pointer(opened: Opened, campaign: Campaign) -> None:
+    """Marks on the map, words and pictures at a time are those of the stored drives."""
+    page = opened.page
+    test, execution = next(
+        (test, e)
+        for test in campaign.store.tests()
+        for e in campaign.store.executions()
+        if e.test_id == test.test_id and e.simulator == "bullet" and e.outcome.is_failure
+    )
+    page.evaluate("place => { location.hash = place; }", f"#cell={test.road.turns_count}-{test.road.curvature_bin}")
+    page.click(f'[data-test="{test.test_id}"]')
+    page.wait_for_function("id => document.querySelector('.test h4').textContent === `Test ${id}`", arg=test.test_id)
+    slider, view = page.locator(".replay input"), page.locator(".replay .view").first
+    # It opens where the first drive of all has failed.
+    driven = [e for e in campaign.store.executions() if e.test_id == test.test_id and e.outcome.is_failure]
+    first = min(int(np.argmax(np.abs(e.trajectory[:, 4]) > 2.0)) / 20 for e in driven)
+    assert float(slider.input_value()) == pytest.approx(first, abs=0.11)
+    slider.focus()
+    for key, presses, frame in (("Home", 1, 0), ("ArrowRight", 17, 34), ("ArrowLeft", 2, 30), ("End", 1, -1)):
+        for _ in range(presses):
+            slider.press(key)
+        lateral = execution.trajectory[frame, 4]
+        assert view.inner_text().count(f"{lateral:.2f} m right") == 1, (key, view.inner_text())
+        assert ("out of bounds" in view.inner_text()) == (frame == -1)
+        assert f"bullet: {lateral:.2f} m right" in (slider.get_attribute("aria-valuetext") or "")
+        assert view.locator("img").evaluate("image => image.decode().then(() => image.naturalWidth)") == 240
+        # The latest picture, of which there is one every half second.
+        pictured = re.match(r"bullet, ([\d.]+) s, ", view.locator("img").get_attribute("alt") or "")
+        time = frame / 20 if frame >= 0 else execution.simulated_seconds
+        assert pictured and -0.06 < time - float(pictured[1]) < 0.51, (time, pictured)
+    box = page.locator(".replay .timeline").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 20)
+    assert float(slider.input_value()) == pytest.approx(float(slider.get_attribute("max") or 0) / 2, abs=0.11)
+    page.click(".replay button")
+    page.wait_for_function(
+        "() => { const slider = document.querySelector('.replay input'); return +slider.value === +slider.max; }"
+    )
+    page.wait_for_selector(".replay button[aria-pressed=false]")
     assert opened.complaints == []
 
 

@@ -22,7 +22,7 @@ from ds_driver.control.autopilot import Autopilot
 from ds_driver.networks.network_driver import generators_of
 from ds_driver.sim2real.stage import Translation, translation_of
 from ds_orchestrator.report.page_data import in_words
-from ds_orchestrator.search.features import Cell
+from ds_orchestrator.report.picture_plan import moments
 from ds_orchestrator.store.store import Execution, Test
 from ds_sim.camera.png import png
 from ds_sim.camera.spec import IMAGE_HEIGHT
@@ -34,13 +34,6 @@ from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, Vehicl
 
 CAMERA_PLACE = 45.0
 """Arc length of the place that every camera shows, m; chosen: a third of a usual road."""
-DRIVEN_TESTS = 24
-"""Largest number of tests whose drives are shown; chosen: 1.5 MB, rendered in 8 s of processor time."""
-MOMENTS = 5
-"""Pictures of one drive; chosen: a row of them fits on a screen."""
-BEFORE_FAILURE = 1.0
-"""Time between pictures of a failed drive, the last of which shows the failure, s; chosen: shows the car leaving the
-lane, and the bend in which it does."""
 SIZE = (240, 120)
 """Columns and rows of a drive's picture; chosen: half of the network's input, the size at which it is displayed."""
 QUALITY = 60
@@ -72,10 +65,14 @@ class Drive:
 
     Attributes:
         frames: base64 of a JPEG and its caption, in order of time.
+        times: simulated time of each, s.
+        strip: indices of those that form the strip.
         note: why there are none, or "".
     """
 
     frames: tuple[tuple[str, str], ...] = ()
+    times: tuple[float, ...] = ()
+    strip: tuple[int, ...] = ()
     note: str = ""
 
 
@@ -143,52 +140,47 @@ def _side(lateral_position: float) -> str:
     return f"{abs(lateral_position):.2f} m to the {'right' if lateral_position >= 0 else 'left'}"
 
 
-def telling_tests(
-    tests: Sequence[Test], executions: Sequence[Execution], cells: Mapping[str, Cell], *, most: int = DRIVEN_TESTS
-) -> list[Test]:
-    """Select the most informative tests, in the campaign's order: the worst of every cell, then others that failed.
-
-    A test is worse if it fails on more simulators, then if it comes closer to the lane's edge on any.
-    """
-    failures = Counter(e.test_id for e in executions if e.outcome.is_failure)
-    nearest: dict[str, float] = {}
-    for execution in executions:
-        nearest[execution.test_id] = min(nearest.get(execution.test_id, np.inf), execution.fitness)
-    driven = [test for test in tests if test.test_id in nearest and test.test_id in cells]
-    driven.sort(key=lambda test: (-failures[test.test_id], nearest[test.test_id], test.test_id))
-    worst: dict[Cell, str] = {}
-    for test in driven:
-        worst.setdefault(cells[test.test_id], test.test_id)
-    failed = [test.test_id for test in driven if failures[test.test_id]]
-    chosen = set(list(dict.fromkeys([*worst.values(), *failed]))[:most])
-    return [test for test in tests if test.test_id in chosen]
-
-
 def drive_pictures(
     names: Sequence[str],
     tests: Sequence[Test],
     executions: Sequence[Execution],
     trusted: Collection[str] = (),
     driver: str = AUTOPILOT,
+    *,
+    frames: Mapping[tuple[str, str], Sequence[int]],
 ) -> dict[str, list[Drive | None]]:
-    """Render drives: test -> drive on every simulator, or None if it was not driven there; with what a driver sees."""
+    """Render drives, with what the driver sees.
+
+    Args:
+        names: simulators.
+        tests: every test, in the campaign's order.
+        executions: every execution.
+        trusted: user-defined simulators whose code may run.
+        driver: name of the driver.
+        frames: test and simulator -> frames to render; see `plan_pictures`.
+
+    Returns:
+        Test -> drive on every simulator, or None if no picture is wanted there; tests without any are left out.
+    """
     done = {(e.test_id, e.simulator): e for e in executions}
+    shown = [test for test in tests if any((test.test_id, name) in frames for name in names)]
     cv2.setNumThreads(1)
     with ThreadPoolExecutor(_THREADS) as pool:
         # A thread for each simulator: some renderers belong to one thread at a time.
-        columns = list(pool.map(lambda name: _drives_on(name, tests, done, trusted, driver), names))
-    return {test.test_id: [column[k] for column in columns] for k, test in enumerate(tests)}
+        columns = list(pool.map(lambda name: _drives_on(name, shown, done, frames, trusted, driver), names))
+    return {test.test_id: [column[k] for column in columns] for k, test in enumerate(shown)}
 
 
 def _drives_on(
     name: str,
     tests: Sequence[Test],
     done: Mapping[tuple[str, str], Execution],
+    frames: Mapping[tuple[str, str], Sequence[int]],
     trusted: Collection[str],
     driver: str,
 ) -> list[Drive | None]:
     """Render the drives on one simulator, in the order of the tests."""
-    wanted = [(test, done.get((test.test_id, name))) for test in tests]
+    wanted = [(test, done[test.test_id, name] if (test.test_id, name) in frames else None) for test in tests]
     if not any(execution for _, execution in wanted):
         return [None] * len(tests)
     try:
@@ -197,20 +189,28 @@ def _drives_on(
         return [_no_pictures(error) if execution else None for _, execution in wanted]
     see = partial(_paired, driver=driver, simulator=name)
     try:
-        return [_drive(simulator, test, execution, see) if execution else None for test, execution in wanted]
+        return [
+            _drive(simulator, test, execution, frames[test.test_id, name], see) if execution else None
+            for test, execution in wanted
+        ]
     finally:
         simulator.close()
 
 
-def _drive(simulator: Simulator, test: Test, execution: Execution, see: Translation) -> Drive:
+def _drive(simulator: Simulator, test: Test, execution: Execution, steps: Sequence[int], see: Translation) -> Drive:
     if not isinstance(simulator, RoadSimulator):
         return Drive(note="no pictures: this simulator renders images only while it drives")
     try:
         _load(simulator.scene, test)
-        frames = [_frame(simulator.scene, test.seed, execution, k, see) for k in moments(execution)]
+        frames = [_frame(simulator.scene, test.seed, execution, k, see) for k in steps]
     except Exception as error:  # as above
         return _no_pictures(error)
-    return Drive(frames=tuple(frames))
+    strip = set(moments(execution))
+    return Drive(
+        frames=tuple(frames),
+        times=tuple(round(step / FRAME_RATE, 2) for step in steps),
+        strip=tuple(index for index, step in enumerate(steps) if step in strip),
+    )
 
 
 def _load(scene: Scene, test: Test) -> None:
@@ -223,15 +223,6 @@ def _load(scene: Scene, test: Test) -> None:
 
 def _no_pictures(error: Exception) -> Drive:
     return Drive(note=f"no pictures: {' '.join(str(error).split())}")
-
-
-def moments(execution: Execution) -> list[int]:
-    """Select the frames of a drive to show, increasing: its last seconds if it failed, else evenly spread."""
-    last = len(execution.trajectory) - 1
-    if last < 0:
-        return []
-    first = max(0, last - round(BEFORE_FAILURE * FRAME_RATE) * (MOMENTS - 1)) if execution.outcome.is_failure else 0
-    return [int(k) for k in np.unique(np.linspace(first, last, MOMENTS).round().astype(int))]
 
 
 def _frame(scene: Scene, seed: int, execution: Execution, step: int, see: Translation) -> tuple[str, str]:

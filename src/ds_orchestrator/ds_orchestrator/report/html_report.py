@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,11 @@ from ds_orchestrator.report.camera_pictures import (
     camera_pictures,
     common_test,
     drive_pictures,
-    telling_tests,
     translates,
 )
 from ds_orchestrator.report.findings import count, summarise
 from ds_orchestrator.report.page_data import in_words, page_data
+from ds_orchestrator.report.picture_plan import REPLAY_PICTURES, plan_pictures
 from ds_orchestrator.report.plotly_figures import correlation_chart, density_chart, layouts
 from ds_orchestrator.report.sibling_section import SiblingSection
 from ds_orchestrator.store.store import Execution
@@ -75,13 +76,15 @@ def write_report(
     config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
     place = common_test(tests, executions)
     on_page = page_data(data, maps)
-    shown = telling_tests(tests, executions, data.cells)
-    pictures = drive_pictures(config.simulators, shown, executions, trusted, config.driver)
+    paired = translates(config.driver)
+    # A translated picture stands below the camera's, in an image of twice the size.
+    most = REPLAY_PICTURES // (2 if paired else 1)
+    plan = plan_pictures(tests, executions, data.cells, replays=most)
+    pictures = drive_pictures(config.simulators, tests, executions, trusted, config.driver, frames=plan.frames)
     on_page["pictures"] = {
-        test_id: [drive and {"frames": drive.frames, "note": drive.note} for drive in drives]
-        for test_id, drives in pictures.items()
+        test_id: [drive and asdict(drive) for drive in drives] for test_id, drives in pictures.items()
     }
-    on_page["paired"] = paired = translates(config.driver)
+    on_page["paired"] = paired
     on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
     on_page["figures"] = _figures(config, correlations, tables, network)
     page = environment().get_template("report.html.j2")
@@ -97,7 +100,8 @@ def write_report(
         camera_place=CAMERA_PLACE,
         data=on_page,
         plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
-        pictured=len(shown),
+        plan=plan,
+        replay_pictures=most,
         tables=[table for table in tables if table.rows],
         cautions=cautions(correlations),
         of_paper=network is not None,

@@ -14,6 +14,8 @@ const html = (tag, attributes = {}, ...children) => fill(document.createElement(
 
 {% include "report_maps.js" %}
 
+{% include "report_replay.js" %}
+
 {% include "report_cell.js" %}
 
 // ---- start --------------------------------------------------------------------------------------------------------

@@ -122,7 +122,7 @@ function showTest(test, detail) {
     html("div", { class: "charts" },
       chart("The road from above, and every simulator's drive", road),
       html("div", {}, chart("Lateral position in the lane, in driving direction: left is up", lateral), chart("Steering: left is up", steering))),
-    html("div", { class: "scroll" }, outcomeTable(test)), commandsOf(test), drivePictures(test));
+    replayOf(test), html("div", { class: "scroll" }, outcomeTable(test)), commandsOf(test), drivePictures(test));
   drawRoad(road, test);
   drawLines(lateral, test, "lateral", road);
   drawLines(steering, test, "steering", road);
@@ -266,7 +266,7 @@ function drivePictures(test) {
     const run = test.runs[index];
     const part = run.failed ? `the last seconds before it failed (${run.outcome})` : "from start to end";
     box.append(html("p", {}, html("b", {}, name), `, ${drive.note || part}`));
-    box.append(html("div", { class: data.paired ? "strip paired" : "strip" }, ...drive.frames.map(([picture, words]) =>
+    box.append(html("div", { class: data.paired ? "strip paired" : "strip" }, ...drive.strip.map((at) => drive.frames[at]).map(([picture, words]) =>
       html("figure", {}, html("img", { src: `data:image/jpeg;base64,${picture}`, alt: `${name}, ${words}`, width: "240", height: data.paired ? "240" : "120" }), html("figcaption", {}, words)))));
   });
   return box;
