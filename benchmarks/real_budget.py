@@ -26,10 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks.made_twins import MadeTwin, made_twin
 from numpy.typing import NDArray
 from rich.console import Console
 
-from benchmarks.made_twins import MadeTwin, made_twin
 from ds_driver.closed_loop.simulation import Drive
 from ds_driver.closed_loop.success_rate import unseen_roads
 from ds_orchestrator.cli.output import countdown, say
@@ -40,11 +40,12 @@ from ds_orchestrator.prediction.outcome_table import OutcomeTable, table_of_outc
 from ds_orchestrator.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN
 from ds_orchestrator.prediction.real.selection import choose
 from ds_orchestrator.prediction.span import span_of
-from ds_orchestrator.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
+from ds_orchestrator.prediction.twin_prediction import MarginDrive, predict_twin
 from ds_orchestrator.prediction.undriven import undriven_probabilities
 from ds_orchestrator.siblings.kept_drives import drive_kept
 from ds_orchestrator.siblings.outcomes import Outcomes
 from ds_road import Road
+from ds_sim.conditions import DEFAULT
 from ds_sim.session import RunRecord
 
 Array = NDArray[np.float64]
@@ -106,10 +107,12 @@ def drive(
     """Drive every road on every simulator and twin, or read what was driven; simulator -> runs in the roads' order."""
     folder = out / network
     cars = {twin.name: twin for twin in twins}
-    simulators = {name: name for name in SIMULATORS} | {name: twin.simulator(out / "twins") for name, twin in cars.items()}
+    simulators = {name: name for name in SIMULATORS} | {
+        name: twin.simulator(out / "twins") for name, twin in cars.items()
+    }
     drives = {
         name: [
-            Drive(simulator, network, road, SEED + k, *([cars[name].conditions] if name in cars else []))
+            Drive(simulator, network, road, SEED + k, cars[name].conditions if name in cars else DEFAULT)
             for k, road in enumerate(roads)
         ]
         for name, simulator in simulators.items()
@@ -152,7 +155,9 @@ def cases_of(
     return cases
 
 
-def _table(siblings: Sequence[Sequence[RunRecord | None]], twin: Sequence[RunRecord | None], name: str) -> OutcomeTable | None:
+def _table(
+    siblings: Sequence[Sequence[RunRecord | None]], twin: Sequence[RunRecord | None], name: str
+) -> OutcomeTable | None:
     """Outcomes of the siblings and a twin; None if drives of the twin are missing."""
     if any(run is None for of in (*siblings, twin) for run in of):
         return None
@@ -189,15 +194,13 @@ def score(case: Case) -> Scored:
         for choice in range(choices):
             rng = np.random.default_rng([SEED, choice])
             order = _order(rule, table, rng)
-            updated, rows = prediction, []
+            updated = prediction
+            rows: list[int] = []
             for budget in BUDGETS:
-                more = [
-                    row
-                    for row in (
-                        [one.row for one in choose(table, updated, budget - len(rows))] if order is None else order[:budget]
-                    )
-                    if row not in rows
-                ]
+                if order is None:
+                    more = [one.row for one in choose(table, updated, budget - len(rows))]
+                else:
+                    more = order[len(rows) : budget]
                 updated, rows = updated.updated([_outcome(table, row) for row in more]), [*rows, *more]
                 hidden = np.ones(len(table))
                 hidden[rows] = 0.0

@@ -44,7 +44,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 STAGES = ("maps", "evaluation", "report")
 """Stages that compute results from the executions, in order."""
-WRITTEN = ("bags", "logs", "maps", "evaluation", "report.html")
+WRITTEN = ("bags", "logs", "maps", "evaluation", "refinement", "report.html")
 """Entries that a campaign writes into its folder beside the store."""
 
 

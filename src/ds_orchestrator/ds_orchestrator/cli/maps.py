@@ -28,7 +28,14 @@ _RAMP = ((46, 125, 50), (249, 168, 37), (198, 40, 40))
 app = typer.Typer()
 
 
-def maps(folder: Path, name: str = "merged", shown: Shown = "probability", axes: Sequence[str] | None = None) -> Result:
+def maps(
+    folder: Path,
+    name: str = "merged",
+    shown: Shown = "probability",
+    axes: Sequence[str] | None = None,
+    *,
+    refined: bool = False,
+) -> Result:
     """Every map of a campaign as JSON values; one of them as a grid.
 
     Args:
@@ -36,6 +43,7 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability", axes:
         name: of the map that is shown.
         shown: what colours the cells.
         axes: features that span the maps; those of the configuration if None.
+        refined: with the tests of `ds campaign refine`, which the twin did not drive.
 
     Raises:
         ds_orchestrator.campaign.config.ConfigError: the campaign has no map of this name.
@@ -43,12 +51,14 @@ def maps(folder: Path, name: str = "merged", shown: Shown = "probability", axes:
     from ds_orchestrator.campaign.campaign_data import read_campaign
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.refined_data import with_refinement
     from ds_orchestrator.evaluation.campaign_evaluation import maps_of
     from ds_orchestrator.evaluation.exclusions import exclusion_lines
     from ds_orchestrator.maps.feature_map import slices_of, to_json
 
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
+    data = with_refinement(folder, data) if refined else data
     every = maps_of(data, features=axes)
     if axes is not None and not any(made.cells or made.excluded for made in every.values()):
         raise ConfigError(
@@ -180,6 +190,9 @@ def maps_command(
         str | None,
         typer.Option(help="Two or three features that span the maps, separated by commas; as configured if left out."),
     ] = None,
+    refined: Annotated[
+        bool, typer.Option("--refined", help="With the tests of `ds campaign refine`, which the twin did not drive.")
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Show a campaign's feature maps as coloured grids.
@@ -187,4 +200,4 @@ def maps_command(
     One map at a time: `merged`, unless --map names another one. With --json, all of them.
     """
     named = None if axes is None else axes_named(axes)
-    answer(maps(folder, name, value, named), as_json)
+    answer(maps(folder, name, value, named, refined=refined), as_json)

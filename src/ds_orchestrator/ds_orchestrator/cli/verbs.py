@@ -51,7 +51,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "campaign",
                 "campaign.group",
                 "Prepare, run, resume, inspect and compare campaigns.",
-                ("init", "run", "resume", "status", "roads", "compare"),
+                ("init", "run", "resume", "status", "roads", "refine", "compare"),
             ),
             Verb("runs", "campaign.group", "List the campaigns below a folder."),
             Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),

@@ -10,6 +10,7 @@ from pathlib import Path
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.folder import locked
 from ds_orchestrator.campaign.provenance import record_provenance
+from ds_orchestrator.campaign.refined_data import DRIVES_FILE
 from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.engines.fingerprint import code_sha256
@@ -24,8 +25,6 @@ from ds_sim.registry import spec_of
 
 Key = tuple[str, str]
 """Test and simulator."""
-FILE = "drives.sqlite"
-"""Store of the drives; not a campaign's file, as no search can resume from it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +92,7 @@ def drive_tests(
     folder.mkdir(parents=True, exist_ok=True)
     with (
         locked(folder),
-        closing(Store(folder / FILE, config=config.identity(), conditions=config.has_gates)) as store,
+        closing(Store(folder / DRIVES_FILE, config=config.identity(), conditions=config.has_gates)) as store,
     ):
         store.check(config.siblings, config.simulators, runs=config.search.runs, budget=config.settings.budget)
         record_provenance(store, config, folder)

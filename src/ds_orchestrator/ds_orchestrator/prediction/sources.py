@@ -29,7 +29,7 @@ class Source:
 
 
 def read_source(folder: Path, *, twin: str | None = None) -> Source:
-    """Read a folder of `ds campaign run`, finished or running, or of `ds siblings compare --out`.
+    """Read a folder of `ds campaign run`, finished or running, refined or not, or of `ds siblings compare --out`.
 
     Args:
         folder: the folder.
@@ -43,9 +43,10 @@ def read_source(folder: Path, *, twin: str | None = None) -> Source:
     if (folder / "campaign.sqlite").exists():
         from ds_orchestrator.campaign.campaign_data import read_campaign
         from ds_orchestrator.campaign.folder import open_store
+        from ds_orchestrator.campaign.refined_data import with_refinement
 
         with closing(open_store(folder)) as store:
-            data = read_campaign(store)
+            data = with_refinement(folder, read_campaign(store))
         table = table_of_campaign(data)
         return Source(table=table.with_twin(twin) if twin else table, features=tuple(data.config.features))
     if (folder / "comparison.json").exists():

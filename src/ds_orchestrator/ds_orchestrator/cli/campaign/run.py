@@ -136,6 +136,7 @@ def status(folder: Path) -> Result:
 def _status(folder: Path, store: Store) -> Result:
     from ds_orchestrator.campaign.bag_groups import missing_bags, missing_line
     from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.refined_data import is_refined, with_refinement
     from ds_orchestrator.campaign.status import stages_of
     from ds_orchestrator.evaluation.exclusions import exclusion_counts, exclusion_lines
 
@@ -147,6 +148,7 @@ def _status(folder: Path, store: Store) -> Result:
         of_simulator[execution.outcome.name] = of_simulator.get(execution.outcome.name, 0) + 1
     stages = stages_of(data)
     missing = missing_bags(folder, executions)
+    refined = sum(is_refined(test.test_id) for test in with_refinement(folder, data).tests)
     driving = [stage.expected for stage in stages if stage.failures is not None]
     known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
     document: dict[str, Any] = {
@@ -157,6 +159,7 @@ def _status(folder: Path, store: Store) -> Result:
         "outcomes": counts,
         "excluded": exclusion_counts(data),
         "missing_bags": missing,
+        "refinement_tests": refined,
         "errors": [
             dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
             for row in data.errors
@@ -175,6 +178,8 @@ def _status(folder: Path, store: Store) -> Result:
         Console().print(table)
         for line in exclusion_lines(data):
             print(line)
+        if refined:
+            print(f"{refined} tests of a refinement beside these: `ds predict`, `ds maps --refined`")
         if missing:
             print(missing_line(missing))
         if document["errors"]:
