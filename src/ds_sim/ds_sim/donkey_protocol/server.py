@@ -1,0 +1,176 @@
+"""TCP server: one simulator for each client, all in one process.
+
+Simulators take turns at each frame, so several clients share one core; for more, start several servers. Whatever a
+client does, at most its own session ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+from collections.abc import Callable
+from typing import Any
+
+from ds_sim.donkey_protocol.conversation import SCENE, Conversation, ServedTests
+from ds_sim.donkey_protocol.framing import MessageSplitter, ProtocolError
+from ds_sim.registry import make_simulator
+from ds_sim.simulator import Simulator, SimulatorError
+
+CHUNK = 64 * 1024
+
+
+class ServerError(ValueError):
+    """The server cannot listen."""
+
+
+class DonkeyServer:
+    """Serves a simulator to clients of the Donkey protocol.
+
+    Args:
+        simulator: name known to `ds_sim.registry`.
+        tests: what each client drives, from the first road on.
+        patience: s of wall-clock time that a client may take for a control, or for reading an answer.
+        most_clients: connected at the same time.
+        report: takes one line about what happened.
+    """
+
+    def __init__(
+        self,
+        simulator: str,
+        tests: ServedTests,
+        *,
+        patience: float = 600.0,
+        most_clients: int = 8,
+        report: Callable[[str], None] = print,
+    ) -> None:
+        self._simulator = simulator
+        self._tests = tests
+        self._patience = patience
+        self._most = most_clients
+        self._report = report
+        self._idle: list[Simulator] = []
+        self._clients: set[int] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._served = 0
+
+    async def serve(self, host: str, port: int, listening: Callable[[int], None]) -> None:
+        """Serve until cancelled.
+
+        Args:
+            host: address to listen on.
+            port: 0 for any free one.
+            listening: is called with the port once clients can connect.
+
+        Raises:
+            ServerError: the address cannot be used.
+            ds_sim.registry.UnknownSimulatorError: no simulator has this name.
+            ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition.
+            ds_sim.simulator.SimulatorError: the simulator cannot load a road.
+        """
+        self._warm_up()
+        try:
+            server = await asyncio.start_server(self._connected, host, port)
+        except OSError as error:
+            raise ServerError(_listening_problem(error, host, port)) from None
+        try:
+            listening(server.sockets[0].getsockname()[1])
+            await asyncio.get_running_loop().create_future()  # never done: until cancelled
+        finally:
+            server.close()
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks)
+            for simulator in self._idle:
+                simulator.close()
+
+    def _warm_up(self) -> None:
+        """Load the first road: an unusable simulator is refused at once, and what compiles on first use is ready."""
+        simulator = make_simulator(self._simulator)
+        self._idle.append(simulator)
+        Conversation(simulator, self._tests, self._report).answer({"msg_type": "load_scene", "scene_name": SCENE})
+
+    def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.get_running_loop().create_task(self._serve_client(reader, writer))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._served += 1
+        number = self._served
+
+        def report(line: str) -> None:
+            self._report(f"client {number}: {line}")
+
+        if len(self._clients) >= self._most:
+            report(problem := f"refused, as {self._most} clients are connected")
+            await self._close(writer, problem)
+            return
+        self._clients.add(number)
+        report("connected")
+        simulator, problem = None, ""
+        try:
+            simulator = self._idle.pop() if self._idle else make_simulator(self._simulator)
+            await self._converse(reader, writer, Conversation(simulator, self._tests, report))
+        except ProtocolError as error:
+            problem = str(error)
+        except (SimulatorError, ValueError) as error:
+            problem = f"the simulator failed: {error}"
+            if simulator is not None:
+                simulator.close()
+                simulator = None
+        except TimeoutError:
+            problem = f"silent for {self._patience:g} s"
+        except OSError:  # the client vanished
+            pass
+        except asyncio.CancelledError:
+            problem = "the server stops"
+        finally:
+            self._clients.discard(number)
+            if simulator is not None:
+                self._idle.append(simulator)
+        report(f"disconnected{': ' if problem else ''}{problem}")
+        await self._close(writer, problem)
+
+    async def _converse(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, conversation: Conversation
+    ) -> None:
+        """Answer until the client leaves."""
+        splitter = MessageSplitter()
+        await self._send(writer, conversation.greeting())
+        while not conversation.ended:
+            async with asyncio.timeout(self._patience):
+                data = await reader.read(CHUNK)
+            if not data:
+                return
+            for message in splitter.feed(data):
+                await self._send(writer, conversation.answer(message))
+                await asyncio.sleep(0)  # the other clients' turn
+                if conversation.ended:
+                    return
+
+    async def _send(self, writer: asyncio.StreamWriter, messages: list[dict[str, Any]]) -> None:
+        for message in messages:
+            writer.write(json.dumps(message, allow_nan=False).encode() + b"\n")
+        async with asyncio.timeout(self._patience):
+            await writer.drain()
+
+    async def _close(self, writer: asyncio.StreamWriter, problem: str) -> None:
+        """Close a connection, with the reason for the client if there is one."""
+        try:
+            if problem:
+                writer.write(json.dumps({"msg_type": "error", "message": problem}).encode() + b"\n")
+            writer.close()
+            async with asyncio.timeout(1.0):
+                await writer.wait_closed()
+        except (OSError, TimeoutError):
+            writer.transport.abort()
+
+
+def _listening_problem(error: OSError, host: str, port: int) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return f"port {port} of {host} is in use: choose another with --port, or 0 for any free one"
+    if error.errno == errno.EACCES:
+        return f"port {port} needs privileges: choose one from 1024 on with --port"
+    reason = (error.strerror or str(error)).splitlines()[0]
+    return f"cannot listen on {host}, port {port} ({reason}): check --host"
