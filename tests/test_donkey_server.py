@@ -33,7 +33,7 @@ from ds_sim import Command, make_simulator
 from ds_sim.donkey_protocol.conversation import Conversation, ServedTests
 from ds_sim.donkey_protocol.framing import LARGEST_MESSAGE, MessageSplitter, ProtocolError
 from ds_sim.donkey_protocol.messages import ImageFormat, command_of, image_format_of
-from ds_sim.donkey_protocol.server import DonkeyServer
+from ds_sim.donkey_protocol.server import GREETING_DELAY, DonkeyServer
 from ds_sim.simulator import Outcome
 
 ROAD = generate(np.random.default_rng(21), max_angle=120)
@@ -98,7 +98,9 @@ def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[
             ready.set()
 
         with suppress(asyncio.CancelledError):
-            await DonkeyServer(sim, tests, report=lines.append, **options).serve("127.0.0.1", 0, listening)
+            await DonkeyServer(sim, tests, report=lines.append, **{"greeting_delay": 0.0, **options}).serve(
+                "127.0.0.1", 0, listening
+            )
 
     thread = threading.Thread(target=asyncio.run, args=(main(),))
     thread.start()
@@ -269,24 +271,22 @@ def test_misbehaving_clients_end_their_own_session_only() -> None:
         good.close()
         return images
 
-    with served(most_clients=4, patience=2.0) as (port, lines):
+    with served() as (port, lines):
         malformed, vanishing, deaf = Client(port), Client(port), Client(port)
         for client in (malformed, vanishing, deaf):
             client.load()
         disturbed = drive(port, True)
-        silent = Client(port)
-        assert silent.read()["message"] == "silent for 2 s"
         deaf.close()
         assert drive(port, False) == disturbed
     assert any("steering is 'nan'" in line for line in lines)
 
 
-def test_one_client_too_many_is_refused() -> None:
-    with served(most_clients=1) as (port, _):
-        first = Client(port)
-        second = Client(port)
+def test_one_client_too_many_is_refused_and_a_silent_one_makes_room() -> None:
+    with served(most_clients=1, patience=1.0) as (port, _):
+        silent, second = Client(port), Client(port)
         assert second.greeting == {"msg_type": "error", "message": "refused, as 1 clients are connected"}
-        assert first.load()["msg_type"] == "telemetry"
+        assert silent.read()["message"] == "silent for 1 s"
+        assert Client(port).load()["msg_type"] == "telemetry"
 
 
 def serve(*arguments: str) -> subprocess.Popen[str]:
@@ -327,7 +327,7 @@ def test_gym_donkeycar_unmodified(sim: str, caplog: pytest.LogCaptureFixture) ->
     import gymnasium
 
     simulator = make_simulator(sim)
-    with served(STRAIGHT, ROAD, sim=sim) as (port, _):
+    with served(STRAIGHT, ROAD, sim=sim, greeting_delay=GREETING_DELAY) as (port, _):
         camera = {"img_w": 320, "img_h": 160, "img_enc": "PNG"}
         conf = {"host": "127.0.0.1", "port": port, "cam_resolution": (160, 320, 3), "cam_config": camera}
         env = gymnasium.make("donkey-generated-roads-v0", conf=conf)

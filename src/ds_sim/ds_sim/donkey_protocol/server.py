@@ -18,6 +18,9 @@ from ds_sim.registry import make_simulator
 from ds_sim.simulator import Simulator, SimulatorError
 
 CHUNK = 64 * 1024
+GREETING_DELAY = 0.5
+"""s from the connection to the first message. gym-donkeycar drops what arrives before its constructor has returned, and
+then waits forever; chosen: long for that, on a busy machine too."""
 
 
 class ServerError(ValueError):
@@ -32,6 +35,7 @@ class DonkeyServer:
         tests: what each client drives, from the first road on.
         patience: s of wall-clock time that a client may take for a control, or for reading an answer.
         most_clients: connected at the same time.
+        greeting_delay: s from a connection to the first message.
         report: takes one line about what happened.
     """
 
@@ -42,12 +46,14 @@ class DonkeyServer:
         *,
         patience: float = 600.0,
         most_clients: int = 8,
+        greeting_delay: float = GREETING_DELAY,
         report: Callable[[str], None] = print,
     ) -> None:
         self._simulator = simulator
         self._tests = tests
         self._patience = patience
         self._most = most_clients
+        self._greeting_delay = greeting_delay
         self._report = report
         self._idle: list[Simulator] = []
         self._clients: set[int] = set()
@@ -137,6 +143,7 @@ class DonkeyServer:
     ) -> None:
         """Answer until the client leaves."""
         splitter = MessageSplitter()
+        await asyncio.sleep(self._greeting_delay)
         await self._send(writer, conversation.greeting())
         while not conversation.ended:
             async with asyncio.timeout(self._patience):
