@@ -306,3 +306,15 @@ def test_drives_needed_are_those_that_a_binomial_needs() -> None:
     assert needed(0.1, 0.001) is None  # on the tolerated rate itself
     small = needed(0.03, 0.03 * 0.97 / 3)
     assert small is not None and 20 < small < 200
+
+
+def test_covariances_stay_positive_where_quadrature_is_coarse() -> None:
+    """A residual spread far below that of test effects: quadrature alone gives the log-concave likelihood dents."""
+    from ds_orchestrator.prediction import population
+
+    table, _ = made_up(1, tests=40)
+    margins = margins_of(table)
+    start = np.tile(np.concatenate(([np.log(0.25)], np.zeros(4))), 4)
+    for sigma, omega in ((0.05, 1.0), (0.1, 3.0)):
+        point = population._point(margins, 0.5, 0.15, sigma, omega, start)
+        assert np.linalg.eigvalsh(point.covariance).min() > 0.0

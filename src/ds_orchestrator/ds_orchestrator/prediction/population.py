@@ -215,6 +215,29 @@ def _curvature(margins: Margins, state: Array, sigma: float, omega: float) -> Cu
     return curvature_of(margins, margins.predictors @ theta.T, sigma, omega)
 
 
+def _information(prior: Array, x: Array, tests: Array) -> Array:
+    """Negative second derivatives by all coefficients, from those of each test by its linear predictors.
+
+    The likelihood is log-concave (an integral of log-concave functions: Prekopa, 1973), so that no test has a negative
+    curvature. Quadrature may say otherwise where sigma is much below omega; then each test's negative part is left out.
+    """
+
+    def total(of_tests: Array) -> Array:
+        p, siblings = x.shape[1], of_tests.shape[1]
+        blocks = np.einsum("np,nsz,nq->spzq", x, of_tests, x, optimize=True)
+        information = prior.copy()
+        information[:-p, :-p] += blocks.reshape(siblings * p, siblings * p)
+        return information
+
+    found = total(tests)
+    try:
+        np.linalg.cholesky(found)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(tests)
+        return total(np.einsum("nik,nk,njk->nij", vectors, np.maximum(values, 0.0), vectors))
+    return found
+
+
 def _point(margins: Margins, tau_a: float, tau_b: float, sigma: float, omega: float, start: Array) -> _Point:
     """Find the mode of the coefficients by Newton's method, and approximate their posterior around it."""
     siblings, p = margins.values.shape[1], margins.predictors.shape[1]
@@ -236,9 +259,7 @@ def _point(margins: Margins, tau_a: float, tau_b: float, sigma: float, omega: fl
     for _ in range(_STEPS):
         gradient = -prior @ (state - centre)
         gradient[:-p] += (found.gradient.T @ x).ravel()
-        information = prior.copy()
-        blocks = np.einsum("np,nsz,nq->spzq", x, found.information, x, optimize=True)
-        information[:-p, :-p] += blocks.reshape(siblings * p, siblings * p)
+        information = _information(prior, x, found.information)
         step = np.linalg.solve(information, gradient)
         decrement = float(gradient @ step)
         if decrement < _CLOSE:
@@ -256,5 +277,5 @@ def _point(margins: Margins, tau_a: float, tau_b: float, sigma: float, omega: fl
     return _Point(
         log_evidence=value + log_prior - 0.5 * float(np.linalg.slogdet(information)[1]),
         mode=state,
-        covariance=np.linalg.inv(information),
+        covariance=np.asarray(np.linalg.inv(information), np.float64),
     )
