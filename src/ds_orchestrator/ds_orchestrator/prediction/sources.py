@@ -64,7 +64,11 @@ def read_population(folder: Path) -> Source:
         OutcomeTableError: as `read_source`.
     """
     source = read_source(folder)
-    table = source.table
+    return Source(table=as_population(source.table), features=source.features)
+
+
+def as_population(table: OutcomeTable) -> OutcomeTable:
+    """Let a twin that was driven be one more sibling; one that was not is left out."""
     if table.twin is None or not table.known(table.twin).any():
-        return Source(table=table.with_twin(None), features=source.features)
-    return Source(table=replace(table, siblings=table.simulators, twin=None), features=source.features)
+        return table.with_twin(None)
+    return replace(table, siblings=table.simulators, twin=None)

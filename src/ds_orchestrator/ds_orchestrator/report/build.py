@@ -66,6 +66,7 @@ def write_all(
         Path of the report.
     """
     from ds_orchestrator.maps.heatmap import write_maps
+    from ds_orchestrator.report.answer_section import answer_section
     from ds_orchestrator.report.html_report import write_report
     from ds_orchestrator.report.sibling_section import sibling_section
 
@@ -119,6 +120,7 @@ def write_all(
         tables=[*of_rq1, *tables],
         network=network_of(data.config),
         siblings=siblings,
+        answer=answer_section(folder, data),
         trusted=trusted,
     )
     store.set_result("report", count)

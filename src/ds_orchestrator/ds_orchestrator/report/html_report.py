@@ -25,6 +25,7 @@ from ds_orchestrator.evaluation.table import Table
 from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.maps.merge_operators import jeffreys_interval
+from ds_orchestrator.report.answer_section import AnswerSection
 from ds_orchestrator.report.camera_pictures import (
     CAMERA_PLACE,
     camera_pictures,
@@ -55,6 +56,7 @@ def write_report(
     tables: Sequence[Table] = (),
     network: Network | None = None,
     siblings: SiblingSection | None = None,
+    answer: AnswerSection | None = None,
     trusted: Collection[str] = (),
 ) -> Path:
     """Write `report.html`; the same campaign gives the same bytes.
@@ -68,6 +70,7 @@ def write_report(
         tables: tables of the evaluation.
         network: network in the paper whose numbers are shown for comparison, or None.
         siblings: what each sibling adds, or None.
+        answer: what is predicted of a car, or None.
         trusted: user-defined simulators whose code may run; others have no pictures.
 
     Returns:
@@ -106,6 +109,7 @@ def write_report(
         cautions=cautions(correlations),
         of_paper=network is not None,
         siblings=siblings,
+        answer=answer,
         outcomes=_outcome_table(config, executions),
         verdicts=_VERDICTS,
         stages=stages_of(data),
