@@ -14,7 +14,7 @@ setup(
     maintainer="Digital Siblings maintainers",
     maintainer_email="maintainers@digital-siblings.invalid",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed", "*.pyi"], f"{PACKAGE}.report": ["templates/*"]},
+    package_data={"": ["py.typed", "*.pyi"], f"{PACKAGE}.report": ["templates/*"], f"{PACKAGE}.watch": ["templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -31,6 +31,7 @@ KEYS = {
     "shapely": "python3-shapely",
     "sklearn": "python3-sklearn",
     "torch": "python3-torch",
+    "tornado": "python3-tornado",
     "typer": "python3-typer",
     "yaml": "python3-yaml",
 }

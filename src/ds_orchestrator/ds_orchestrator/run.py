@@ -10,6 +10,7 @@ from pathlib import Path
 from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.folder import locked, open_store, prepare_folder, store_of
+from ds_orchestrator.campaign.live_file import LiveFile, ObservedExecutor
 from ds_orchestrator.campaign.provenance import record_provenance
 from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
 from ds_orchestrator.campaign.stage_timer import StageTimer
@@ -96,7 +97,11 @@ def run_campaign(
         except NotApplicableError as error:
             raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
     prepare_folder(folder)
-    with locked(folder), closing(store_of(folder, config)) as store:
+    with (
+        locked(folder),
+        closing(store_of(folder, config)) as store,
+        LiveFile(folder, listener or SilentListener()) as live,
+    ):
         record_provenance(store, config, folder)
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
@@ -104,9 +109,14 @@ def run_campaign(
         if is_driven(known := read_campaign(store)):
             data = known
         else:
-            in_error = _drive(config, folder, store, listener or SilentListener(), say, attach=attach, cluster=cluster)
+            in_error = _drive(config, folder, store, live, say, attach=attach, cluster=cluster)
+
+        def say_result(line: str) -> None:
+            live.result(line.removeprefix("stage: "))
+            say(line)
+
         # The simulators come from the caller's configuration, so their code is trusted.
-        report = write_all(folder, store, data=data, again=False, say=say, trusted=config.simulators)
+        report = write_all(folder, store, data=data, again=False, say=say_result, trusted=config.simulators)
         return CampaignOutcome(
             folder=folder,
             report=report,
@@ -159,7 +169,7 @@ def _drive(
     config: CampaignConfig,
     folder: Path,
     store: Store,
-    listener: Listener,
+    live: LiveFile,
     say: Callable[[str], None],
     *,
     attach: bool,
@@ -172,8 +182,8 @@ def _drive(
     engine = running_engine(config, namespaces, logs=folder / "logs", attach=attach, cluster=cluster, say=say)
     try:
         with engine as executor, running_gate_driver(config, executor, logs=folder / "logs" / "gates") as gate_driver:
-            timer = StageTimer(listener, store)
-            campaign = Campaign(config, folder, store, executor, timer, namespaces, gate_driver)
+            timer, observed = StageTimer(live, store), ObservedExecutor(executor, live)
+            campaign = Campaign(config, folder, store, observed, timer, namespaces, gate_driver)
             try:
                 campaign.run()
             except BaseException:

@@ -120,7 +120,7 @@ def test_a_campaign_is_read_once_and_unchanged(tmp_path: Path) -> None:
     assert data.config == TWO and [t.test_id for t in data.tests] == ["t-0-0000", "t-0-0001"]
     assert len(data.executions) == 6 and set(data.cells) == {"t-0-0000", "t-0-0001"}
     reads = []
-    store.executions = lambda: reads.append(1) or []  # type: ignore[method-assign, func-returns-value]
+    store.executions = lambda **_: reads.append(1) or []  # type: ignore[method-assign, func-returns-value]
     write_all(tmp_path, store, data=data)
     assert not reads and "failed on 1 of 2 roads" in (tmp_path / "report.html").read_text(encoding="utf-8")
     store.close()

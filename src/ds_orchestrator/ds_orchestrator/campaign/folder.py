@@ -44,19 +44,25 @@ def locked(folder: Path) -> Iterator[None]:
 
 STAGES = ("maps", "evaluation", "report")
 """Stages that compute results from the executions, in order."""
+LIVE = ".live.json"
+"""File that says what a running campaign does; see `ds_orchestrator.campaign.live_file`."""
 WRITTEN = ("bags", "logs", "maps", "evaluation", "refinement", "report.html")
 """Entries that a campaign writes into its folder beside the store."""
 
 
-def open_store(folder: Path) -> Store:
+def open_store(folder: Path, *, read_only: bool = False) -> Store:
     """Open the store of an existing campaign.
+
+    Args:
+        folder: campaign folder.
+        read_only: change nothing, even while the campaign runs.
 
     Raises:
         StoreError: the folder holds no campaign.
     """
     if not folder.is_dir():
         raise StoreError(f"no folder {folder}: run a campaign there first")
-    return Store(folder / "campaign.sqlite")
+    return Store(folder / "campaign.sqlite", read_only=read_only)
 
 
 def prepare_folder(folder: Path) -> None:
@@ -84,7 +90,7 @@ def refuse_foreign_files(folder: Path) -> None:
         StoreError: an entry is a link that leaves the folder, or is neither a file nor a folder.
     """
     home = folder.resolve()
-    places = [folder / name for name in ("campaign.sqlite", ".lock", *WRITTEN)]
+    places = [folder / name for name in ("campaign.sqlite", ".lock", LIVE, f"{LIVE}.partial", *WRITTEN)]
     inside = [entry for place in places if place.is_dir() for entry in place.iterdir()]
     for path in (*places, *inside):
         if path.is_symlink() and not path.resolve().is_relative_to(home):

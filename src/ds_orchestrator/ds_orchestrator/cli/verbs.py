@@ -55,6 +55,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 ("init", "run", "resume", "status", "roads", "refine", "compare"),
             ),
             Verb("runs", "campaign.group", "List the campaigns below a folder."),
+            Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
             Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
             Verb("maps", "maps", "Show a campaign's feature maps as coloured grids."),
             Verb(

@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from ds_orchestrator.campaign.feedback import Watch
 from ds_orchestrator.graph.process_specs import DRIVER_PROCESS, closed_loop_process_name, simulator_process_name
 from ds_orchestrator.graph.supervisor import Supervisor
 from ds_road import Road
@@ -45,8 +46,6 @@ QUIET, UNANSWERED = 2.0, 3
 in a row after which it counts as dead; chosen: a dead node is reported in 10 s, within which a loaded one answers."""
 QUERY_TIME = 2.5
 """Limit for the answer to such a query, s."""
-Watch = Callable[[int, float, float], None]
-"""Called during a run with the number of frames, the driven part of the road in [0, 1], and the lateral position, m."""
 _NUMBERS = itertools.count()
 
 
@@ -65,6 +64,8 @@ class GraphExecutor:
             the next run. None to use running nodes.
         report: called with one line when a run has to wait for another client.
     """
+
+    gives_feedback = True
 
     def __init__(
         self,

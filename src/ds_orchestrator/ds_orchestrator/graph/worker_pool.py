@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from queue import SimpleQueue
 
+from ds_orchestrator.campaign.feedback import Watch, watched
 from ds_orchestrator.campaign.runner import Executor
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -22,6 +23,8 @@ class WorkerPool:
         simulators: names of the simulators.
     """
 
+    gives_feedback = True
+
     def __init__(self, workers: Sequence[Executor], simulators: Sequence[str]) -> None:
         self._workers = list(workers)
         self._free: dict[str, SimpleQueue[Executor]] = {name: SimpleQueue() for name in simulators}
@@ -34,11 +37,21 @@ class WorkerPool:
         """None: each simulator takes as many drives as there are workers."""
         return None
 
-    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
-        """Drive a road as soon as a worker is free."""
+    def execute(
+        self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT, *, watch: Watch | None = None
+    ) -> RunRecord:
+        """Drive a road as soon as a worker is free.
+
+        Args:
+            simulator: name of the simulator.
+            road: road to drive.
+            seed: seed of the run.
+            conditions: operating conditions of the run.
+            watch: called from another thread with the simulator's feedback.
+        """
         worker = self._free[simulator].get()
         try:
-            return worker.execute(simulator, road, seed, conditions)
+            return watched(worker, watch)(simulator, road, seed, conditions)
         finally:
             self._free[simulator].put(worker)
 

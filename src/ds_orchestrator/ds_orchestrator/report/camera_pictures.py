@@ -187,17 +187,29 @@ def _drives_on(
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
     except Exception as error:  # a missing or broken simulator must not prevent the report
         return [_no_pictures(error) if execution else None for _, execution in wanted]
-    see = partial(_paired, driver=driver, simulator=name)
     try:
         return [
-            _drive(simulator, test, execution, frames[test.test_id, name], see) if execution else None
+            render_drive(simulator, name, test, execution, frames[test.test_id, name], driver) if execution else None
             for test, execution in wanted
         ]
     finally:
         simulator.close()
 
 
-def _drive(simulator: Simulator, test: Test, execution: Execution, steps: Sequence[int], see: Translation) -> Drive:
+def render_drive(
+    simulator: Simulator, name: str, test: Test, execution: Execution, steps: Sequence[int], driver: str
+) -> Drive:
+    """Render frames of one drive, with what the driver sees.
+
+    Args:
+        simulator: the simulator, which drives nothing at this moment.
+        name: its name.
+        test: the test.
+        execution: its execution there.
+        steps: frames to render, increasing.
+        driver: name of the driver.
+    """
+    see = partial(_paired, driver=driver, simulator=name)
     if not isinstance(simulator, RoadSimulator):
         return Drive(note="no pictures: this simulator renders images only while it drives")
     try:

@@ -69,6 +69,8 @@ class SqliteFile:
         path: path of the file.
         begin: facts with which to create a new campaign if there is none; None to open an existing one.
         version: one of `SCHEMAS`, of a new campaign.
+        read_only: refuse every change, and recover nothing: file and write-ahead log keep their bytes, even while
+            another process writes.
 
     Attributes:
         version: one of `SCHEMAS`, of the file.
@@ -77,14 +79,21 @@ class SqliteFile:
         StoreError: there is no campaign, or it has another version, is damaged, or cannot be written.
     """
 
-    def __init__(self, path: Path, begin: Mapping[str, str] | None = None, *, version: int = SCHEMA_VERSION) -> None:
+    def __init__(
+        self,
+        path: Path,
+        begin: Mapping[str, str] | None = None,
+        *,
+        version: int = SCHEMA_VERSION,
+        read_only: bool = False,
+    ) -> None:
         self.path, self.version = path, version
         self._lock = threading.Lock()
         folder = path.parent
         if begin is None and not path.exists():
             raise StoreError(f"no campaign in {folder}: run one there first")
         self._check_file()
-        self._db = self._connect(reading=begin is None)
+        self._db = self._connect(_read_only_flags(path)) if read_only else self._open(reading=begin is None)
         try:
             # With a write-ahead log, NORMAL keeps what is committed when the process is killed. A power cut may cost
             # the last runs, as it may cost their bags: they are driven again. FULL would wait for the disk after each.
@@ -137,8 +146,7 @@ class SqliteFile:
         rows = self.ask("SELECT type, name, sql FROM sqlite_master")
         return {" ".join(str(sql).split()) for kind, name, sql in rows if not (kind == "index" and sql is None)}
 
-    def _connect(self, *, reading: bool) -> sqlite3.Connection:
-        name = quote(str(self.path.absolute()))
+    def _open(self, *, reading: bool) -> sqlite3.Connection:
         folder = self.path.parent
         flags = ""
         if not os.access(folder if not self.path.exists() else self.path, os.W_OK) or not os.access(folder, os.W_OK):
@@ -149,7 +157,11 @@ class SqliteFile:
                 raise StoreError(
                     f"{folder} cannot be written, but its campaign was killed and needs recovery: copy the folder first"
                 )
-            flags = "?mode=ro&immutable=1"
+            flags = _read_only_flags(self.path)
+        return self._connect(flags)
+
+    def _connect(self, flags: str) -> sqlite3.Connection:
+        name = quote(str(self.path.absolute()))
         try:
             found = sqlite3.connect(f"file:{name}{flags}", uri=True, check_same_thread=False, isolation_level=None)
         except sqlite3.Error as error:
@@ -219,3 +231,9 @@ class SqliteFile:
     def close(self) -> None:
         """Close the file; everything is written."""
         self._db.close()
+
+
+def _read_only_flags(path: Path) -> str:
+    """Flags with which SQLite writes neither the file nor its log; without a log, it creates none beside it either."""
+    journal = path.with_name(f"{path.name}-wal")
+    return "?mode=ro" if journal.exists() and journal.stat().st_size else "?mode=ro&immutable=1"

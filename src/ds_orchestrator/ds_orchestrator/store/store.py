@@ -108,6 +108,7 @@ class Store:
             existing campaign.
         present: converts the text of a configuration that an earlier version wrote to the present form.
         conditions: tests of a new campaign may have conditions and gates.
+        read_only: change nothing, even while a campaign writes the file.
 
     Raises:
         StoreError: the file belongs to another campaign or version, is damaged, or cannot be written.
@@ -120,9 +121,12 @@ class Store:
         config: str | None = None,
         present: Callable[[str], str] = lambda known: known,
         conditions: bool = False,
+        read_only: bool = False,
     ) -> None:
         version = CONDITIONS_VERSION if conditions else SCHEMA_VERSION
-        self._file = SqliteFile(path, None if config is None else {"config": config}, version=version)
+        self._file = SqliteFile(
+            path, None if config is None else {"config": config}, version=version, read_only=read_only
+        )
         if config is not None and (known := self.config) != config and present(known) == config:
             self._file.ask("UPDATE about SET value=? WHERE key='config'", (config,))
         if config is not None and self.config != config:
@@ -322,11 +326,16 @@ class Store:
                     raise self._file.damaged(f"a row of {table}: {error}") from None
         return found
 
-    def tests(self) -> list[Test]:
-        """Every test, ordered by sibling, run and number."""
+    def tests(self, *, after: int = 0) -> list[Test]:
+        """Tests, ordered by sibling, run and number.
+
+        Args:
+            after: number of a row; only tests that were stored later; see `last_rows`.
+        """
         rows = self._file.ask(
             "SELECT test_id, sibling, run, number, control_points, seed, published, road_id FROM tests"
-            " ORDER BY sibling, run, number"
+            " WHERE rowid > ? ORDER BY sibling, run, number",
+            (after,),
         )
         lane, conditions = self._lane(), self._conditions()
         return [self._test_of(row, lane, conditions.get(str(row[0]), DEFAULT)) for row in rows]
@@ -420,9 +429,32 @@ class Store:
         found = self._executions("WHERE test_id=? AND simulator=?", (test_id, simulator))
         return found[0] if found else None
 
-    def executions(self) -> list[Execution]:
-        """Every execution, ordered by simulator and test."""
-        return self._executions("", ())
+    def executions(self, *, after: int = 0) -> list[Execution]:
+        """Executions, ordered by simulator and test.
+
+        Args:
+            after: number of a row; only executions that were stored later; see `last_rows`.
+        """
+        return self._executions("WHERE rowid > ?", (after,)) if after else self._executions("", ())
+
+    def last_rows(self) -> tuple[int, int]:
+        """Numbers of the last rows of tests and of executions; an execution that replaces another one has a new row."""
+        last = "SELECT coalesce(max(rowid), 0) FROM"
+        return int(self._file.ask(f"{last} tests")[0][0]), int(self._file.ask(f"{last} executions")[0][0])
+
+    def test_of_row(self, row: int) -> str | None:
+        """Id of the test in a row, or None if there is none; tests that are taken back leave their rows to others."""
+        found = self._file.ask("SELECT test_id FROM tests WHERE rowid=?", (row,))
+        return str(found[0][0]) if found else None
+
+    def latest_executions(self) -> dict[str, str]:
+        """Simulator -> test whose execution there was stored last."""
+        found = self._file.ask("SELECT simulator, test_id, max(rowid) FROM executions GROUP BY simulator")
+        return {str(simulator): str(test_id) for simulator, test_id, _ in found}
+
+    def count_tests(self) -> int:
+        """Number of tests."""
+        return int(self._file.ask("SELECT count(*) FROM tests")[0][0])
 
     def count_executions(self) -> int:
         """Number of executions."""
@@ -440,7 +472,7 @@ class Store:
         gates = int(self._file.ask("SELECT count(*) FROM gates")[0][0]) if self.keeps_conditions else 0
         return self.count_executions() + gates
 
-    def _executions(self, where: str, values: tuple[str, ...]) -> list[Execution]:
+    def _executions(self, where: str, values: tuple[str | int, ...]) -> list[Execution]:
         if (
             not where
             and float(self._file.ask("SELECT total(abs(steps)) FROM executions")[0][0]) > MOST_TRAJECTORY_STEPS

@@ -1,14 +1,7 @@
 "use strict";
 (() => {
 const data = JSON.parse(document.getElementById("data").textContent);
-const plural = (n, thing) => `${n} ${thing}${n === 1 ? "" : "s"}`;
-
-function fill(node, attributes, children) {
-  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-  node.append(...children);
-  return node;
-}
-const html = (tag, attributes = {}, ...children) => fill(document.createElement(tag), attributes, children);
+{% include "page_elements.js" %}
 
 {% include "report_unpack.js" %}
 

@@ -1,8 +1,6 @@
 // ---- the chosen cell and its tests --------------------------------------------------------------------------------
 const FIRST_TESTS = 24;
 const panel = document.getElementById("cell");
-const SVG = document.querySelector("svg").namespaceURI;
-const svg = (tag, attributes = {}, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
 /** Choose a cell: outline it in every map, and open its tests below. */
 async function choose(key, { remember = true, testId = null } = {}) {
@@ -82,8 +80,6 @@ function cellTable(key) {
   return html("table", {}, html("thead", {}, html("tr", {}, ...heads)), html("tbody", {}, ...rows));
 }
 
-const verdict = (run) => (!run ? "– no outcome" : run.failed ? `✗ ${run.outcome}` : `✓ ${run.outcome}`);
-
 /** A thumbnail of a road, with its outcome on every simulator. */
 function testButton(test, detail, list) {
   const { lx, ly, rx, ry, cx, cy } = test.road;
@@ -141,13 +137,6 @@ function keys() {
 
 const side = (lateral) => `${Math.abs(lateral).toFixed(2)} m ${lateral >= 0 ? "right" : "left"} of the lane's centre`;
 const lineOf = (index) => ({ color: data.simulators[index].colour, dash: data.simulators[index].dash, width: 2.5 });
-
-/** Where a run that failed did so: the first frame outside the lane, or the last one. */
-function failure(run) {
-  if (!run || !run.failed || !run.x.length) return -1;
-  const outside = run.lateral.findIndex((value) => Math.abs(value) > data.lane / 2);
-  return outside >= 0 ? outside : run.x.length - 1;
-}
 
 function drawRoad(plot, test) {
   const { cx, cy, lx, ly, rx, ry } = test.road;

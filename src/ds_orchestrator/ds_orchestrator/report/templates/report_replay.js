@@ -2,6 +2,15 @@
 const REPLAY_STEP = 0.1; // s: drives are kept at 10 frames a second
 const GAUGE = 200; // width of a gauge in its own units
 
+const verdict = (run) => (!run ? "– no outcome" : run.failed ? `✗ ${run.outcome}` : `✓ ${run.outcome}`);
+
+/** Where a run that failed did so: the first frame outside the lane, or the last one. */
+function failure(run) {
+  if (!run || !run.failed || !run.x.length) return -1;
+  const outside = run.lateral.findIndex((value) => Math.abs(value) > data.lane / 2);
+  return outside >= 0 ? outside : run.x.length - 1;
+}
+
 /** Index of the last of increasing times that is not later than t; 0 if all are. */
 function lastBefore(times, t) {
   let low = 0;

@@ -1,0 +1,204 @@
+"""File in a campaign's folder that says what the campaign does at this moment, for whoever watches.
+
+The campaign replaces it once a second and removes it at its end. No result depends on it.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+
+from pydantic import BaseModel, Field, ValidationError
+
+from ds_orchestrator.campaign.eta import Eta
+from ds_orchestrator.campaign.feedback import watched
+from ds_orchestrator.campaign.folder import LIVE
+from ds_orchestrator.campaign.runner import Executor, Listener
+from ds_orchestrator.store.store import Execution, Test
+from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.gates.gate import Gate
+from ds_sim.session import RunRecord
+
+EVERY = 1.0
+"""Seconds between two writings of the file; chosen: as often as a page asks."""
+FRESH = 10.0
+"""Age of the file, s, from which its campaign counts as killed; chosen: ten writings, as machines may be busy."""
+_LARGEST = 2**20
+_LONGEST = 200
+
+
+class LiveDrive(BaseModel):
+    """A drive under way.
+
+    Attributes:
+        simulator: name of the simulator.
+        road_id: id of the road.
+        seed: seed of the run.
+        began: time at which the engine took it, s since 1970.
+        step: frames so far; None from engines that give no feedback.
+        progress: driven part of the road, in [0, 1], or None.
+        lateral_position: m from the lane's centre, positive to the right, or None.
+    """
+
+    simulator: str = Field(max_length=_LONGEST)
+    road_id: str = Field(max_length=_LONGEST)
+    seed: int
+    began: float = Field(allow_inf_nan=False)
+    step: int | None = None
+    progress: float | None = Field(default=None, ge=0.0, le=1.0)
+    lateral_position: float | None = Field(default=None, allow_inf_nan=False)
+
+
+class Live(BaseModel):
+    """What a campaign does.
+
+    Attributes:
+        updated: time of writing, s since 1970.
+        stage: name of the stage, or "".
+        done: executions that are finished, those of earlier sessions included.
+        total: executions that are expected at the end, or 0 if that is not known yet.
+        seconds_left: estimate of the time that driving still takes, or None.
+        drives: drives under way, the oldest first.
+    """
+
+    updated: float = Field(allow_inf_nan=False)
+    stage: str = Field(default="", max_length=_LONGEST)
+    done: int = 0
+    total: int = 0
+    seconds_left: float | None = Field(default=None, ge=0.0, allow_inf_nan=False)
+    drives: list[LiveDrive] = []
+
+
+def read_live(folder: Path, now: float) -> Live | None:
+    """Read what the campaign in a folder does; None if none runs, or an earlier version that writes no such file.
+
+    Args:
+        folder: campaign folder.
+        now: s since 1970.
+    """
+    try:
+        with (folder / LIVE).open("rb") as file:
+            live = Live.model_validate_json(file.read(_LARGEST))
+    except (OSError, ValidationError):
+        return None
+    return live if abs(now - live.updated) < FRESH else None
+
+
+class LiveFile:
+    """Listener that keeps the file up to date and forwards every call; a context manager that removes the file.
+
+    A file that cannot be written, as on a full disk, does not disturb the campaign.
+
+    Args:
+        folder: campaign folder.
+        listener: receives every call.
+    """
+
+    def __init__(self, folder: Path, listener: Listener) -> None:
+        self._path, self._listener = folder / LIVE, listener
+        self._lock, self._ended = threading.Lock(), threading.Event()
+        self._eta, self._live = Eta(), Live(updated=0.0)
+        self._drives: dict[int, LiveDrive] = {}
+        self._thread = threading.Thread(target=self._keep_writing, name="live file", daemon=True)
+
+    def __enter__(self) -> LiveFile:
+        self._write()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+        with suppress(OSError):
+            self._path.unlink()
+
+    def stage(self, name: str) -> None:
+        """See `Listener.stage`."""
+        with self._lock:
+            self._live.stage = name
+            self._eta.begin(time.monotonic())
+        self._listener.stage(name)
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """See `Listener.expect`."""
+        with self._lock:
+            self._eta.expect(stages)
+            self._live.total = sum(sum(stage.values()) for stage in stages)
+        self._listener.expect(stages)
+
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+        """See `Listener.finished`."""
+        with self._lock:
+            self._live.done += 1
+            self._eta.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
+            self._live.seconds_left = self._eta.seconds()
+        self._listener.finished(test, simulator, execution, fresh)
+
+    def result(self, name: str) -> None:
+        """Set the stage while results are computed."""
+        with self._lock:
+            self._live.stage, self._live.seconds_left = name, None
+
+    @contextmanager
+    def driving(self, simulator: str, road_id: str, seed: int) -> Iterator[LiveDrive]:
+        """Enter a drive under way; whoever has feedback sets its attributes."""
+        # Not checked: what is wrong with a name must not end a campaign here.
+        drive = LiveDrive.model_construct(simulator=simulator, road_id=road_id, seed=seed, began=time.time())
+        with self._lock:
+            self._drives[id(drive)] = drive
+        try:
+            yield drive
+        finally:
+            with self._lock:
+                del self._drives[id(drive)]
+
+    def _keep_writing(self) -> None:
+        while not self._ended.wait(EVERY):
+            self._write()
+
+    def _write(self) -> None:
+        with self._lock:
+            drives = sorted(self._drives.values(), key=lambda drive: drive.began)
+            text = self._live.model_copy(update={"updated": time.time(), "drives": drives}).model_dump_json()
+        partial = self._path.with_name(f"{self._path.name}.partial")
+        with suppress(OSError):
+            partial.write_text(text, encoding="utf-8")
+            os.replace(partial, self._path)
+
+
+class ObservedExecutor:
+    """Executor that enters its drives into a live file; satisfies `ds_orchestrator.campaign.runner.Executor`.
+
+    Args:
+        executor: drives the roads.
+        live: file.
+    """
+
+    def __init__(self, executor: Executor, live: LiveFile) -> None:
+        self._executor, self._live = executor, live
+
+    @property
+    def capacity(self) -> int | None:
+        """See `Executor.capacity`."""
+        return self._executor.capacity
+
+    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
+        """See `Executor.execute`."""
+        with self._live.driving(simulator, road.road_id, seed) as drive:
+
+            def watch(step: int, progress: float, lateral_position: float) -> None:
+                drive.step, drive.progress, drive.lateral_position = step, progress, lateral_position
+
+            return watched(self._executor, watch)(simulator, road, seed, conditions)
+
+    def stop(self) -> None:
+        """See `Executor.stop`."""
+        self._executor.stop()
