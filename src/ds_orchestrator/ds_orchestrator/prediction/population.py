@@ -77,6 +77,7 @@ class Population:
 
     Attributes:
         twin: coefficients of a simulator that was never driven.
+        limit: the same if the siblings' coefficients were known: what any number of tests on them leaves uncertain.
         siblings: (k, siblings p) means of the siblings' coefficients, at the grid's points.
         sibling_covariances: (k, siblings p, siblings p) their covariances.
         grid_weights: (k,) weights of the grid's points.
@@ -91,6 +92,7 @@ class Population:
     """
 
     twin: CoefficientMixture
+    limit: CoefficientMixture
     siblings: Array
     sibling_covariances: Array
     grid_weights: Array
@@ -173,13 +175,20 @@ def _population(
     mean = weights @ means
     second = np.diagonal(errors, axis1=1, axis2=2) + means**2
     effects = _curvature(margins, weights @ modes, sigma, omega)
+    prior = np.concatenate(([_MEAN_SCALE**2], np.full(p - 1, _MEAN_SLOPE_SCALE**2)))
+    # Of the population's mean, if the coefficients of all siblings were known.
+    least_errors = 1.0 / (margins.values.shape[1] / between + 1.0 / prior)
+    diagonal = np.einsum("kp,pq->kpq", between, np.eye(p))
+    twin = CoefficientMixture(
+        log_weights=(grid[:, None] + np.log(node_weights / node_weights.sum())).ravel(),
+        means=np.repeat(means, _SPREAD_NODES, axis=0),
+        covariances=np.repeat(errors + diagonal, _SPREAD_NODES, axis=0),
+        sigmas=np.tile(sigma * np.exp(SPREAD_SCALE * nodes), len(grid)),
+    )
+    least = np.einsum("kp,pq->kpq", least_errors, np.eye(p)) + diagonal
     return Population(
-        twin=CoefficientMixture(
-            log_weights=(grid[:, None] + np.log(node_weights / node_weights.sum())).ravel(),
-            means=np.repeat(means, _SPREAD_NODES, axis=0),
-            covariances=np.repeat(errors + np.einsum("kp,pq->kpq", between, np.eye(p)), _SPREAD_NODES, axis=0),
-            sigmas=np.tile(sigma * np.exp(SPREAD_SCALE * nodes), len(grid)),
-        ),
+        twin=twin,
+        limit=replace(twin, covariances=np.repeat(least, _SPREAD_NODES, axis=0)),
         siblings=modes[:, :-p],
         sibling_covariances=covariances[:, :-p, :-p],
         grid_weights=weights,

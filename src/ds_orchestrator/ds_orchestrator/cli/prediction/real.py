@@ -39,7 +39,9 @@ def propose_drives(folder: Path, *, drives: int, scale: float | None) -> Result:
     from ds_orchestrator.evaluation.table import Column, Table
     from ds_orchestrator.prediction.real.proposal import SCALE, propose, read_proposed, write_proposal
     from ds_orchestrator.prediction.real.records import read_drives
+    from ds_orchestrator.prediction.real.selection import expected_error
     from ds_orchestrator.prediction.real.update import margin_drives
+    from ds_orchestrator.prediction.real.worth import LEAST_GAIN
 
     source, prediction = _fitted(folder)
     known = read_drives(folder)
@@ -47,8 +49,7 @@ def propose_drives(folder: Path, *, drives: int, scale: float | None) -> Result:
     updated = prediction.updated(margin_drives(source.table, known))
     found = propose(source.table, updated, drives, scale=chosen_scale)
     paths = write_proposal(folder, found)
-    known_probabilities = updated.probabilities()
-    expected = float((known_probabilities * (1.0 - known_probabilities)).mean())
+    expected = expected_error(source.table, updated)
     table = Table(
         name="proposal",
         title=f"Drives on the car that tell most, after {len(known)} real drives",
@@ -66,7 +67,8 @@ def propose_drives(folder: Path, *, drives: int, scale: float | None) -> Result:
         ],
         notes=[
             "gain: expected reduction of the mean squared error of all predictions by the drive, after those above; "
-            f"that error is expected to be {expected:.4f} now: stop when a drive gains little of it"
+            f"that error is expected to be {expected:.4f} now: stop when a drive gains less than "
+            f"{100 * LEAST_GAIN:.0f} % of it"
         ],
     )  # fmt: skip
 
@@ -206,6 +208,8 @@ def _show(found: Update, path: Path) -> None:
     for name, of in (("before", found.before), ("after", found.after)):
         print(f"{name}: {of.sentence}")
     print(found.sentence)
+    for line in found.worth.sentences:
+        print(line)
     if found.span.warning:
         print(found.span.warning)
     print(path)

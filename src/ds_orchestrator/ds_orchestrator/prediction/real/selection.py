@@ -91,6 +91,12 @@ def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int) -> list
     return chosen
 
 
+def expected_error(table: OutcomeTable, prediction: TwinPrediction) -> float:
+    """Expected mean squared error of all predicted probabilities, each cell counting the same, as in `choose`."""
+    probabilities = prediction.probabilities()
+    return float(_cell_weights(table) @ (probabilities * (1.0 - probabilities)))
+
+
 _NOTHING = 1e-12
 """Variance below which a test tells nothing."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from ds_orchestrator.prediction.margins import margin
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
 from ds_orchestrator.prediction.real.records import RealDrive, RecordError
+from ds_orchestrator.prediction.real.worth import Worth, worth_of
 from ds_orchestrator.prediction.span import Span, span_of
 from ds_orchestrator.prediction.twin_prediction import MarginDrive, TwinPrediction
 from ds_orchestrator.prediction.verdicts import CellVerdict, Verdicts, judge
@@ -38,6 +39,7 @@ class Update:
         failures_after: the same with them.
         width_before: mean width of the 90 % intervals of the cells' failure rates, without the drives.
         width_after: the same with them.
+        worth: what the drives are worth in other drives, and whether to go on.
     """
 
     drives: Sequence[RealDrive]
@@ -48,6 +50,7 @@ class Update:
     failures_after: float
     width_before: float
     width_after: float
+    worth: Worth
 
     @property
     def changed(self) -> list[ChangedCell]:
@@ -78,6 +81,7 @@ class Update:
             "span": self.span.document(),
             "failures": [self.failures_before, self.failures_after],
             "interval_width": [self.width_before, self.width_after],
+            "worth": self.worth.document(),
             "sentence": self.sentence,
         }
 
@@ -137,6 +141,7 @@ def update(
         failures_after=_expected(after),
         width_before=_width(before.cells),
         width_after=_width(after.cells),
+        worth=worth_of(table, prediction, known),
     )
 
 

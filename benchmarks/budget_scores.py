@@ -1,0 +1,233 @@
+"""Scores predictors of a twin after a few drives on it, and tabulates them; see `benchmarks.real_budget`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_orchestrator.evaluation.table import Column, Table
+from ds_orchestrator.maps.merge_operators import OPERATORS
+from ds_orchestrator.prediction.margins import margin
+from ds_orchestrator.prediction.outcome_table import OutcomeTable
+from ds_orchestrator.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN
+from ds_orchestrator.prediction.real.selection import choose
+from ds_orchestrator.prediction.span import ODDS, span_of
+from ds_orchestrator.prediction.twin_prediction import MarginDrive, predict_twin
+from ds_orchestrator.prediction.undriven import undriven_probabilities
+
+Array = NDArray[np.float64]
+Errors = dict[str, Array]
+"""Predictor -> (tests,) squared errors."""
+
+BUDGETS = (0, 2, 4, 8, 16)
+RULES = ("information", "disagreement", "random")
+AIM = 4
+"""Budget at which the aim is judged."""
+CHOICES = 10
+"""Random choices, and orders of equal disagreement, whose mean is taken."""
+RESAMPLES = 2000
+SEED = 17
+"""Of twins, roads and choices; another one than that of the comparisons on which the model was made."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A twin of one network.
+
+    Attributes:
+        network: the driver.
+        group: `in turn`, `made` or `control`.
+        name: of the twin.
+        outside: the value of a made twin that is far outside, or "".
+        table: outcomes, with the twin.
+    """
+
+    network: str
+    group: str
+    name: str
+    outside: str
+    table: OutcomeTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """A twin's squared errors, per test.
+
+    Attributes:
+        case: the twin.
+        plain: predictor -> errors without any drive.
+        after: rule and budget -> predictor -> errors after the drives, driven tests being known to all predictors.
+        odds: budget -> odds that the twin is outside of the siblings' span, drives chosen by expected information.
+    """
+
+    case: Case
+    plain: Errors
+    after: Mapping[tuple[str, int], Errors]
+    odds: Mapping[int, float]
+
+
+def score(case: Case) -> Scored:
+    """Score every predictor of a twin after every budget, by every rule."""
+    table = case.table
+    truth = table.failed(str(table.twin)).astype(np.float64)
+    prediction = predict_twin(table)
+    driven = np.array([table.failed(name).astype(np.float64) for name in table.siblings])
+    fixed = {name: operator.combine(driven, np.ones(len(driven))) for name, operator in OPERATORS.items()}
+    fixed[UNDRIVEN] = undriven_probabilities(table, "all")
+    fixed[SINGLE] = undriven_probabilities(table, "best")
+    plain = {name: (p - truth) ** 2 for name, p in fixed.items()}
+    plain["one sibling"] = ((driven - truth) ** 2).mean(axis=0)  # mean of the siblings' own scores
+    plain[HIERARCHICAL] = (prediction.probabilities() - truth) ** 2
+    after: dict[tuple[str, int], Errors] = {}
+    odds: dict[int, float] = {}
+    for rule in RULES:
+        choices = 1 if rule == "information" else CHOICES
+        sums: dict[int, Errors] = {budget: {} for budget in BUDGETS}
+        for choice in range(choices):
+            rng = np.random.default_rng([SEED, choice])
+            order = _order(rule, table, rng)
+            updated = prediction
+            rows: list[int] = []
+            for budget in BUDGETS:
+                if order is None:
+                    more = [one.row for one in choose(table, updated, budget - len(rows))]
+                else:
+                    more = order[len(rows) : budget]
+                updated, rows = updated.updated([_outcome(table, row) for row in more]), [*rows, *more]
+                hidden = np.ones(len(table))
+                hidden[rows] = 0.0
+                errors = {name: squared * hidden for name, squared in plain.items()}
+                errors[HIERARCHICAL] = (updated.probabilities() - truth) ** 2
+                for name, squared in errors.items():
+                    sums[budget][name] = sums[budget].get(name, np.zeros(len(table))) + squared / choices
+                if order is None:
+                    odds[budget] = span_of(updated).odds
+        after |= {(rule, budget): errors for budget, errors in sums.items()}
+    return Scored(case=case, plain=plain, after=after, odds=odds)
+
+
+def _order(rule: str, table: OutcomeTable, rng: np.random.Generator) -> list[int] | None:
+    """Rows in the order in which they are driven; None if it depends on the outcomes."""
+    if rule == "information":
+        return None
+    order = rng.permutation(len(table))
+    if rule == "disagreement":
+        mean = np.mean([table.failed(name) for name in table.siblings], axis=0)
+        order = order[np.argsort(np.abs(mean[order] - 0.5), kind="stable")]
+    return [int(row) for row in order]
+
+
+def _outcome(table: OutcomeTable, row: int) -> MarginDrive:
+    column = table.column(str(table.twin))
+    failed = bool(table.failed(str(table.twin))[row])
+    known = margin(table.lateral[row : row + 1, column], table.half_lanes[row : row + 1])
+    return MarginDrive(row=row, failed=failed, margin=None if failed else float(known[0]))
+
+
+def pooled(errors: Sequence[tuple[Case, Array]]) -> tuple[float, tuple[float, float]]:
+    """Mean over twins and tests of a squared error, or of a difference of two, with its 95 % interval."""
+    roads = sorted({test for case, _ in errors for test in case.table.test_ids})
+    place = {test: k for k, test in enumerate(roads)}
+    values, known = np.zeros((len(errors), len(roads))), np.zeros((len(errors), len(roads)))
+    for k, (case, of) in enumerate(errors):
+        columns = [place[test] for test in case.table.test_ids]
+        values[k, columns], known[k, columns] = of, 1.0
+    rng = np.random.default_rng(SEED)
+    twins = rng.multinomial(len(errors), np.full(len(errors), 1 / len(errors)), RESAMPLES).astype(np.float64)
+    tests = rng.multinomial(len(roads), np.full(len(roads), 1 / len(roads)), RESAMPLES).astype(np.float64)
+    means = np.einsum("bt,tr,br->b", twins, values, tests, optimize=True)
+    means /= np.maximum(np.einsum("bt,tr,br->b", twins, known, tests, optimize=True), 1.0)
+    low, high = np.quantile(means, (0.025, 0.975))
+    return float(values.sum() / known.sum()), (float(low), float(high))
+
+
+def tables_of(scored: Sequence[Scored]) -> list[Table]:
+    """Tabulate the groups that have a twin, over all networks."""
+    groups = {
+        "in turn": [one for one in scored if one.case.group == "in turn"],
+        "made": [one for one in scored if one.case.group == "made"],
+        "made, within": [one for one in scored if one.case.group == "made" and not one.case.outside],
+        "made, outside": [one for one in scored if one.case.outside],
+        "control": [one for one in scored if one.case.group == "control"],
+    }
+    groups = {name: of for name, of in groups.items() if of}
+    return [_budget_table(groups), _baseline_table(groups), _span_table(groups)]
+
+
+def _budget_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
+    rows = []
+    for group, of in groups.items():
+        for budget in BUDGETS:
+            by_rule = {r: [(one.case, one.after[r, budget][HIERARCHICAL]) for one in of] for r in RULES}
+            cells: list[Any] = [pooled(by_rule[rule])[0] for rule in RULES]
+            for other in RULES[1:]:
+                cells += pooled([(c, e - f) for (c, e), (_, f) in zip(by_rule[RULES[0]], by_rule[other], strict=True)])
+            change = [(one.case, one.after[RULES[0], budget][HIERARCHICAL] - one.plain[HIERARCHICAL]) for one in of]
+            rows.append((group, len(of), budget, *cells, *pooled(change)))
+    return Table(
+        name="budgets",
+        title="Brier score of the hierarchical model after a few drives on the twin",
+        columns=[
+            Column("twins"), Column("number", "count"), Column("drives", "count"),
+            *(Column(rule, "number") for rule in RULES),
+            Column("minus disagreement", "number"), Column("95 %", "number"),
+            Column("minus random", "number"), Column("95 % of it", "number"),
+            Column("minus no drive", "number"), Column("95 % of that", "number"),
+        ],
+        rows=rows,
+    )  # fmt: skip
+
+
+def _baseline_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
+    rows = []
+    for group, of in groups.items():
+        for name in of[0].plain:
+            row: list[Any] = [group, name, pooled([(one.case, one.plain[name]) for one in of])[0]]
+            for budget in (0, AIM):
+                ours = [one.after["information", budget] for one in of]
+                own = pooled([(one.case, e[HIERARCHICAL] - one.plain[name]) for one, e in zip(of, ours, strict=True)])
+                row += own if name != HIERARCHICAL or budget else (None, None)
+            filled = [(one.case, one.after["information", AIM]) for one in of]
+            row += pooled([(c, e[HIERARCHICAL] - e[name]) for c, e in filled]) if name != HIERARCHICAL else (None, None)
+            rows.append(tuple(row))
+    return Table(
+        name="baselines",
+        title=f"Hierarchical model without a drive, and after {AIM} by expected information, minus each predictor",
+        columns=[
+            Column("twins"), Column("predictor"), Column("its Brier score", "number"),
+            Column("model, no drive, minus it", "number"), Column("95 %", "number"),
+            Column(f"after {AIM}, minus it", "number"), Column("95 % ", "number"),
+            Column(f"after {AIM}, minus it with these outcomes", "number"), Column("95 %  ", "number"),
+        ],
+        rows=rows,
+    )  # fmt: skip
+
+
+def _span_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
+    rows = [
+        (
+            one.case.network, group, one.case.name, len(one.case.table),
+            int(one.case.table.failed(str(one.case.table.twin)).sum()),
+            *(int(one.case.table.failed(name).sum()) for name in one.case.table.siblings),
+            float(one.plain[HIERARCHICAL].mean()), float(one.after["information", AIM][HIERARCHICAL].mean()),
+            one.odds[AIM], "yes" if one.odds[AIM] > ODDS else "no",
+        )
+        for group, of in groups.items()
+        if not group.startswith("made, ")
+        for one in of
+    ]  # fmt: skip
+    return Table(
+        name="twins",
+        title=f"Each twin: failures, Brier score before and after {AIM} drives, and whether it is said to be outside",
+        columns=[
+            Column("network"), Column("twins"), Column("twin"), Column("tests", "count"), Column("fails", "count"),
+            *(Column(f"sibling {k}", "count") for k in (1, 2, 3)),
+            Column("Brier before", "number"), Column(f"after {AIM}", "number"),
+            Column("odds", "number"), Column("said to be outside"),
+        ],
+        rows=rows,
+    )  # fmt: skip
