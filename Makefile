@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 RUN_SETUP = $${PYTHON:-python3} tools/setup.py
 
-.PHONY: help setup demo test test-long fuzz lint docs clean
+.PHONY: help setup demo test test-long fuzz lint docs wheel clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -33,6 +33,10 @@ docs:  ## build the documentation's site into build/site; a broken link fails
 	@$(RUN_SETUP) --docs
 	@. .venv/env.sh && NO_MKDOCS_2_WARNING=1 python -m mkdocs build --strict
 
+wheel:  ## build the wheel of all packages that need no ROS into dist/
+	@$(RUN_SETUP) --dev
+	@./tools/wheel.sh
+
 clean:  ## remove what set-up and the tools created; results stay
-	rm -rf .venv build ros_ws/build ros_ws/install ros_ws/log .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build dist ros_ws/build ros_ws/install ros_ws/log .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find src tests tools benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from pydantic import BaseModel
+from tests.python_api_page import short_script
 
 from ds_orchestrator.campaign import CampaignConfig
 
@@ -21,17 +22,7 @@ DOCS = ROOT / "docs"
 @pytest.mark.timeout(600)
 def test_the_python_api_runs_as_written(tmp_path: Path) -> None:
     """In a process in which ROS cannot be imported, with shorter searches and a faster driver."""
-    blocks = re.findall(r"^```python\n(.*?)^```", (DOCS / "python_api.md").read_text(), re.MULTILINE | re.DOTALL)
-    script = "import sys\nsys.modules['rclpy'] = None\n" + "\n".join(blocks)
-    short = script
-    for long, quick in (
-        ("population=10, iterations=20", "population=1, iterations=0"),
-        ('"iterations": 1', '"iterations": 0'),
-        ('make_driver("dave2_short", ', 'make_driver("autopilot", '),
-    ):
-        assert short.count(long) == 1, long
-        short = short.replace(long, quick)
-    (tmp_path / "page.py").write_text(short)
+    (tmp_path / "page.py").write_text(short_script())
     done = subprocess.run([sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=580)
     assert done.returncode == 0, done.stderr[-2000:]
     assert {"roads.json", "drive.png", "failures.json"} <= {path.name for path in tmp_path.iterdir()}

@@ -5,9 +5,7 @@ They equal the messages of the live graph (`ds_sim.ros.conversions`); a test com
 
 from __future__ import annotations
 
-import os
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose, base_frame, body_pose, camera_frame, camera_pose
+from ds_sim.installation import share_folders
 from ds_sim.simulator import Command, Observation, VehicleState
 
 _OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
@@ -35,8 +34,8 @@ def typestore() -> Typestore:
         TypesError: the workspace's messages are not on AMENT_PREFIX_PATH.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        folder = Path(prefix) / "share" / "ds_interfaces" / "msg"
+    for share in share_folders("ds_interfaces"):
+        folder = share / "msg"
         if (folder / "Road.msg").exists():
             types: dict[str, Any] = {}
             for name in _OWN_MESSAGES:

@@ -87,6 +87,11 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
         imports: import every library instead of looking it up.
     """
     root = root or repository()
+    if not (root / "requirements/project.txt").is_file():
+        from ds_orchestrator.doctor_of_wheel import diagnose_wheel
+
+        if (of_wheel := diagnose_wheel(imports=imports)) is not None:
+            return of_wheel
     python = root / ".venv/bin/python"
     checks = [*check_system(), check_shared_memory()]
     if not python.is_file():

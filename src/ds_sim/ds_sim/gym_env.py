@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ds_road import Road, generate
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.installation import install_command
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import FRAME_RATE, Command, Observation, Outcome, SimulatorError
 
@@ -20,8 +21,7 @@ try:
     from gymnasium import spaces
 except ImportError as missing:
     raise ImportError(
-        "ds_sim.gym_env needs Gymnasium, an optional package. Type: "
-        "python -m pip install --no-deps -r requirements/gym.txt"
+        f"ds_sim.gym_env needs Gymnasium, an optional package. Type: {install_command('gym')}"
     ) from missing
 
 ENVIRONMENT_ID = "DigitalSiblings-v0"

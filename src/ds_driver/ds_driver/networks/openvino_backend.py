@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.networks.backends import BackendError, Runner, last_line, shape_and_type
+from ds_sim.installation import install_command
 
-INSTALL = ".venv/bin/python -m pip install --no-deps -r requirements/openvino.txt"
 LARGEST_BATCH = 8
 """Images in one inference; chosen: Dave-2 gains 28 % from 1 to 4 and 3 % from 4 to 8 (benchmarks/inference.py)."""
 
@@ -36,7 +36,7 @@ def openvino_runner(
     try:
         import openvino
     except ImportError:
-        raise BackendError(f"OpenVINO is not installed (60 MB): type {INSTALL}") from None
+        raise BackendError(f"OpenVINO is not installed (60 MB): type {install_command('openvino')}") from None
     core = openvino.Core()
     if bf16 and "BF16" not in cpu_capabilities(core):
         raise BackendError("this processor has no bfloat16 (AVX512_BF16 or AMX): use the backend openvino")

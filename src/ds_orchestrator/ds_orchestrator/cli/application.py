@@ -91,6 +91,8 @@ def run(arguments: Sequence[str]) -> int:
         return _fail("a file is nested too deeply: expected a few levels", 2)
     except RuntimeError as error:
         return _fail(_one_line(error), 1)
+    except ModuleNotFoundError as error:  # an extra of the wheel, or an incomplete installation
+        return _fail(_missing(error), 1)
     if status == 130:  # typer's answer to an interruption
         return _stopped("")
     return status if isinstance(status, int) else 0
@@ -112,6 +114,15 @@ def _one_line(error: BaseException) -> str:
     full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
     advice = ": free some space, then run the same command again" if full else ""
     return f"{where}{' '.join(str(text).split())}{advice}"
+
+
+def _missing(error: ModuleNotFoundError) -> str:
+    from ds_sim.installation import install_command, wheel_version
+
+    name = str(error.name)
+    if name == "torch" and wheel_version() is not None:
+        return f"this needs PyTorch, an extra: {install_command('torch')}"
+    return f"the Python package {name} is missing: ds doctor says how to install what is missing"
 
 
 def _usage_problem(error: Any) -> str:

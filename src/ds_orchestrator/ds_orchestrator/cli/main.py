@@ -55,10 +55,12 @@ def version() -> str:
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed
 
-    try:
-        return installed("ds_orchestrator")
-    except PackageNotFoundError:
-        return "of unknown version"
+    for distribution in ("digital-siblings", "ds_orchestrator"):
+        try:
+            return installed(distribution)
+        except PackageNotFoundError:
+            continue
+    return "of unknown version"
 
 
 def main() -> None:

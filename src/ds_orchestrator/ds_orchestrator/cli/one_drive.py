@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ds_bags.layout import Level
 from ds_orchestrator.cli.output import Interrupted, Result, duration, say
+from ds_orchestrator.graph.availability import check_ros
 from ds_sim.conditions.model import DEFAULT, Conditions
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def drive(request: DriveRequest) -> Result:
     from ds_sim.video import write_video
 
     _check(request)
+    check_ros()
     sim, road = request.sim, request.road
     started = time.monotonic()
     try:

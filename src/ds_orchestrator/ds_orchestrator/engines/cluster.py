@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from ds_sim.installation import install_command
+
 CONNECT_TIME = 10.0
 """Limit for reaching a scheduler, s; chosen: a loaded one answers in a second."""
-INSTALL = ".venv/bin/python -m pip install --no-deps -r requirements/dask.txt"
 
 
 class ClusterError(ValueError):
@@ -63,7 +64,7 @@ class ClusterOptions:
         try:
             import_module("distributed")
         except ImportError:
-            raise ClusterError(f"Dask is not installed: type {INSTALL}") from None
+            raise ClusterError(f"Dask is not installed: type {install_command('dask')}") from None
 
     @property
     def encrypted(self) -> bool:

@@ -11,6 +11,7 @@ from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.gatekeeper import GateDriver
 from ds_orchestrator.campaign.runner import Executor
 from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.graph.availability import check_ros
 from ds_orchestrator.search.objectives import OBJECTIVES
 
 
@@ -20,6 +21,7 @@ def check_engine(config: CampaignConfig, cluster: ClusterOptions, *, attach: boo
     Raises:
         ConfigError: an option does not go with the engine.
         ds_orchestrator.engines.cluster.ClusterError: the cluster's options do not go together.
+        ds_orchestrator.graph.availability.RosMissingError: the engine needs nodes, and ROS is not installed.
     """
     if config.engine == "graph" and OBJECTIVES[config.search.objective].everywhere:
         raise ConfigError(
@@ -32,6 +34,8 @@ def check_engine(config: CampaignConfig, cluster: ClusterOptions, *, attach: boo
         raise ConfigError(f"workers: {config.workers} cannot be used with --attach: set it to 1, or leave out --attach")
     if config.engine != "dask" and cluster != ClusterOptions():
         raise ConfigError(f"engine: {config.engine} uses no cluster: set it to dask (--engine dask)")
+    if config.engine == "graph":
+        check_ros()
     if config.engine == "dask":
         cluster.check()
 

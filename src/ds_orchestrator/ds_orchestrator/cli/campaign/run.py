@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from contextlib import closing
 from dataclasses import asdict, replace
@@ -195,9 +194,10 @@ def shipped_config(name: str) -> CampaignConfig:
         ds_orchestrator.campaign.config.ConfigError: the workspace is not built or not sourced.
     """
     from ds_orchestrator.campaign.config import ConfigError, read_config
+    from ds_sim.installation import share_folders
 
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        path = Path(prefix) / "share" / "ds_bringup" / "config" / f"{name}.yaml"
+    for folder in share_folders("ds_bringup"):
+        path = folder / "config" / f"{name}.yaml"
         if path.exists():
             return read_config(path, hint=say)
     raise ConfigError(f"{name}.yaml of ds_bringup is not on AMENT_PREFIX_PATH: build and source the workspace")

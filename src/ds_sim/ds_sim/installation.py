@@ -1,0 +1,39 @@
+"""Where shared files are and how extras are added: in a checkout, in a workspace of ROS, or installed from a wheel."""
+
+from __future__ import annotations
+
+import os
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+WHEEL = "digital-siblings"
+"""Distribution with all packages that need no ROS."""
+
+
+def share_folders(package: str) -> list[Path]:
+    """Folders in which the shared files of a ROS package may be, such as its messages, the first ones first.
+
+    Args:
+        package: name of a package without Python modules, such as `ds_interfaces`.
+    """
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    return [prefix / "share" / package for prefix in [*prefixes, Path(__file__).parent]]
+
+
+def wheel_version() -> str | None:
+    """Version of the installed wheel; None in a checkout or a workspace."""
+    try:
+        return version(WHEEL)
+    except PackageNotFoundError:
+        return None
+
+
+def install_command(extra: str) -> str:
+    """Command that installs the libraries of an extra.
+
+    Args:
+        extra: name of a file in `requirements/`, which is also the name of the wheel's extra.
+    """
+    if wheel_version() is not None:
+        return f"python -m pip install '{WHEEL}[{extra}]'"
+    return f".venv/bin/python -m pip install --no-deps -r requirements/{extra}.txt"
