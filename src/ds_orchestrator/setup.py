@@ -27,6 +27,7 @@ setup(
             "campaign = ds_orchestrator.ros.executables:campaign",
             "drive = ds_orchestrator.ros.executables:drive",
             "demo = ds_orchestrator.ros.executables:demo",
+            "watch = ds_orchestrator.ros.executables:watch",
         ],
     },
 )

@@ -1,6 +1,6 @@
 """Verbs of `ds` as ROS executables, for graphs started by launch files: `ros2 run ds_orchestrator campaign ...`.
 
-They take the arguments of the verb, attach to the running nodes, and ignore ROS arguments.
+They take the arguments of the verb and ignore ROS arguments; all but `watch` attach to the running nodes.
 """
 
 from __future__ import annotations
@@ -27,6 +27,15 @@ def demo() -> None:
     _attached(["demo"])
 
 
+def watch() -> None:
+    """Run `ds watch DIR`."""
+    _run(["watch"])
+
+
 def _attached(verb: list[str]) -> None:
-    sys.argv = [f"ds {' '.join(verb)}", *verb, *remove_ros_args(sys.argv)[1:], "--attach"]
+    _run(verb, "--attach")
+
+
+def _run(verb: list[str], *options: str) -> None:
+    sys.argv = [f"ds {' '.join(verb)}", *verb, *remove_ros_args(sys.argv)[1:], *options]
     cli.main()
