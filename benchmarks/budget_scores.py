@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.maps.merge_operators import OPERATORS
+from ds_orchestrator.prediction.coverage import COVERAGE, forecast_cells
 from ds_orchestrator.prediction.margins import margin
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
 from ds_orchestrator.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN
@@ -18,6 +19,7 @@ from ds_orchestrator.prediction.real.selection import choose
 from ds_orchestrator.prediction.span import ODDS, span_of
 from ds_orchestrator.prediction.twin_prediction import MarginDrive, predict_twin
 from ds_orchestrator.prediction.undriven import undriven_probabilities
+from ds_orchestrator.prediction.verdicts import ERROR_RATE
 
 Array = NDArray[np.float64]
 Errors = dict[str, Array]
@@ -62,12 +64,17 @@ class Scored:
         plain: predictor -> errors without any drive.
         after: rule and budget -> predictor -> errors after the drives, driven tests being known to all predictors.
         odds: budget -> odds that the twin is outside of the siblings' span, drives chosen by expected information.
+        ranks: randomised ranks of the cells' failure rates in their forecasts, without a drive.
+        calls: budget -> tests that were not driven and are called safe, those of them that fail, tests called failing,
+            and those of them that do not; drives chosen by expected information.
     """
 
     case: Case
     plain: Errors
     after: Mapping[tuple[str, int], Errors]
     odds: Mapping[int, float]
+    ranks: Sequence[float]
+    calls: Mapping[int, tuple[int, int, int, int]]
 
 
 def score(case: Case) -> Scored:
@@ -84,6 +91,8 @@ def score(case: Case) -> Scored:
     plain[HIERARCHICAL] = (prediction.probabilities() - truth) ** 2
     after: dict[tuple[str, int], Errors] = {}
     odds: dict[int, float] = {}
+    calls: dict[int, tuple[int, int, int, int]] = {}
+    ranks = [float(one.rank) for one in forecast_cells(table, prediction) if one.rank is not None]
     for rule in RULES:
         choices = 1 if rule == "information" else CHOICES
         sums: dict[int, Errors] = {budget: {} for budget in BUDGETS}
@@ -106,8 +115,15 @@ def score(case: Case) -> Scored:
                     sums[budget][name] = sums[budget].get(name, np.zeros(len(table))) + squared / choices
                 if order is None:
                     odds[budget] = span_of(updated).odds
+                    calls[budget] = _calls(updated.probabilities(), truth, hidden > 0.0)
         after |= {(rule, budget): errors for budget, errors in sums.items()}
-    return Scored(case=case, plain=plain, after=after, odds=odds)
+    return Scored(case=case, plain=plain, after=after, odds=odds, ranks=ranks, calls=calls)
+
+
+def _calls(probabilities: Array, truth: Array, rows: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    safe, fails = rows & (probabilities <= ERROR_RATE), rows & (probabilities >= 1.0 - ERROR_RATE)
+    failed = truth > 0.0
+    return int(safe.sum()), int((safe & failed).sum()), int(fails.sum()), int((fails & ~failed).sum())
 
 
 def _order(rule: str, table: OutcomeTable, rng: np.random.Generator) -> list[int] | None:
@@ -155,7 +171,7 @@ def tables_of(scored: Sequence[Scored]) -> list[Table]:
         "control": [one for one in scored if one.case.group == "control"],
     }
     groups = {name: of for name, of in groups.items() if of}
-    return [_budget_table(groups), _baseline_table(groups), _span_table(groups)]
+    return [_budget_table(groups), _baseline_table(groups), _calibration_table(groups), _span_table(groups)]
 
 
 def _budget_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
@@ -202,6 +218,27 @@ def _baseline_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
             Column("model, no drive, minus it", "number"), Column("95 %", "number"),
             Column(f"after {AIM}, minus it", "number"), Column("95 % ", "number"),
             Column(f"after {AIM}, minus it with these outcomes", "number"), Column("95 %  ", "number"),
+        ],
+        rows=rows,
+    )  # fmt: skip
+
+
+def _calibration_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
+    edges = (1.0 - COVERAGE) / 2.0, (1.0 + COVERAGE) / 2.0
+    rows: list[tuple[Any, ...]] = []
+    for group, of in groups.items():
+        ranks = np.array([rank for one in of for rank in one.ranks])
+        held = float(((ranks >= edges[0]) & (ranks <= edges[1])).mean())
+        for budget in (0, AIM):
+            counts = np.array([one.calls[budget] for one in of]).sum(axis=0).tolist()
+            rows.append((group, len(ranks) if not budget else None, held if not budget else None, budget, *counts))
+    return Table(
+        name="calibration",
+        title="Cells whose 90 % forecast holds the twin's rate, and tests called safe or failing that were not driven",
+        columns=[
+            Column("twins"), Column("cells", "count"), Column("held", "number"), Column("drives", "count"),
+            Column("called safe", "count"), Column("of them fail", "count"),
+            Column("called failing", "count"), Column("of them do not", "count"),
         ],
         rows=rows,
     )  # fmt: skip

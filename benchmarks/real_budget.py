@@ -153,6 +153,7 @@ def main() -> None:
         "scores": [
             {
                 "network": one.case.network, "group": one.case.group, "twin": one.case.name, "odds": one.odds,
+                "ranks": one.ranks, "calls": one.calls,
                 "plain": {name: float(e.mean()) for name, e in one.plain.items()},
                 "after": {
                     f"{rule} {budget}": {name: float(e.mean()) for name, e in errors.items()}

@@ -1,0 +1,54 @@
+"""Cars that the benchmark of real drives makes: the same ones for the same seed, within their ranges, and drivable."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.budget_scores import SEED, Case, pooled, score
+from benchmarks.made_twins import EVERY, OUTSIDE, WITHIN, made_twin
+
+from ds_orchestrator.prediction.outcome_table import table_of_outcomes
+from ds_orchestrator.siblings.outcomes import Outcomes
+from ds_road import generate
+from ds_sim.registry import make_simulator
+from ds_twin_donkey.parameter_file import read_parameters
+
+
+def test_twins_are_those_of_their_seed_and_lie_in_their_ranges(tmp_path: Path) -> None:
+    twins = [made_twin(number, SEED) for number in range(1, 21)]
+    assert twins == [made_twin(number, SEED) for number in range(1, 21)] and twins[0] != made_twin(1, SEED + 1)
+    assert [twin.outside for twin in twins if twin.outside] == list(OUTSIDE)
+    for twin in twins:
+        for name, (low, high) in WITHIN.items():
+            assert (low <= twin.values[name] <= high) == (name != twin.outside)
+        assert bool(twin.outside) == (twin.number % EVERY == 0)
+    simulator = twins[3].simulator(tmp_path / "twins")
+    parameters, _ = read_parameters(Path(simulator.partition("@")[2]))
+    assert parameters == twins[3].parameters and parameters.max_steering_angle < np.radians(23.1)
+    made = make_simulator(simulator)
+    assert made.spec.extra["car"]
+    made.close()
+
+
+def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A twin that fails everywhere: without drives every predictor errs, with all drives known none does."""
+    monkeypatch.setattr("benchmarks.budget_scores.CHOICES", 2)
+    rng = np.random.default_rng(3)
+    roads = tuple(generate(rng, max_angle=200) for _ in range(16))
+    failed = np.column_stack((rng.random((16, 3)) < 0.3, np.ones(16, bool)))
+    outcomes = Outcomes(
+        simulators=("a", "b", "c", "d"), roads=roads, failed=failed, lateral=np.where(failed, 2.0, 1.2), profiles={}
+    )
+    table = table_of_outcomes(outcomes, twin="d")
+    found = score(Case(network="none", group="made", name="d", outside="", table=table))
+    driven = failed[:, :3].mean(axis=1)
+    assert found.plain["mean"] == pytest.approx((driven - 1.0) ** 2)
+    for rule in ("information", "disagreement", "random"):
+        assert all(errors.max() == 0.0 for errors in found.after[rule, 16].values())
+        four = found.after[rule, 4]
+        assert four["mean"].sum() < found.plain["mean"].sum()
+        assert four["hierarchical model"].mean() < found.plain["hierarchical model"].mean()
+    mean, (low, high) = pooled([(found.case, found.plain["mean"])])
+    assert mean == pytest.approx(found.plain["mean"].mean()) and low < mean < high
