@@ -69,7 +69,7 @@ def test_a_campaign_becomes_a_table(tmp_path: Path) -> None:
         row, column = table.test_ids.index(one.test_id), table.column(one.simulator)
         assert (table.states[row, column] == State.FAILED) == one.outcome.is_failure
         assert table.lateral[row, column] == min(one.max_lateral_position, 2.0)
-    # An error that a later attempt mended leaves the verdict.
+    # An error that a later attempt fixed leaves the verdict.
     assert table.known("bullet").all()
     assert table.cells == tuple(data.cells[test_id] for test_id in table.test_ids)
 

@@ -28,25 +28,34 @@ CARD = "sim2real.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prepared:
-    """Both domains, ready for training and for assessment.
+class Sources:
+    """What both domains are made of.
 
     Attributes:
-        domains: prepared images for training.
+        simulator: name of the simulator.
+        settings: settings of the training.
         frames: simulated frames, whole.
-        held_out_real: held-out photographs, prepared.
+        photographs: for training, whole.
+        held_out_photographs: held-out photographs, whole.
+        views: where simulated images and photographs show the lane.
         match: crops.
-        warnings: lines for the user.
     """
 
-    domains: Domains
+    simulator: str
+    settings: Sim2RealSettings
     frames: SimulatedFrames
-    held_out_real: NDArray[np.uint8]
+    photographs: NDArray[np.uint8]
+    held_out_photographs: NDArray[np.uint8]
+    views: tuple[LaneView, LaneView]
     match: Match
-    warnings: tuple[str, ...]
+
+    @property
+    def held_out_real(self) -> NDArray[np.uint8]:
+        """Return the held-out photographs, prepared."""
+        return _prepared(self.held_out_photographs, self.match.real, self.settings.shape.size)
 
 
-def prepare_domains(
+def read_sources(
     simulator: str,
     source: Path,
     out: Path,
@@ -55,13 +64,13 @@ def prepare_domains(
     *,
     data_sets: Sequence[Path] = (),
     expected: dict[str, Any] | None = None,
-) -> Prepared:
-    """Read photographs, drive for simulated images, and crop both so that they show the lane alike.
+) -> Sources:
+    """Read photographs, drive for simulated images, and find the crops that show the lane alike.
 
     Args:
         simulator: name of the simulator.
         source: tub, bag or folder of photographs.
-        out: folder of the training, created if missing; keeps the simulated images and the card `sim2real.json`.
+        out: folder of the training, created if missing; keeps the simulated images.
         settings: settings of the training.
         progress: called after each simulated drive.
         data_sets: folders of data sets whose roads must not be used.
@@ -78,35 +87,60 @@ def prepare_domains(
     real = measure_lane(photographs, "photographs")
     out.mkdir(parents=True, exist_ok=True)
     frames = simulated_frames(simulator, settings, out / FRAMES, progress)
-    images = frames.images[~frames.held_out]
-    simulated = measure_lane(images, f"images of {simulator}")
+    simulated = measure_lane(frames.images[~frames.held_out], f"images of {simulator}")
     match = match_windows(simulated, network_window(spec), real)
     if expected is not None and expected["crop"]["real"] != asdict(match.real):
         raise Sim2RealError(
             f"{source} does not lead to the crop of the training: give the photographs it was trained on"
         )
     training, held_out = split(photographs)
-    size = settings.shape.size
-    small = _prepared(images[_even(len(images), settings.images)], match.simulated, size)
-    small_real = _prepared(training, match.real, size)
+    return Sources(
+        simulator=simulator,
+        settings=settings,
+        frames=frames,
+        photographs=training,
+        held_out_photographs=held_out,
+        views=(simulated, real),
+        match=match,
+    )
+
+
+def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains, tuple[str, ...]]:
+    """Crop both domains, pair their images, and write the training's card.
+
+    Args:
+        sources: frames, photographs and crops.
+        source: where the photographs come from.
+        out: folder of the training, for the card `sim2real.json`.
+
+    Returns:
+        Images for training, and warnings for the user.
+
+    Raises:
+        Sim2RealError: too few images show the lane.
+    """
+    frames, match, size = sources.frames, sources.match, sources.settings.shape.size
+    images = frames.images[~frames.held_out]
+    small = _prepared(images[_even(len(images), sources.settings.images)], match.simulated, size)
+    small_real = _prepared(sources.photographs, match.real, size)
     pairs = pair_lanes(small, small_real)
-    held_out_real = _prepared(held_out, match.real, size)
     held_out_frames = np.flatnonzero(frames.held_out)
     shown = frames.images[held_out_frames[_even(len(held_out_frames), SHOWN)]]
+    held_out_real = sources.held_out_real
     domains = Domains(
         simulated=small[pairs.simulated],
         real=small_real,
         pairs=pairs.photographs,
+        simulated_lanes=pairs.simulated_lanes,
+        real_lanes=pairs.photographed_lanes,
         shown_simulated=_prepared(shown, match.simulated, size),
         shown_real=held_out_real[_even(len(held_out_real), SHOWN)],
-        simulator=simulator,
+        simulator=sources.simulator,
         window=match.simulated,
         real_window=match.real,
     )
-    warnings = _warnings(match, pairs)
-    if expected is None:
-        _write_card(out / CARD, simulator, source, settings, match, (simulated, real), domains, pairs)
-    return Prepared(domains=domains, frames=frames, held_out_real=held_out_real, match=match, warnings=warnings)
+    _write_card(out / CARD, source, sources, domains, pairs)
+    return domains, _warnings(match, pairs)
 
 
 def network_window(spec: SimulatorSpec) -> Window:
@@ -164,25 +198,17 @@ def _warnings(match: Match, pairs: LanePairs) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _write_card(
-    path: Path,
-    simulator: str,
-    source: Path,
-    settings: Sim2RealSettings,
-    match: Match,
-    views: tuple[LaneView, LaneView],
-    domains: Domains,
-    pairs: LanePairs,
-) -> None:
+def _write_card(path: Path, source: Path, sources: Sources, domains: Domains, pairs: LanePairs) -> None:
+    match = sources.match
     card = {
-        "simulator": simulator,
+        "simulator": sources.simulator,
         "photographs": source.resolve().name,
-        "settings": asdict(settings),
+        "settings": asdict(sources.settings),
         "images": {"simulated": len(domains.simulated), "real": len(domains.real)},
         "crop": {"simulated": asdict(match.simulated), "real": asdict(match.real), "kept": round(match.kept, 4)},
         "lane": {
             name: {"share_of_images": round(view.share, 4), **{k: round(v, 4) for k, v in asdict(position).items()}}
-            for name, view, position in zip(("simulated", "real"), views, match.positions, strict=True)
+            for name, view, position in zip(("simulated", "real"), sources.views, match.positions, strict=True)
         },
         "difference": round(match.difference, 4),
         "pairs": {

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from ds_driver.sim2real.generator_file import save_generator
 from ds_driver.sim2real.image_pool import ImagePool
+from ds_driver.sim2real.lane.lane_alignment import align_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
 from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.sheets import sheet
@@ -49,6 +50,8 @@ class Domains:
         real: for training.
         pairs: (simulated images, k) for each of them, indices of the real images to draw from; see
             `ds_driver.sim2real.lane.lane_pairs`.
+        simulated_lanes: (simulated images, 2 * heights) where they show the lines.
+        real_lanes: (real images, 2 * heights), the same.
         shown_simulated: held-out ones for the sheets.
         shown_real: held-out ones for the sheets.
         simulator: name of the simulator.
@@ -59,11 +62,18 @@ class Domains:
     simulated: NDArray[np.uint8]
     real: NDArray[np.uint8]
     pairs: NDArray[np.int64]
+    simulated_lanes: NDArray[np.float64]
+    real_lanes: NDArray[np.float64]
     shown_simulated: NDArray[np.uint8]
     shown_real: NDArray[np.uint8]
     simulator: str
     window: Window
     real_window: Window
+
+    def pair(self, simulated: int, real: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Return a simulated image and a real one, aligned to it."""
+        aligned = align_lane(self.real[real], self.real_lanes[real], self.simulated_lanes[simulated])
+        return self.simulated[simulated], aligned
 
 
 class CycleGan:
@@ -178,10 +188,9 @@ def train(
         total = torch.zeros(len(LOSSES), device=device)
         for step in range(steps):
             there, back = (
-                to_batch(torch.from_numpy(images[index][None])).to(device)
-                for images, index in ((domains.simulated, simulated[step]), (domains.real, real[step]))
+                to_batch(torch.from_numpy(image[None])) for image in domains.pair(simulated[step], real[step])
             )
-            total += gan.step(there, back, rng)
+            total += gan.step(there.to(device), back.to(device), rng)
             if (step + 1) % max(1, steps // REPORTS) == 0:
                 left = (now() - began) / (step + 1) * (steps * (settings.epochs - epoch + 1) - step - 1)
                 values = _named(total / (step + 1))
@@ -247,7 +256,8 @@ def _sheet(gan: CycleGan, domains: Domains, device: torch.device) -> NDArray[np.
 def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
     """What must match for a training to be resumed; threads and device may change."""
     digest = hashlib.sha256()
-    for part in (domains.simulated, domains.real, domains.pairs):
+    lanes = (domains.simulated_lanes, domains.real_lanes)
+    for part in (domains.simulated, domains.real, domains.pairs, *lanes):
         digest.update(np.ascontiguousarray(part).tobytes())
     plan = asdict(replace(settings, threads=1, device="auto"))
     windows = [str(domains.window), str(domains.real_window)]

@@ -26,20 +26,21 @@ RealImages = Annotated[
 
 def train(simulator: str, real: Path, out: Path, settings: Sim2RealSettings, data_sets: list[Path]) -> Result:
     """Measure where both domains show the lane, crop them alike, and train."""
-    from ds_driver.sim2real.preparation import prepare_domains
+    from ds_driver.sim2real.preparation import prepare_domains, read_sources
     from ds_driver.sim2real.trainer import CHECKPOINT, EPOCHS
     from ds_driver.sim2real.trainer import train as train_generators
 
     try:
-        prepared = prepare_domains(simulator, real, out, settings, countdown(), data_sets=data_sets)
-        match = prepared.match
+        sources = read_sources(simulator, real, out, settings, countdown(), data_sets=data_sets)
+        match = sources.match
         for name, window, position in zip(
             (simulator, "photographs"), (match.simulated, match.real), match.positions, strict=True
         ):
             say(f"{name}: cropped to {window}; {position}")
-        for warning in prepared.warnings:
+        domains, warnings = prepare_domains(sources, real, out)
+        for warning in warnings:
             say(f"warning: {warning}")
-        history = train_generators(prepared.domains, settings, out, say)
+        history = train_generators(domains, settings, out, say)
     except KeyboardInterrupt:
         kept = (out / CHECKPOINT).is_file()
         line = f"the finished epochs are kept in {out}; the same command continues" if kept else ""
@@ -48,7 +49,7 @@ def train(simulator: str, real: Path, out: Path, settings: Sim2RealSettings, dat
         "simulator": simulator,
         "crop": {"simulated": asdict(match.simulated), "real": asdict(match.real)},
         "difference": match.difference,
-        "warnings": list(prepared.warnings),
+        "warnings": list(warnings),
         "losses": history,
         "epochs": str(out / EPOCHS),
     }
@@ -94,13 +95,13 @@ def assess(folder: Path, real: Path, driver: str, ship_to: Path | None) -> Resul
     from rich.console import Console
     from rich.table import Table
 
-    from ds_driver.sim2real.evaluation.checkpoints import PLAIN, HeldOut, assess_checkpoints, ship
-    from ds_driver.sim2real.preparation import prepare_domains, read_card, settings_of
+    from ds_driver.sim2real.evaluation.checkpoints import PHOTOGRAPHS, PLAIN, HeldOut, assess_checkpoints, ship
+    from ds_driver.sim2real.preparation import read_card, read_sources, settings_of
 
     card = read_card(folder)
     try:
-        prepared = prepare_domains(card["simulator"], real, folder, settings_of(card), countdown(), expected=card)
-        held_out = HeldOut(card["simulator"], prepared.frames, prepared.held_out_real, prepared.match.simulated)
+        sources = read_sources(card["simulator"], real, folder, settings_of(card), countdown(), expected=card)
+        held_out = HeldOut(card["simulator"], sources.frames, sources.held_out_real, sources.match.simulated)
         document = assess_checkpoints(folder, held_out, driver, countdown())
     except KeyboardInterrupt:
         raise Interrupted from None
@@ -109,17 +110,20 @@ def assess(folder: Path, real: Path, driver: str, ship_to: Path | None) -> Resul
 
     def show() -> None:
         table = Table(
-            "", "overlap", "shift, px", "found", "steering", *document[PLAIN]["distance"], "flicker", "bounds"
+            "", "overlap", "shift, px", "yellow", "white", "steering", *document[PLAIN]["distance"], "flicker", "bounds"
         )
         for name, row in {PLAIN: document[PLAIN], **document["checkpoints"]}.items():
             lane = row["lane"]
             distances = (f"{d['value']:.3f} ({d['low']:.3f} to {d['high']:.3f})" for d in row["distance"].values())
             bounds = "" if name == PLAIN else ("broken" if row["broken"] else "kept")
             table.add_row(
-                name, f"{lane['overlap']:.2f}", f"{lane['shift']:.2f}", f"{lane['found']:.2f}",
-                f"{row['steering_change']['mean']:.3f}", *distances, f"{row['flicker']:.1f}", bounds,
+                name, f"{lane['overlap']:.2f}", f"{lane['shift']:.2f}", f"{lane['found_yellow']:.2f}",
+                f"{lane['found_white']:.2f}", f"{row['steering_change']['mean']:.3f}", *distances,
+                f"{row['flicker']:.1f}", bounds,
             )  # fmt: skip
         Console().print(table)
+        seen = document[PHOTOGRAPHS]
+        print(f"photographs show the yellow line in {seen['yellow']:.0%} of its rows, the white in {seen['white']:.0%}")
         print(f"chosen: {document['chosen'] or 'none, as all break a bound'}")
         for file in files:
             print(file)

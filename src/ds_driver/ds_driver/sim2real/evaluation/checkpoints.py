@@ -17,7 +17,7 @@ from ds_driver.networks.preprocessing import Crop
 from ds_driver.sim2real.evaluation.choice import broken_bounds, choose
 from ds_driver.sim2real.evaluation.features import PUBLIC_NETWORK, driving_features, has_public_network, public_features
 from ds_driver.sim2real.evaluation.kernel_distance import kernel_distance
-from ds_driver.sim2real.evaluation.lane_kept import Truth, lane_kept
+from ds_driver.sim2real.evaluation.lane_kept import Truth, lane_kept, lines_of_photographs
 from ds_driver.sim2real.evaluation.line_truth import LineProjector
 from ds_driver.sim2real.generator_file import StoredGenerator, load_generator
 from ds_driver.sim2real.generator_onnx import generator_to_onnx
@@ -31,6 +31,7 @@ from ds_sim.registry import label_of, spec_of
 
 ASSESSMENT = "assessment.json"
 PLAIN = "untranslated"
+PHOTOGRAPHS = "lines_of_photographs"
 FRAMES = 200
 """Held-out frames, and photographs, that are looked at; chosen: shares are then known within 4 %, in minutes."""
 STILL = 4
@@ -144,17 +145,19 @@ def assess_checkpoints(
         raise Sim2RealError(f"{folder} has no checkpoint yet: train at least one epoch")
     assessor = Assessor(held_out, driver)
     plain = assessor.assess(lambda image: image)
+    seen = _rounded(lines_of_photographs(held_out.photographs))
     found: dict[str, dict[str, Any]] = {}
     columns = held_out.images[0].shape[1]
     for done, file in enumerate(files, start=1):
         translator = Translator(load_generator(file))
         numbers = assessor.assess(translator.small)
-        found[file.stem] = numbers | {"broken": broken_bounds(numbers, plain, columns)}
+        found[file.stem] = numbers | {"broken": broken_bounds(numbers, plain, seen, columns)}
         progress(done, len(files), f"{file.stem}: " + ("; ".join(found[file.stem]["broken"]) or "within all bounds"))
     document = {
         "frames": len(held_out.images),
         "photographs": len(held_out.photographs),
         "driver": driver,
+        PHOTOGRAPHS: seen,
         PLAIN: plain,
         "checkpoints": found,
         "chosen": choose(found),

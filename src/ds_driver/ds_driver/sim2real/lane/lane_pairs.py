@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 
 from ds_driver.sim2real.lane.lane_view import BOUND
 from ds_driver.sim2real.lane.line_finder import find_lines, lane_borders
+from ds_driver.sim2real.photographs import FEWEST
 from ds_driver.sim2real.window import Sim2RealError
 
 HEIGHTS = (0.25, 0.35, 0.45, 0.62, 0.8, 0.99)
@@ -28,8 +29,6 @@ DEGREES = ((0.5, 3), (0.3, 2), (0.0, 1))
 """Span of the rows with a line -> degree of the polynomial through it; chosen: dashes nearby do not tell a bend."""
 NEIGHBOURS = 10
 """Photographs per simulated image; chosen: enough for a discriminator to see different ones."""
-FEWEST = 20
-"""Fewest photographs that are anyone's neighbour; chosen: as `ds_driver.sim2real.photographs.FEWEST`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +38,16 @@ class LanePairs:
     Attributes:
         simulated: (n,) indices of the simulated images that show both lines.
         photographs: (n, `NEIGHBOURS` or fewer) indices of the photographs whose lane is nearest.
+        simulated_lanes: (n, 2 * heights) from `lane_shapes`.
+        photographed_lanes: (m, 2 * heights) of all photographs; NaN of those that do not show both lines.
         apart: median over the images of the root mean square distance of the lines to those of the photographs, in
             widths of the picture.
     """
 
     simulated: NDArray[np.int64]
     photographs: NDArray[np.int64]
+    simulated_lanes: NDArray[np.float64]
+    photographed_lanes: NDArray[np.float64]
     apart: float
 
     @property
@@ -107,4 +110,10 @@ def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> 
     tree = KDTree(shapes[1][seen[1]])
     distance, nearest = tree.query(shapes[0][seen[0]], k=min(NEIGHBOURS, len(seen[1])))
     apart = float(np.median(distance) / np.sqrt(shapes[0].shape[1]))
-    return LanePairs(simulated=seen[0], photographs=seen[1][nearest], apart=apart)
+    return LanePairs(
+        simulated=seen[0],
+        photographs=seen[1][nearest],
+        simulated_lanes=shapes[0][seen[0]],
+        photographed_lanes=shapes[1],
+        apart=apart,
+    )
