@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betainc
 
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
 from ds_orchestrator.prediction.verdicts import ERROR_RATE, MOST_NEEDED, TOLERATED_RATE, Verdict
@@ -42,7 +43,7 @@ class CellEvidence:
     def _verdict(self, tests: int, failures: int) -> Verdict:
         if not tests:
             return "untested"
-        above = float(beta.sf(self.tolerated, failures + 0.5, tests - failures + 0.5))
+        above = 1.0 - float(betainc(failures + 0.5, tests - failures + 0.5, self.tolerated))
         return "fails" if above >= 1.0 - ERROR_RATE else "safe" if above <= ERROR_RATE else "disputed"
 
     @property
@@ -68,19 +69,11 @@ class CellEvidence:
         if self.settled:
             return 0
         needed = [
-            self._needed(tests, failures)
+            _needed(tests, failures, self.tolerated)
             for tests, failures, verdict in zip(self.tests, self.failures, self.verdicts, strict=True)
             if verdict in ("disputed", "untested")
         ]
         return None if None in needed else max(n for n in needed if n is not None)
-
-    def _needed(self, tests: int, failures: int) -> int | None:
-        """Tests until one sibling is settled; one that never drove the cell is taken not to fail there."""
-        further = np.arange(1, MOST_NEEDED + 1)
-        more = further * (failures / tests if tests else 0.0)
-        above = beta.sf(self.tolerated, failures + more + 0.5, tests - failures + further - more + 0.5)
-        decided = np.flatnonzero((above >= 1.0 - ERROR_RATE) | (above <= ERROR_RATE))
-        return int(further[decided[0]]) if len(decided) else None
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
@@ -88,6 +81,22 @@ class CellEvidence:
             "tests": list(self.tests), "failures": list(self.failures), "verdicts": list(self.verdicts),
             "agreement": self.agreement, "tests_needed": self.tests_needed,
         }  # fmt: skip
+
+
+@cache
+def _needed(tests: int, failures: int, tolerated: float) -> int | None:
+    """Tests until one sibling is settled; one that never drove the cell is taken not to fail there."""
+    for further in (np.arange(1, _FEW + 1), np.arange(_FEW + 1, MOST_NEEDED + 1)):
+        more = further * (failures / tests if tests else 0.0)
+        below = betainc(failures + more + 0.5, tests - failures + further - more + 0.5, tolerated)
+        decided = np.flatnonzero((below >= 1.0 - ERROR_RATE) | (below <= ERROR_RATE))
+        if len(decided):
+            return int(further[decided[0]])
+    return None
+
+
+_FEW = 100
+"""Tests that are tried first, as most cells need fewer."""
 
 
 def evidence_of(
