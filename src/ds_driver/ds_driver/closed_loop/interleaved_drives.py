@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from ds_driver.closed_loop.drawn_rows import draw_seen_rows
 from ds_driver.closed_loop.drive_task import DriveTask
 from ds_driver.closed_loop.simulation import AUTOPILOT, Driver, make_driver
 from ds_driver.control.autopilot import ROWS_SEEN
@@ -16,7 +17,7 @@ from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.line_contrast import LineProbe
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, TakesStills
+from ds_sim.simulator import Command, Observation, Outcome, Simulator
 
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
@@ -85,13 +86,10 @@ class InterleavedDrives:
     def _started(self, made: Simulator, task: DriveTask) -> _Drive:
         network, spec = self._network, made.spec
         crop = Crop(spec.crop_top, spec.crop_bottom)
-        if isinstance(made, DrawsRows):
-            rows: tuple[int, int] | None = ROWS_SEEN
-            if network is not None and not task.gate:
-                rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
-            elif task.gate and not isinstance(made, TakesStills):
-                rows = None
-            made.draw_rows(*(rows or (0, spec.camera.height_px)))
+        rows: tuple[int, int] | None = ROWS_SEEN
+        if network is not None and not task.gate:
+            rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
+        draw_seen_rows(made, rows, probed=task.gate)
         session = Session(made)
         autopilot = make_driver(AUTOPILOT, spec) if task.gate or self._network is None else None
         seen = session.start(task.road, task.seed, task.conditions)

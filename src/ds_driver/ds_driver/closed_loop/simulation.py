@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from ds_driver.closed_loop.drawn_rows import draw_seen_rows
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.preprocessing import Crop
@@ -16,7 +17,7 @@ from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.line_contrast import LineProbe
 from ds_sim.registry import simulator_of_process
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec, TakesStills
+from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
 
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
@@ -126,15 +127,13 @@ def _network(driver: str) -> NetworkDriver:
 def run_drive(drive: Drive) -> RunRecord:
     """Drive in this process, which keeps simulator and network for the next drive; draws what the driver sees."""
     simulator = simulator_of_process(drive.simulator)
-    camera = simulator.spec.camera
+    rows: tuple[int, int] | None = ROWS_SEEN
     if drive.driver == AUTOPILOT:
         # The autopilot keeps its previous error, so every drive gets a new one.
-        driver, rows = make_driver(AUTOPILOT, simulator.spec), ROWS_SEEN
+        driver = make_driver(AUTOPILOT, simulator.spec)
     else:
         network, crop = _network(drive.driver), Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
         driver = _steered_by(network, simulator.spec)
-        rows = network.rows_seen(crop, camera.height_px, simulator.spec.name) or (0, camera.height_px)
-    if isinstance(simulator, DrawsRows):
-        whole = drive.probed and not isinstance(simulator, TakesStills)
-        simulator.draw_rows(*((0, camera.height_px) if whole else rows))
+        rows = network.rows_seen(crop, simulator.spec.camera.height_px, simulator.spec.name)
+    draw_seen_rows(simulator, rows, probed=drive.probed)
     return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions, probed=drive.probed)
