@@ -1,4 +1,4 @@
-"""Exports roads: ASAM OpenDRIVE for simulators and scenario editors, and the JSON of the SBFT tool competition.
+"""Exports roads: ASAM OpenDRIVE for simulators and scenario editors, CommonRoad for planners, SBFT's JSON.
 
 OpenDRIVE 1.7 (ASAM, 2021): one road with its centre line as the reference line, a left and a right lane. Vehicles drive
 in the right lane, id -1, of right-hand traffic, or in the left lane, id 1, of left-hand traffic. The reference line
@@ -26,11 +26,12 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_road.commonroad import commonroad
 from ds_road.road import Road, RoadError
 from ds_road.spline import SAMPLES_PER_SEGMENT
 
-Format = Literal["opendrive", "sbft"]
-SUFFIXES: dict[Format, str] = {"opendrive": ".xodr", "sbft": ".json"}
+Format = Literal["opendrive", "commonroad", "sbft"]
+SUFFIXES: dict[Format, str] = {"opendrive": ".xodr", "commonroad": ".xml", "sbft": ".json"}
 SBFT_VERSION = "SBFT CPS-SDC tool competition 2023"
 """Edition of the format, written into each file."""
 _STRAIGHT = 1e-9
@@ -62,8 +63,9 @@ def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path, form: F
         raise RoadError(f"two roads are called {twice[0]}: give them different names")
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / file for file in files]
+    writers = {"opendrive": opendrive, "commonroad": commonroad, "sbft": sbft}
     for road, name, path in zip(roads, names, paths, strict=True):
-        path.write_text(opendrive(road, name) if form == "opendrive" else sbft(road, name), "utf-8")
+        path.write_text(writers[form](road, name), "utf-8")
     return paths
 
 
@@ -97,7 +99,7 @@ def opendrive(road: Road, name: str) -> str:
     lanes = _add(body, "lanes")
     section = _add(lanes, "laneSection", s="0")
     _lane(_add(section, "left"), 1, road.lane_width, "solid")
-    _lane(_add(section, "center"), 0, None, "broken")
+    _lane(_add(section, "center"), 0, None, "solid", "yellow")
     _lane(_add(section, "right"), -1, road.lane_width, "solid")
     _add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
     ElementTree.indent(root)
@@ -155,12 +157,12 @@ def _arc_length(coefficients: NDArray[np.float64]) -> float:
     return float(np.tile(weights, parts) @ np.hypot(*derivative.T) / (2.0 * parts))
 
 
-def _lane(side: ElementTree.Element, number: int, width: float | None, mark: str) -> None:
+def _lane(side: ElementTree.Element, number: int, width: float | None, mark: str, colour: str = "white") -> None:
     lane = _add(side, "lane", id=str(number), type="none" if width is None else "driving", level="false")
     if width is not None:
         _add(lane, "width", sOffset="0", a=width, b="0", c="0", d="0")
     _add(
-        lane, "roadMark", sOffset="0", type=mark, weight="standard", color="white", width=_MARK_WIDTH, laneChange="none"
+        lane, "roadMark", sOffset="0", type=mark, weight="standard", color=colour, width=_MARK_WIDTH, laneChange="none"
     )
 
 

@@ -1,4 +1,4 @@
-"""`ds road`: generate, mirror, check, draw and export roads."""
+"""`ds road`: generate, mirror, check, draw, export and import roads."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_orchestrator.cli.options import JsonFlag, Lane, MaxAngle, Seed
-from ds_orchestrator.cli.output import Result, answer
+from ds_orchestrator.cli.output import Result, answer, say
 
 if TYPE_CHECKING:
     from ds_road import Road, Side
 
-Format = Literal["opendrive", "sbft"]
+Format = Literal["opendrive", "commonroad", "sbft"]
 
 app = typer.Typer()
-road_app = typer.Typer(help="Generate, mirror, check, draw and export roads.", no_args_is_help=True)
+road_app = typer.Typer(help="Generate, mirror, check, draw, export and import roads.", no_args_is_help=True)
 app.add_typer(road_app, name="road")
 
 
@@ -115,6 +115,21 @@ def export_roads(file: Path, out: Path, form: Format) -> list[Path]:
     return export.write_all(roads, names, out, form)
 
 
+def import_roads(files: list[Path]) -> list[Any]:
+    """Roads of other tools' files; what was moved, or cannot be driven, is said on standard error."""
+    from ds_road import importing
+
+    found = []
+    for file in files:
+        for one in importing.import_roads(file):
+            found.append(one.to_json())
+            if any(one.moved):
+                say(f"{file}: {one.name} moved by ({one.moved[0]:g}, {one.moved[1]:g}) m into the box")
+            if not one.road.validity.valid:
+                say(f"{file}: {one.name} cannot be driven: {one.road.validity.reason}")
+    return found
+
+
 @road_app.command("generate")
 def road_generate_command(
     seed: Seed = 0,
@@ -159,9 +174,22 @@ def road_export_command(
     out: Annotated[Path, typer.Option(help="Folder to write to, created if missing.")],
     form: Annotated[Format, typer.Option("--format", help="File format.")] = "opendrive",
 ) -> None:
-    """Export roads for other tools: ASAM OpenDRIVE 1.7, or the JSON of the SBFT tool competition.
+    """Export roads for other tools: ASAM OpenDRIVE 1.7, CommonRoad 2020a, or the JSON of the SBFT tool competition.
 
     Writes one file per road, named after its test or its place in the list, and prints their paths.
     """
     for path in export_roads(file, out, form):
         print(path)
+
+
+@road_app.command("import")
+def road_import_command(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="OpenDRIVE, CommonRoad, or JSON of the SBFT competition.")
+    ],
+) -> None:
+    """Print the roads of other tools' files as a JSON list, for every verb that takes roads.
+
+    The format is told by the content. Roads outside of the box of 250 m are moved into its middle if they fit.
+    """
+    print(json.dumps(import_roads(files)))

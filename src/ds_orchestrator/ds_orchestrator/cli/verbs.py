@@ -82,8 +82,8 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "road",
                 "roads",
-                "Generate, mirror, check, draw and export roads.",
-                ("generate", "mirror", "check", "show", "export"),
+                "Generate, mirror, check, draw, export and import roads.",
+                ("generate", "mirror", "check", "show", "export", "import"),
             ),
             Verb(
                 "bag",

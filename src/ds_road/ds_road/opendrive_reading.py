@@ -1,0 +1,156 @@
+"""Reads roads from ASAM OpenDRIVE, 1.4 to 1.8: each road's reference line and the lane beside it."""
+
+from __future__ import annotations
+
+import math
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road.commonroad import constant_width, without_repeats
+from ds_road.road import Road, RoadError
+
+SPACING = 1.25
+"""m between two samples at most; chosen: that of 20 samples on the 25 m between control points."""
+LONGEST = 10_000.0
+"""m; chosen: far longer than what fits into the box, and sampled at once."""
+
+
+def read_opendrive(root: Element) -> list[tuple[str, Road]]:
+    """Roads of a file that lie outside of junctions.
+
+    The centre line is the reference line, shifted by the lane offset. Driven is lane -1 in right-hand traffic, lane 1
+    in left-hand traffic; its width, which has to be constant, becomes that of both lanes. Height, other lanes, links,
+    objects and signals are ignored.
+
+    Returns:
+        Name and road.
+
+    Raises:
+        RoadError: a road cannot be read; one line says which and why.
+    """
+    elements = [element for element in root.iter("road") if element.get("junction", "-1") == "-1"]
+    if not elements:
+        raise RoadError("an OpenDRIVE file without roads outside of junctions: expected at least one")
+    roads = []
+    for element in elements:
+        name = element.get("name") or element.get("id") or "road"
+        try:
+            roads.append((name, _road(element)))
+        except RoadError as error:
+            raise RoadError(f"road {name[:60]!r}: {error}") from None
+    return roads
+
+
+def _road(element: Element) -> Road:
+    s, line, headings = _reference_line(element)
+    offsets = _polynomial(element.findall("lanes/laneOffset"), "s", s, 0.0)
+    line = line + offsets[:, None] * np.stack((-np.sin(headings), np.cos(headings)), axis=1)
+    left_hand = element.get("rule", "RHT") == "LHT"
+    widths = _lane_widths(element, "1" if left_hand else "-1", s)
+    return Road.from_road_points(
+        without_repeats(line), lane_width=constant_width(widths), lane="left" if left_hand else "right"
+    )
+
+
+def _reference_line(
+    element: Element,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Distances s (n,), points (n, 2) and headings (n,) of samples, joints twice."""
+    pieces = element.findall("planView/geometry")
+    if not pieces:
+        raise RoadError("it has no planView with geometry")
+    if sum(number(piece, "length") for piece in pieces) > LONGEST:
+        raise RoadError(f"it is longer than {LONGEST:g} m")
+    sampled = [_sample(piece) for piece in pieces]
+    s, points, headings = (np.concatenate([part[k] for part in sampled]) for k in range(3))
+    return s, points, headings
+
+
+def _sample(piece: Element) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    length, s0, heading = (number(piece, key) for key in ("length", "s", "hdg"))
+    start = np.array([number(piece, "x"), number(piece, "y")])
+    if length <= 0:
+        raise RoadError(f"a piece of its geometry has length {length:g}: expected more than 0")
+    count = max(1, math.ceil(length / SPACING - 1e-6))
+    along = np.linspace(0.0, length, count + 1)
+    shape = next((child for child in piece if child.tag in ("line", "arc", "spiral", "paramPoly3")), None)
+    if shape is None:
+        kinds = ", ".join(child.tag for child in piece)[:40] or "nothing"
+        raise RoadError(f"its geometry has {kinds}: expected line, arc, spiral or paramPoly3")
+    if shape.tag == "paramPoly3":
+        points, directions = _cubic(shape, length, count)
+        turned = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
+        return s0 + along, start + points @ turned, heading + directions
+    first, last = 0.0, 0.0
+    if shape.tag == "arc":
+        first = last = number(shape, "curvature")
+    elif shape.tag == "spiral":
+        first, last = number(shape, "curvStart"), number(shape, "curvEnd")
+    return s0 + along, start + _clothoid(heading, first, last, along), heading + _turned(first, last, along)
+
+
+def _turned(first: float, last: float, along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Change of heading where the curvature changes linearly, as on lines, arcs and spirals."""
+    return first * along + (last - first) * along**2 / (2.0 * along[-1])
+
+
+def _clothoid(heading: float, first: float, last: float, along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points relative to the first one, by Gauss-Legendre quadrature of the direction between samples."""
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    steps = np.diff(along)
+    inner = along[:-1, None] + steps[:, None] * (nodes + 1.0) / 2.0
+    angles = heading + first * inner + (last - first) * inner**2 / (2.0 * along[-1])
+    moved = np.stack((np.cos(angles) @ weights, np.sin(angles) @ weights), axis=1) * steps[:, None] / 2.0
+    return np.vstack((np.zeros(2), np.cumsum(moved, axis=0)))
+
+
+def _cubic(shape: Element, length: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and directions in the piece's own axes; of a spline's segment, those of this project's samples."""
+    end = length if shape.get("pRange") == "arcLength" else 1.0
+    p = np.linspace(0.0, end, count + 1)
+    axes = [[number(shape, letter + axis) for letter in "abcd"] for axis in "UV"]
+    points: NDArray[np.float64] = np.stack([np.polynomial.polynomial.polyval(p, axis) for axis in axes], axis=1)
+    slopes = [np.polynomial.polynomial.polyval(p, np.polynomial.polynomial.polyder(axis)) for axis in axes]
+    return points, np.asarray(np.arctan2(slopes[1], slopes[0]), np.float64)
+
+
+def _lane_widths(element: Element, lane: str, s: NDArray[np.float64]) -> NDArray[np.float64]:
+    sections = element.findall("lanes/laneSection")
+    starts = [number(section, "s") for section in sections]
+    widths = np.full(len(s), np.nan)
+    for index, section in enumerate(sections):
+        found = next((one for one in section.iter("lane") if one.get("id") == lane), None)
+        if found is None or found.get("type") != "driving":
+            raise RoadError(f"it has no driving lane {lane}")
+        end = starts[index + 1] if index + 1 < len(sections) else math.inf
+        inside = (s >= starts[index]) & (s <= end)
+        widths[inside] = _polynomial(found.findall("width"), "sOffset", s[inside] - starts[index], math.nan)
+    return widths
+
+
+def _polynomial(entries: list[Element], start: str, s: NDArray[np.float64], otherwise: float) -> NDArray[np.float64]:
+    """Value of a piecewise cubic whose entries begin at increasing distances."""
+    values = np.full(len(s), otherwise)
+    for entry in sorted(entries, key=lambda one: number(one, start)):
+        begin = number(entry, start)
+        inside = s >= begin - 1e-9
+        values[inside] = np.polynomial.polynomial.polyval(s[inside] - begin, [number(entry, key) for key in "abcd"])
+    return values
+
+
+def number(element: Element, name: str) -> float:
+    """A finite number in an attribute.
+
+    Raises:
+        RoadError: it is missing or no number.
+    """
+    text = element.get(name, "")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RoadError(f"{name} of {element.tag[:30]} is {text[:30]!r}, expected a number")
+    return value

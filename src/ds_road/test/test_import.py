@@ -1,0 +1,244 @@
+"""Imported and exported roads against CommonRoad's schema and reader, an OpenDRIVE library and closed forms."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import suppress
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+import shapely
+from lxml import etree
+
+from ds_road import Road, RoadError, generate, read_roads
+from ds_road.commonroad import commonroad
+from ds_road.export import Format, opendrive, sbft, write_all
+from ds_road.importing import import_roads
+from ds_road.opendrive_reading import SPACING
+
+ROADS = {
+    "random": generate(np.random.default_rng(3)),
+    "straight": Road([(125.0, 25.0 * i) for i in range(9)]),
+    "sampled": Road.from_road_points(generate(np.random.default_rng(7)).points, lane_width=3.0),
+    "left": generate(np.random.default_rng(9), lane="left"),
+}
+
+
+@pytest.fixture(scope="module")
+def read_scenario() -> Any:
+    """CommonRoad's own reader; its drawing, which needs matplotlib and Pillow, is not needed."""
+
+    class Drawing:
+        def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+            drawn = name.partition(".")[0] in ("matplotlib", "mpl_toolkits", "PIL")
+            return ModuleSpec(name, self, is_package=True) if drawn else None  # type: ignore[arg-type]
+
+        def create_module(self, spec: ModuleSpec) -> Any:
+            return mock.MagicMock(__spec__=spec, __path__=[])
+
+        def exec_module(self, module: Any) -> None: ...
+
+    with mock.patch.object(sys, "meta_path", [Drawing(), *sys.meta_path]), mock.patch.dict(sys.modules):
+        from commonroad.common.reader.file_reader_xml import XMLFileReader
+
+        yield lambda path: XMLFileReader(str(path)).open()
+
+
+@pytest.mark.parametrize("name", ROADS)
+def test_commonroad_is_valid_by_its_schema_and_means_the_road(name: str, read_scenario: Any, tmp_path: Path) -> None:
+    road, text = ROADS[name], commonroad(ROADS[name], name)
+    found = find_spec("commonroad")  # not imported: the schema alone is needed
+    assert found is not None and found.submodule_search_locations
+    folder = Path(found.submodule_search_locations[0]) / "common/xml_definition_files"
+    etree.XMLSchema(etree.parse(str(folder / "XML_commonRoad_XSD.xsd"))).assertValid(etree.fromstring(text.encode()))
+    (tmp_path / "road.xml").write_text(text)
+    scenario, problems = read_scenario(tmp_path / "road.xml")
+    network = scenario.lanelet_network
+    driven, oncoming = network.find_lanelet_by_id(1), network.find_lanelet_by_id(2)
+    assert np.abs(driven.center_vertices - road.lane_centre).max() < 1e-9
+    assert np.abs(oncoming.center_vertices - road.other_lane_centre[::-1]).max() < 1e-9
+    beside = (driven.adj_left, driven.adj_left_same_direction)
+    if road.lane == "left":
+        beside = (driven.adj_right, driven.adj_right_same_direction)
+    assert beside == (2, False) and scenario.dt == 0.05
+    (problem,) = problems.planning_problem_dict.values()
+    start, goal = problem.initial_state, problem.goal.state_list[0]
+    assert network.find_lanelet_by_position([start.position]) == [[1]]
+    direction = road.lane_centre[1] - road.lane_centre[0]
+    assert np.array([np.cos(start.orientation), np.sin(start.orientation)]) @ direction == pytest.approx(
+        np.hypot(*direction)
+    )
+    assert goal.position.shapely_object.buffer(1e-6).covers(shapely.Point(road.lane_centre[-1]))
+    assert goal.position.shapely_object.buffer(0.05).covers(shapely.Point(road.lane_centre[-2]))
+
+
+@pytest.mark.parametrize("form", ["opendrive", "commonroad", "sbft"])
+@pytest.mark.parametrize("name", ROADS)
+def test_what_was_exported_comes_back(name: str, form: Format, tmp_path: Path) -> None:
+    road = ROADS[name]
+    (path,) = write_all([road], [name], tmp_path, form)
+    (back,) = import_roads(path)
+    assert back.name == name and back.moved == (0.0, 0.0)
+    assert (back.road.lane, back.road.lane_width) == (road.lane, road.lane_width)
+    if form != "opendrive":
+        assert (back.road.points == road.points).all()
+    elif not road.sampled:  # samples lie elsewhere on the same line
+        distances = shapely.distance(shapely.LineString(road.points), shapely.points(back.road.points))
+        assert distances.max() < SPACING**2 / 8 * max(road.curvature, 1e-6) + 1e-6
+    assert back.road.length == pytest.approx(road.length, rel=1e-3)
+    (tmp_path / "again.json").write_text(json.dumps([back.to_json()]))
+    assert read_roads(tmp_path / "again.json") == [back.road]
+
+
+XODR = """<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="4"/>
+<road name="r" length="{length}" id="1" junction="-1"><planView>{pieces}</planView>
+<lanes>{offset}<laneSection s="0"><center><lane id="0" type="none"/></center>
+<right><lane id="-1" type="driving"><width sOffset="0" a="{width}" b="{slope}" c="0" d="0"/></lane></right>
+</laneSection></lanes></road></OpenDRIVE>"""
+
+
+def xodr(*pieces: tuple[Any, ...], **changed: Any) -> str:
+    texts = [f'<geometry s="{s}" x="{x}" y="{y}" hdg="{h}" length="{n}">{shape}</geometry>'
+             for s, x, y, h, n, shape in pieces]  # fmt: skip
+    values = {"offset": "", "width": 3.5, "slope": 0.0, **changed}
+    return XODR.format(length=sum(piece[4] for piece in pieces), pieces="".join(texts), **values)
+
+
+def imported(text: str, tmp_path: Path, suffix: str = "xodr") -> Road:
+    (tmp_path / f"road.{suffix}").write_text(text)
+    (found,) = import_roads(tmp_path / f"road.{suffix}")
+    return found.road
+
+
+def test_lines_and_arcs_are_where_geometry_says(tmp_path: Path) -> None:
+    """A straight of 30 m to the north, then a quarter of a circle of 40 m to the left."""
+    arc = 20.0 * np.pi
+    line = (0, 100, 50, np.pi / 2, 30, "<line/>")
+    road = imported(xodr(line, (30, 100, 80, np.pi / 2, arc, '<arc curvature="0.025"/>')), tmp_path)
+    assert road.lane_width == 3.5 and road.lane == "right"
+    straight, bend = road.points[road.points[:, 1] <= 80.0], road.points[road.points[:, 1] > 80.0]
+    assert np.abs(straight[:, 0] - 100.0).max() < 1e-9 and straight[0] == pytest.approx((100.0, 50.0))
+    assert np.abs(np.hypot(bend[:, 0] - 60.0, bend[:, 1] - 80.0) - 40.0).max() < 1e-9
+    assert road.points[-1] == pytest.approx((60.0, 120.0))
+    assert np.hypot(*np.diff(road.points, axis=0).T).max() <= SPACING + 1e-9
+
+
+def test_a_spiral_is_eulers(tmp_path: Path) -> None:
+    """From curvature 0 to 1/R over L: its end by the series of the Fresnel integrals (Bronstein)."""
+    length, radius = 40.0, 30.0
+    shape = f'<spiral curvStart="0" curvEnd="{1 / radius}"/>'
+    road = imported(xodr((0, 50, 50, 0.0, length, shape)), tmp_path)
+    turn = length / (2 * radius)
+    x = length * (1 - turn**2 / 10 + turn**4 / 216 - turn**6 / 9360 + turn**8 / 685440)
+    y = length * (turn / 3 - turn**3 / 42 + turn**5 / 1320 - turn**7 / 75600)
+    assert road.points[-1] - road.points[0] == pytest.approx((x, y), abs=1e-4)
+
+
+def test_another_reader_finds_the_same_line(tmp_path: Path) -> None:
+    drawing = mock.MagicMock()
+    drawing.text.Text = object
+    with mock.patch.dict(sys.modules, {"matplotlib": drawing, "matplotlib.pyplot": drawing.pyplot}):
+        from pyxodr.road_objects.network import RoadNetwork
+    text = opendrive(ROADS["random"], "random")
+    (tmp_path / "road.xodr").write_text(text)
+    (other,) = RoadNetwork(str(tmp_path / "road.xodr"), resolution=0.05).get_roads()
+    line = shapely.LineString(other.reference_line[:, :2])
+    assert shapely.distance(line, shapely.points(imported(text, tmp_path).points)).max() < 5e-3
+
+
+def test_a_lane_offset_shifts_the_line_and_roads_outside_of_the_box_move_in(tmp_path: Path) -> None:
+    text = xodr((0, 5000.0, -70.0, 0.0, 100, "<line/>"), offset='<laneOffset s="0" a="2" b="0" c="0" d="0"/>')
+    (tmp_path / "road.xodr").write_text(text)
+    (found,) = import_roads(tmp_path / "road.xodr")
+    assert found.moved == (75.0 - 5000.0, 125.0 + 68.0)
+    assert np.abs(found.road.points[:, 1] - 125.0).max() < 1e-9 and found.road.validity.valid
+
+
+def test_sparse_road_points_are_interpolated_and_dense_ones_kept(tmp_path: Path) -> None:
+    angles = np.linspace(0.0, np.pi, 13)
+    circle = np.stack((125 + 60 * np.cos(angles), 100 + 60 * np.sin(angles)), axis=1)
+    road = imported(json.dumps({"road_points": circle.tolist()}), tmp_path, "json")
+    assert np.abs(np.hypot(*(road.points - (125, 100)).T) - 60.0).max() < 0.05
+    assert np.hypot(*np.diff(road.points, axis=0).T).max() < SPACING * 1.1
+    dense = [[*point, 0.0, 8.0] for point in road.points.tolist()]
+    kept = imported(json.dumps({"road_points": circle.tolist(), "interpolated_points": dense}), tmp_path, "json")
+    assert (kept.points == road.points).all()
+
+
+def test_a_chain_of_lanelets_is_followed_from_the_planning_problem(tmp_path: Path) -> None:
+    def bound(tag: str, x: float, begin: float) -> str:
+        points = "".join(f"<point><x>{x}</x><y>{begin + 2 * k}</y></point>" for k in range(11))
+        return f"<{tag}>{points}</{tag}>"
+
+    lanelets = "".join(
+        f'<lanelet id="{n}">{bound("leftBound", 50.0, b)}{bound("rightBound", 53.0, b)}'
+        f'{f"""<successor ref="{n + 1}"/>""" if n < 4 else ""}</lanelet>'
+        for n, b in ((2, 10.0), (3, 30.0), (4, 50.0))
+    )
+    start = "<planningProblem><initialState><position><point><x>51</x><y>35</y></point></position></initialState>"
+    text = f'<commonRoad commonRoadVersion="2018b">{lanelets}{start}</planningProblem></commonRoad>'
+    road = imported(text, tmp_path, "xml")
+    assert road.lane_width == 3.0 and road.lane == "right"
+    assert road.points[0] == pytest.approx((50.0, 30.0)) and road.points[-1] == pytest.approx((50.0, 70.0))
+    road = imported(text.replace(f"{start}</planningProblem>", ""), tmp_path, "xml")
+    assert road.points[0] == pytest.approx((50.0, 10.0))
+
+
+LINE = (0, 50, 50, 0.0, 100, "<line/>")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("hello", "neither XML nor JSON"),
+        ("<a", "not XML"),
+        ("<a/>", "XML of 'a': expected OpenDRIVE or commonRoad"),
+        ('<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE/>', "XML with a document type"),
+        ("<OpenDRIVE/>", "without roads outside of junctions"),
+        ('<OpenDRIVE><road id="7"/></OpenDRIVE>', "road '7': it has no planView"),
+        (xodr((0, 50, 50, 0.0, 100, "<poly3/>")), "its geometry has poly3: expected line, arc"),
+        (xodr((0, 50, "nan", 0.0, 100, "<line/>")), "y of geometry is 'nan', expected a number"),
+        (xodr((0, 50, 50, 0.0, -1, "<line/>")), "length -1"),
+        (xodr((0, 50, 50, 0.0, 1e300, "<line/>")), "longer than 10000 m"),
+        (xodr((0, 50, 50, 0.0, 100, "<arc/>")), "curvature of arc is ''"),
+        (xodr(LINE, slope=0.01), "the lane is 3.50 to 4.50 m wide"),
+        (xodr(LINE, width=300), "lane width is 300"),
+        (xodr(LINE).replace('id="-1" type="driving"', 'id="-1" type="border"'), "no driving lane -1"),
+        (xodr((0, 50, 50, 0.0, 2000, "<line/>")), "1601 road points"),
+        ('<commonRoad commonRoadVersion="2017a"/>', "CommonRoad version 2017a, expected 2018b or 2020a"),
+        ('<commonRoad commonRoadVersion="2020a"/>', "without lanelets"),
+        ('<commonRoad commonRoadVersion="2020a"><lanelet id="1"/></commonRoad>', "0 points on its left"),
+        (commonroad(ROADS["left"], "x").replace("<x>", "<x>a", 1), "no x and y"),
+        ("[1, 2]", "JSON without tests"),
+        ("{", "not JSON"),
+        ('{"road_points": [[1, 2], [NaN, 3]]}', "expected finite metres"),
+        ('{"interpolated_points": 3}', "expected a list of"),
+        ("[" * 100_000, "not JSON"),
+    ],
+)
+def test_what_cannot_be_a_road_gets_one_line(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text(text)
+    with pytest.raises(RoadError, match=words) as problem:
+        import_roads(path)
+    assert str(problem.value).startswith(f"{path}: ") and "\n" not in str(problem.value)
+
+
+def test_every_damaged_file_is_refused_or_read(tmp_path: Path) -> None:
+    """Bytes cut out or exchanged never end in anything but a road or a `RoadError`."""
+    rng = np.random.default_rng(4)
+    path = tmp_path / "file"
+    for text in (opendrive(ROADS["straight"], "x"), commonroad(ROADS["straight"], "x"), sbft(ROADS["straight"], "x")):
+        for _ in range(150):
+            content = bytearray(text.encode())
+            at, length = rng.integers(len(content)), rng.integers(1, 40)
+            content[at : at + length] = rng.bytes(int(rng.integers(0, 3))) if rng.random() < 0.5 else content[:length]
+            path.write_bytes(content)
+            with suppress(RoadError):
+                import_roads(path)
