@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road.commonroad import commonroad
+from ds_road.opendrive_reading import STEPS_CODE
 from ds_road.road import Road, RoadError
 from ds_road.spline import SAMPLES_PER_SEGMENT
 
@@ -102,6 +103,7 @@ def opendrive(road: Road, name: str) -> str:
     _lane(_add(section, "center"), 0, None, "solid", "yellow")
     _lane(_add(section, "right"), -1, road.lane_width, "solid")
     _add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
+    _add(body, "userData", code=STEPS_CODE, value="1" if road.sampled else str(SAMPLES_PER_SEGMENT - 1))
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 

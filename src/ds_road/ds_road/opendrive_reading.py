@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road.commonroad import constant_width, without_repeats
-from ds_road.road import Road, RoadError
+from ds_road.road import MAX_POINTS, Road, RoadError
 
 SPACING = 1.25
 """m between two samples at most; chosen: that of 20 samples on the 25 m between control points."""
+STEPS_CODE = "digital_siblings_steps_per_piece"
+"""Code of the user data in which an exported road says how its pieces are sampled, so that its samples come back."""
+_MOST_STEPS = 100
 LONGEST = 10_000.0
 """m; chosen: far longer than what fits into the box, and sampled at once."""
 
@@ -61,19 +64,23 @@ def _reference_line(
     pieces = element.findall("planView/geometry")
     if not pieces:
         raise RoadError("it has no planView with geometry")
+    if len(pieces) > MAX_POINTS:
+        raise RoadError(f"its geometry has {len(pieces)} pieces, expected at most {MAX_POINTS}")
     if sum(number(piece, "length") for piece in pieces) > LONGEST:
         raise RoadError(f"it is longer than {LONGEST:g} m")
-    sampled = [_sample(piece) for piece in pieces]
+    own = next((one for one in element.findall("userData") if one.get("code") == STEPS_CODE), None)
+    steps = 0 if own is None else int(min(max(number(own, "value"), 1), _MOST_STEPS))
+    sampled = [_sample(piece, steps) for piece in pieces]
     s, points, headings = (np.concatenate([part[k] for part in sampled]) for k in range(3))
     return s, points, headings
 
 
-def _sample(piece: Element) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _sample(piece: Element, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     length, s0, heading = (number(piece, key) for key in ("length", "s", "hdg"))
     start = np.array([number(piece, "x"), number(piece, "y")])
     if length <= 0:
         raise RoadError(f"a piece of its geometry has length {length:g}: expected more than 0")
-    count = max(1, math.ceil(length / SPACING - 1e-6))
+    count = steps or max(1, math.ceil(length / SPACING - 1e-6))
     along = np.linspace(0.0, length, count + 1)
     shape = next((child for child in piece if child.tag in ("line", "arc", "spiral", "paramPoly3")), None)
     if shape is None:
