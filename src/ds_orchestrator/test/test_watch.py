@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,11 @@ from urllib.parse import urlencode, urlsplit
 import numpy as np
 import pytest
 from playwright.sync_api import sync_playwright
-from report_campaigns import EVIL, make_campaign, make_execution, road
+from report_campaigns import EVIL, make_campaign, make_execution, make_tests, road
 
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, ObservedExecutor, read_live
+from ds_orchestrator.graph.worker_pool import WorkerPool
 from ds_orchestrator.run import SilentListener
 from ds_orchestrator.store.store import Execution, Store, StoreError, Test
 from ds_orchestrator.watch.campaign_reader import CampaignReader
@@ -29,6 +31,7 @@ from ds_orchestrator.watch.page_state import page_state
 from ds_orchestrator.watch.server import ServerError, serve
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.gates import Gate, GateState
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -134,6 +137,21 @@ def test_a_killed_campaign_is_read_without_recovering_it(tmp_path: Path) -> None
     assert bytes_of(killed) == before
 
 
+def test_a_campaign_that_ends_while_it_is_read_leaves_everything_in_its_file(tmp_path: Path) -> None:
+    """SQLite alone would leave the log beside the file, as the one who reads may not write it back."""
+    store = make_campaign(tmp_path, CONFIG, 2)
+    reader = sqlite3.connect(f"file:{tmp_path}/campaign.sqlite?mode=ro", uri=True, check_same_thread=False)
+    reader.execute("BEGIN")
+    reader.execute("SELECT * FROM executions").fetchone()
+    timer = threading.Timer(0.5, reader.close)
+    timer.start()
+    store.close()
+    timer.join()
+    shutil.copy(tmp_path / "campaign.sqlite", tmp_path / "alone.sqlite")
+    with sqlite3.connect(tmp_path / "alone.sqlite") as db:
+        assert db.execute("SELECT count(*) FROM executions").fetchone() == (12,)
+
+
 def test_a_read_only_store_refuses_every_change(tmp_path: Path) -> None:
     make_campaign(tmp_path, CONFIG, 1).close()
     store = Store(tmp_path / "campaign.sqlite", read_only=True)
@@ -159,6 +177,31 @@ def test_state_counts_what_the_store_holds(tmp_path: Path) -> None:
     assert (state["done"], state["errors"]) == (24, 1) and "the wheels came off" in state["last_error"]
     assert state["total"] == CONFIG.executions_at_most
     assert json.loads(json.dumps(state, allow_nan=False)) == state
+
+
+def test_campaigns_that_have_not_begun_or_have_gates_are_shown(tmp_path: Path) -> None:
+    for name in ("empty", "gated"):
+        (tmp_path / name).mkdir()
+    Store(tmp_path / "empty/campaign.sqlite", config=CONFIG.identity()).close()
+    state = page_state(CampaignReader(tmp_path / "empty").read())
+    assert (state["state"], state["done"], state["tests"]) == ("stopped", 0, 0)
+    assert all(not cells for cells in state["maps"].values())
+
+    features = ["turns_count", "curvature", "direction_coverage:10"]
+    config = CampaignConfig(
+        siblings=["nowhere:A", "nowhere:B"], twin=None, conditions="visibility=60", features=features
+    )
+    store = Store(tmp_path / "gated/campaign.sqlite", config=config.identity(), conditions=True)
+    for test, driven in make_tests(config, 3):
+        store.add_test(replace(test, conditions=Conditions(visibility=60.0)))
+        store.add_execution(next(e for e in driven if e.simulator == test.sibling))
+        other = next(name for name in config.siblings if name != test.sibling)
+        store.add_gate(test.test_id, other, Gate(state=GateState.INFEASIBLE, message="stuck", outcome=Outcome.STUCK))
+    state = page_state(CampaignReader(tmp_path / "gated").read())
+    assert (state["done"], state["excluded"]) == (12, 6)
+    # The third feature is summed up: a cell of the page counts every test with its turns and curvature.
+    assert {sum(n for _, _, n, _ in cells) for cells in state["maps"].values()} == {3}
+    assert len(state["axes"]) == 2
 
 
 class SlowExecutor:
@@ -188,7 +231,7 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path) -
         live.expect([{"bullet": 10}])
         live.stage("search")
         live.finished(store.tests()[0], "bullet", None, fresh=True)
-        observed = ObservedExecutor(slow, live)
+        observed = ObservedExecutor(WorkerPool([slow], ["bullet"]), live)
         thread = threading.Thread(target=observed.execute, args=("bullet", test.road, test.seed))
         thread.daemon = True
         thread.start()

@@ -6,6 +6,7 @@ import os
 import sqlite3
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -88,6 +89,7 @@ class SqliteFile:
         read_only: bool = False,
     ) -> None:
         self.path, self.version = path, version
+        self._writes = begin is not None
         self._lock = threading.Lock()
         folder = path.parent
         if begin is None and not path.exists():
@@ -229,7 +231,10 @@ class SqliteFile:
         )
 
     def close(self) -> None:
-        """Close the file; everything is written."""
+        """Close the file; everything is written, and a campaign's log is emptied even if it is read at this moment."""
+        if self._writes:
+            with self._lock, suppress(sqlite3.Error):  # closed already, or read for too long: then the log stays
+                self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
         self._db.close()
 
 
