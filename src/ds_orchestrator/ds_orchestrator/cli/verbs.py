@@ -52,7 +52,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "campaign",
                 "campaign.group",
                 "Prepare, run, resume, inspect and compare campaigns.",
-                ("init", "run", "resume", "status", "roads", "refine", "compare"),
+                ("init", "run", "resume", "status", "roads", "refine", "compare", "export"),
             ),
             Verb("runs", "campaign.group", "List the campaigns below a folder."),
             Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),

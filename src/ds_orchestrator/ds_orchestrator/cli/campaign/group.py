@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import typer
 
-from ds_orchestrator.cli.campaign import compare, prepare, refine, run, runs, suites, watch
+from ds_orchestrator.cli.campaign import compare, export, prepare, refine, run, runs, suites, watch
 
 app = typer.Typer()
 campaign_app = typer.Typer(help="Prepare, run, resume, inspect and compare campaigns.", no_args_is_help=True)
-for part in (prepare.campaign_app, run.campaign_app, refine.campaign_app, compare.campaign_app):
+for part in (prepare.campaign_app, run.campaign_app, refine.campaign_app, compare.campaign_app, export.campaign_app):
     campaign_app.add_typer(part)
 app.add_typer(campaign_app, name="campaign")
 for part in (run.app, runs.app, suites.app, watch.app):
