@@ -6,6 +6,7 @@ import errno
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -367,7 +368,9 @@ def test_flicker_counts_still_pixels_only() -> None:
 
 
 def test_a_generator_that_bends_lines_is_not_chosen() -> None:
-    def numbers_of(shift: float, shift_95: float, yellow: float, white: float, overlap: float, noise: float) -> dict:
+    def numbers_of(
+        shift: float, shift_95: float, yellow: float, white: float, overlap: float, noise: float
+    ) -> dict[str, Any]:
         lane = {"shift": shift, "shift_95": shift_95, "found_yellow": yellow, "found_white": white, "overlap": overlap}
         return {"lane": lane, "flicker": noise}
 
