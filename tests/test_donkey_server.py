@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -167,11 +168,13 @@ def test_zeros_keep_the_image_format() -> None:
             image_format_of({"msg_type": "cam_config", field: value}, kept)
 
 
-def test_a_client_drives_the_simulators_own_run_bit_by_bit() -> None:
-    simulator = make_simulator("donkey")
+def test_a_client_drives_the_simulators_own_run_bit_by_bit(tmp_path: Path) -> None:
+    car = tmp_path / "car.yaml"
+    car.write_text("format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}\n")
+    simulator = make_simulator(f"donkey@{car}")
     run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 5)
     frame = simulator.load(ROAD, seed=5)
-    with served(sim="donkey") as (port, lines):
+    with served(sim=f"donkey@{car}") as (port, lines):
         client = Client(port)
         assert client.greeting["msg_type"] == "scene_selection_ready"
         client.send({"msg_type": "get_scene_names"}, {"msg_type": "get_protocol_version"})
@@ -296,7 +299,7 @@ def serve(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 
 
-def test_the_command_serves_until_stopped_and_refuses_a_port_in_use(tmp_path: Any) -> None:
+def test_the_command_serves_until_stopped_and_refuses_a_port_in_use(tmp_path: Path) -> None:
     roads = tmp_path / "roads.json"
     roads.write_text(json.dumps([road_to_json(STRAIGHT)]))
     server = serve("--sim", "softbody", "--port", "0", "--road", str(roads))
