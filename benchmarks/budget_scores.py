@@ -162,10 +162,17 @@ def pooled(errors: Sequence[tuple[Case, Array]]) -> tuple[float, tuple[float, fl
 
 
 def tables_of(scored: Sequence[Scored]) -> list[Table]:
-    """Tabulate the groups that have a twin, over all networks."""
+    """Tabulate the groups that have a twin, over all networks; one group counts made twins that fail alike once."""
+    alike: dict[tuple[object, ...], Scored] = {}
+    for one in scored:
+        if one.case.group == "made":
+            table = one.case.table
+            failed = table.failed(str(table.twin)).tobytes()
+            alike.setdefault((one.case.network, table.test_ids, failed), one)
     groups = {
         "in turn": [one for one in scored if one.case.group == "in turn"],
         "made": [one for one in scored if one.case.group == "made"],
+        "made, distinct": list(alike.values()),
         "made, within": [one for one in scored if one.case.group == "made" and not one.case.outside],
         "made, outside": [one for one in scored if one.case.outside],
         "control": [one for one in scored if one.case.group == "control"],
