@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.box import SIMPLE
 
 from ds_orchestrator.cli.options import JsonFlag, Simulator
 from ds_orchestrator.cli.output import Interrupted, Result, answer, countdown, say
@@ -18,6 +19,8 @@ app = typer.Typer()
 sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
 app.add_typer(sim2real_app, name="sim2real")
 
+NARROW: dict[str, Any] = {"box": SIMPLE, "pad_edge": False, "padding": (0, 0)}
+"""Tables of many columns in 80 of a terminal."""
 Generator = Annotated[Path, typer.Argument(metavar="GENERATOR", help="Generator, a .safetensors file.")]
 RealImages = Annotated[
     Path, typer.Option("--real", help="Photographs from the right lane: a Donkey Car tub, a bag, or a folder.")
@@ -109,19 +112,21 @@ def assess(folder: Path, real: Path, driver: str, ship_to: Path | None) -> Resul
     document = document | {"shipped": [str(file) for file in files]}
 
     def show() -> None:
-        table = Table(
-            "", "overlap", "shift, px", "yellow", "white", "steering", *document[PLAIN]["distance"], "flicker", "bounds"
-        )
+        distances = document[PLAIN]["distance"]
+        table = Table("", "overlap", "px", "yellow", "white", "steer", *distances, "flicker", "bounds", **NARROW)
         for name, row in {PLAIN: document[PLAIN], **document["checkpoints"]}.items():
             lane = row["lane"]
-            distances = (f"{d['value']:.3f} ({d['low']:.3f} to {d['high']:.3f})" for d in row["distance"].values())
+            cells = (f"{d['value']:.2f} ({d['low']:.2f}-{d['high']:.2f})" for d in row["distance"].values())
             bounds = "" if name == PLAIN else ("broken" if row["broken"] else "kept")
             table.add_row(
                 name, f"{lane['overlap']:.2f}", f"{lane['shift']:.2f}", f"{lane['found_yellow']:.2f}",
-                f"{lane['found_white']:.2f}", f"{row['steering_change']['mean']:.3f}", *distances,
+                f"{lane['found_white']:.2f}", f"{row['steering_change']['mean']:.2f}", *cells,
                 f"{row['flicker']:.1f}", bounds,
             )  # fmt: skip
         Console().print(table)
+        print(
+            "px: sideways shift of the lines, median; yellow, white: share of the rows with the line; steer: its change"
+        )
         seen = document[PHOTOGRAPHS]
         print(f"photographs show the yellow line in {seen['yellow']:.0%} of its rows, the white in {seen['white']:.0%}")
         print(f"chosen: {document['chosen'] or 'none, as all break a bound'}")
@@ -158,7 +163,7 @@ def reality(source: Path, generators: str, networks: list[str], *, whole: bool, 
     }
 
     def show() -> None:
-        table = Table("network", "r", "r, human smoothed", "beyond the first", *windows)
+        table = Table("network", "r", "r, human smoothed", "beyond the first", *windows, **NARROW)
         for one in found:
             numbers = (one.correlation, one.smoothed, one.beyond_first)
             cells = ("" if n is None else f"{n.value:.2f} ({n.low:.2f} to {n.high:.2f})" for n in numbers)
