@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -14,13 +13,13 @@ from xml.etree import ElementTree
 import pytest
 import typer
 from tests.campaign.executors import MadeUpExecutor
+from tests.command_line import ds
 
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
 from ds_orchestrator.campaign.folder import locked, store_of
 from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.template import SIZES, template
-from ds_orchestrator.cli import application
 from ds_orchestrator.cli.campaign.run import judged
 from ds_orchestrator.cli.output import Result, end
 from ds_orchestrator.comparison import given_tests
@@ -63,14 +62,6 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
         "ds_driver.networks.network_driver.driver_sha256", lambda name: name.encode().hex().ljust(64, "0")
     )
     return started
-
-
-def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
-    given = [str(argument) for argument in arguments]
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        status = application.run(given)
-    return subprocess.CompletedProcess(given, status, out.getvalue(), err.getvalue())
 
 
 def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
-import subprocess
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,12 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from tests.campaign.executors import MadeUpExecutor
+from tests.command_line import ds
 
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.folder import locked, store_of
 from ds_orchestrator.campaign.refined_data import is_refined
 from ds_orchestrator.campaign.runner import Campaign
-from ds_orchestrator.cli import application
 from ds_orchestrator.comparison import given_tests
 from ds_orchestrator.prediction.families import families_of
 from ds_orchestrator.refinement import CellEvidence
@@ -61,14 +59,6 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     monkeypatch.setattr(given_tests, "running_engine", running)
     return state
-
-
-def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
-    given = [str(argument) for argument in arguments]
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        status = application.run(given)
-    return subprocess.CompletedProcess(given, status, out.getvalue(), err.getvalue())
 
 
 def campaign(folder: Path, **changed: Any) -> Path:

@@ -190,6 +190,6 @@ def road_import_command(
 ) -> None:
     """Print the roads of other tools' files as a JSON list, for every verb that takes roads.
 
-    The format is told by the content. Roads outside of the box of 250 m are moved into its middle if they fit.
+    The content decides the format. Roads outside of the box of 250 m are moved into its middle if they fit.
     """
     print(json.dumps(import_roads(files)))

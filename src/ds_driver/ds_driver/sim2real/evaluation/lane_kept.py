@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.lane.lane_pairs import FIRST_ROW, HEIGHTS, lane_shapes
+from ds_driver.sim2real.lane.lane_pairs import FIRST_ROW, HEIGHTS, lane_shape
 from ds_driver.sim2real.lane.line_finder import find_lines, lane_borders
 
 NEAR = 0.06
@@ -84,11 +84,12 @@ def lines_of_photographs(photographs: NDArray[np.uint8]) -> dict[str, float]:
     height, width = photographs.shape[1:3]
     rows, found_rows = np.zeros(2), np.zeros(2)
     every = np.arange(height)
-    for image, lanes in zip(photographs, lane_shapes(photographs), strict=True):
-        if not np.isfinite(lanes).all():
-            continue
+    for image in photographs:
         lines = find_lines(image)
         borders = lane_borders(lines)
+        lanes = lane_shape(borders, width)
+        if not np.isfinite(lanes).all():
+            continue
         for side, (mask, line) in enumerate(zip((lines.yellow, lines.white), lanes.reshape(2, -1), strict=True)):
             seen = np.flatnonzero(np.isfinite(borders[:, side]) & (every >= FIRST_ROW * height))
             columns = np.interp(every, np.array(HEIGHTS) * height, line) * width

@@ -72,21 +72,33 @@ def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
         (n, 2 * heights) in widths of the picture, first of the yellow line, then of the white one; NaN in images that
         do not show both.
     """
-    rows, columns = images.shape[1:3]
+    shapes = [lane_shape(lane_borders(find_lines(image)), image.shape[1]) for image in images]
+    return np.stack(shapes) if shapes else np.empty((0, 2 * len(HEIGHTS)))
+
+
+def lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
+    """Measure the columns of both lines of one image at `HEIGHTS`.
+
+    Args:
+        borders: (rows, 2) from `ds_driver.sim2real.lane.line_finder.lane_borders`.
+        columns: columns of the image.
+
+    Returns:
+        (2 * heights,) as from `lane_shapes`.
+    """
+    rows = len(borders)
     first, at = round(FIRST_ROW * rows), np.array(HEIGHTS) * rows
-    shapes = np.full((len(images), 2, len(HEIGHTS)), np.nan)
-    for image, shape in zip(images, shapes, strict=True):
-        borders = lane_borders(find_lines(image))
-        for side in (0, 1):
-            seen = first + np.flatnonzero(np.isfinite(borders[first:, side]))
-            span = np.ptp(seen) / rows if seen.size else 0.0
-            if seen.size < LEAST_ROWS * rows or span < LEAST_SPAN:
-                break
-            degree = next(degree for least, degree in DEGREES if span >= least)
-            line = np.polynomial.Polynomial.fit(seen, borders[seen, side], degree)
-            # A line that left the picture is not followed any further.
-            shape[side] = (line(at) / columns).clip(-0.25, 1.25)
-    return shapes.reshape(len(images), -1)
+    shape = np.full((2, len(HEIGHTS)), np.nan)
+    for side in (0, 1):
+        seen = first + np.flatnonzero(np.isfinite(borders[first:, side]))
+        span = np.ptp(seen) / rows if seen.size else 0.0
+        if seen.size < LEAST_ROWS * rows or span < LEAST_SPAN:
+            break
+        degree = next(degree for least, degree in DEGREES if span >= least)
+        line = np.polynomial.Polynomial.fit(seen, borders[seen, side], degree)
+        # A line that left the picture is not followed any further.
+        shape[side] = (line(at) / columns).clip(-0.25, 1.25)
+    return shape.ravel()
 
 
 def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> LanePairs:
