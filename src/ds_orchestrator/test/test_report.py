@@ -24,6 +24,7 @@ from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference
 from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
 from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.report.build import write_all
 from ds_orchestrator.report.failure_region import RoadOutcomes, best_split, road_outcomes
 from ds_orchestrator.report.findings import summarise, where_it_fails
 from ds_orchestrator.report.html_report import duration, write_report
@@ -31,6 +32,7 @@ from ds_orchestrator.report.page_data import page_data
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.store import Store, Test
 from ds_road import Road
+from ds_sim.conditions import Conditions
 from ds_sim.simulator import Outcome
 
 
@@ -466,3 +468,37 @@ def test_limits_say_what_was_tested_and_what_was_not() -> None:
     only = road(0)
     assert f"Tested: 1 road with {only.turns_count} turns" in found.limits
     assert f"{1 / only.curvature:.1f} m radius" in found.limits and "traffic" in found.limits
+
+
+def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: Path) -> None:
+    config = CampaignConfig.model_validate(
+        {
+            "siblings": ["nowhere:A"],
+            "twin": None,
+            "search": {"conditions": {"line_contrast": {"low": 0.1, "high": 1.0}}},
+            "features": ["lane_curvature", "line_contrast"],
+        }
+    )
+    store = Store(tmp_path / "campaign.sqlite", config=config.identity(), conditions=True)
+    for test, driven in make_tests(config, 4):
+        store.add_test(replace(test, conditions=Conditions(line_contrast=0.5)))
+        for execution in driven:
+            store.add_execution(execution)
+    page = Page(write_all(tmp_path, store).read_text())
+    store.close()
+    images = [attributes for tag, attributes in page.elements if tag == "img"]
+    (shown,) = (image for image in images if (image["alt"] or "").startswith("curvature by turns count: "))
+    maps = _maps_over_turns(tmp_path)
+    union, merged = maps["union"], maps["merged"]
+    failing = sum(cell["failures"] > 0 for cell in union["cells"])
+    assert 0 < failing < len(union["cells"]) and len(merged["cells"]) == len(union["cells"])
+    assert f"All tests on nowhere:A: failures in {failing} of {len(union['cells'])} cells;" in (shown["alt"] or "")
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode((shown["src"] or "").partition(",")[2]), np.uint8), 1)
+    drawn = cv2.imread(str(next((tmp_path / "maps/turns_count_by_curvature").glob("union_*_probability.png"))))
+    assert np.array_equal(picture[: drawn.shape[0], : drawn.shape[1]], drawn)
+
+
+def _maps_over_turns(folder: Path) -> dict[str, Any]:
+    """Kind -> map over the paper's axes, as written for other programs."""
+    maps = json.loads((folder / "maps/turns_count_by_curvature/maps.json").read_text())
+    return {name.partition("_")[0]: content for name, content in maps.items()}

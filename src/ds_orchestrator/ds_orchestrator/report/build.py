@@ -67,6 +67,7 @@ def write_all(
     """
     from ds_orchestrator.maps.heatmap import write_maps
     from ds_orchestrator.report.answer_section import answer_section
+    from ds_orchestrator.report.further_maps import further_map
     from ds_orchestrator.report.html_report import write_report
     from ds_orchestrator.report.sibling_section import sibling_section
 
@@ -89,10 +90,12 @@ def write_all(
     say("stage: maps")
     write_json(folder, maps)
     write_maps(maps, folder / "maps")
+    further_maps = []
     for axes in data.config.further_axes:
         out, further = folder / "maps" / "_by_".join(axes), maps_of(data, features=axes)
         write_maps(further, out)
         (out / "maps.json").write_text(_text(to_json(further)))
+        further_maps.append(further_map(axes, further))
     store.set_result("maps", count)
     mapped = time.monotonic()
     say("stage: evaluation")
@@ -121,6 +124,7 @@ def write_all(
         network=network_of(data.config),
         siblings=siblings,
         answer=answer_section(folder, data),
+        further_maps=further_maps,
         trusted=trusted,
     )
     store.set_result("report", count)

@@ -21,10 +21,10 @@ from ds_driver.closed_loop.simulation import AUTOPILOT
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.networks.network_driver import generators_of
 from ds_driver.sim2real.stage import Translation, translation_of
+from ds_orchestrator.report.data_address import data_address
 from ds_orchestrator.report.page_data import in_words
 from ds_orchestrator.report.picture_plan import moments
 from ds_orchestrator.store.store import Execution, Test
-from ds_sim.camera.png import png
 from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_sim.conditions.loading import load
 from ds_sim.registry import make_simulator, received_simulator
@@ -120,8 +120,7 @@ def _camera_picture(name: str, test: Test, trusted: Collection[str], driver: str
     )
     if reached.lane.arc_length < CAMERA_PLACE:
         note += f"; the autopilot got no further ({in_words(reached.outcome)})"
-    picture = f"data:image/png;base64,{base64.b64encode(png(image)).decode()}"
-    return CameraPicture(simulator=name, physics=physics, picture=picture, note=note)
+    return CameraPicture(simulator=name, physics=physics, picture=data_address(image), note=note)
 
 
 def _drive_to(simulator: Simulator, test: Test, place: float) -> Observation:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +11,10 @@ from ds_orchestrator.comparison.drives import PairedDrive
 from ds_orchestrator.comparison.summary import advice_of, answer_of, cautions_of, sentences_of
 from ds_orchestrator.comparison.tables import cell_table, command_of, drive_table, simulator_table
 from ds_orchestrator.maps.heatmap import COLOURS, Rgb, ink_on
+from ds_orchestrator.report.data_address import data_address
 from ds_orchestrator.report.html_report import environment
 from ds_orchestrator.search.features import feature_of
 from ds_road import draw
-from ds_sim.camera.png import png
 
 PICTURED = 12
 """Drives with a picture; chosen: the page stays below a megabyte."""
@@ -129,8 +128,7 @@ def _picture(drive: PairedDrive) -> str:
     """Address of a picture of the road with both paths; "" if a path is not known."""
     paths = {"reference": drive.reference.path, "candidate": drive.candidate.path}
     known = {name: path for name, path in paths.items() if len(path)}
-    image = png(draw(drive.test.road, trajectories=known, size=_SIZE, caption=False))
-    return f"data:image/png;base64,{base64.b64encode(image).decode()}"
+    return data_address(draw(drive.test.road, trajectories=known, size=_SIZE, caption=False))
 
 
 def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> str:

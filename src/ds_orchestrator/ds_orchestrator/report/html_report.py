@@ -34,6 +34,7 @@ from ds_orchestrator.report.camera_pictures import (
     translates,
 )
 from ds_orchestrator.report.findings import count, summarise
+from ds_orchestrator.report.further_maps import FurtherMap
 from ds_orchestrator.report.page_data import in_words, page_data
 from ds_orchestrator.report.picture_plan import REPLAY_PICTURES, plan_pictures
 from ds_orchestrator.report.plotly_figures import correlation_chart, density_chart, layouts
@@ -57,6 +58,7 @@ def write_report(
     network: Network | None = None,
     siblings: SiblingSection | None = None,
     answer: AnswerSection | None = None,
+    further_maps: Sequence[FurtherMap] = (),
     trusted: Collection[str] = (),
 ) -> Path:
     """Write `report.html`; the same campaign gives the same bytes.
@@ -71,6 +73,7 @@ def write_report(
         network: network in the paper whose numbers are shown for comparison, or None.
         siblings: what each sibling adds, or None.
         answer: what is predicted of a car, or None.
+        further_maps: maps over other features than the configured ones.
         trusted: user-defined simulators whose code may run; others have no pictures.
 
     Returns:
@@ -110,6 +113,7 @@ def write_report(
         of_paper=network is not None,
         siblings=siblings,
         answer=answer,
+        further_maps=further_maps,
         outcomes=_outcome_table(config, executions),
         verdicts=_VERDICTS,
         stages=stages_of(data),

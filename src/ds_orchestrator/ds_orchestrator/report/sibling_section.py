@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ds_orchestrator.campaign.campaign_data import CampaignData
-from ds_orchestrator.evaluation.chart import Picture
 from ds_orchestrator.evaluation.table import Table
+from ds_orchestrator.report.data_address import data_address
 from ds_orchestrator.siblings.analysis import analyse, analysis_tables
 from ds_orchestrator.siblings.outcomes import outcomes_of_campaign
 from ds_orchestrator.siblings.pictures import draw_failures, draw_matrix
-from ds_sim.camera.png import png
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,11 +42,7 @@ def sibling_section(data: CampaignData) -> SiblingSection | None:
         sentences=found.sentences,
         tables=analysis_tables(found),
         pictures=[
-            (f"Largest lateral position over {found.feature}", _address(draw_failures(outcomes, found.feature))),
-            ("Who fails where", _address(draw_matrix(outcomes, found.feature))),
+            (f"Largest lateral position over {found.feature}", data_address(draw_failures(outcomes, found.feature))),
+            ("Who fails where", data_address(draw_matrix(outcomes, found.feature))),
         ],
     )
-
-
-def _address(picture: Picture) -> str:
-    return f"data:image/png;base64,{base64.b64encode(png(picture)).decode()}"
