@@ -13,7 +13,11 @@ once as it is, and once with the outcomes of the driven tests filled in, as any 
 
 Intervals are 95 % of 2,000 resamples of twins and of roads at the same time (the pigeonhole bootstrap: Owen, Ann. Appl.
 Stat. 2007), as all twins drive the same roads; twins that share a maker are still more alike than cars are.
-Fixed before the first drive: twins, roads, networks, siblings, budgets, rules, scores.
+
+With `--conditions` each road has its own line contrast and visibility, drawn from the ranges of
+`benchmarks.objectives`: a network that completes every road can fail there. Tests that the gates exclude on one of a
+case's simulators are left out of it. The gates' own runs are kept, too, and serve every network.
+Fixed before the first drive: twins, roads, conditions, networks, siblings, budgets, rules, scores.
 """
 
 from __future__ import annotations
@@ -21,99 +25,153 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from benchmarks.budget_scores import BUDGETS, SEED, Case, Scored, score, tables_of
-from benchmarks.made_twins import MadeTwin, made_twin
+from benchmarks.made_twins import CAMERA, MadeTwin, made_twin
+from benchmarks.objectives import CONDITIONS
 from rich.console import Console
 
-from ds_driver.closed_loop.simulation import Drive
+from ds_driver.closed_loop.simulation import AUTOPILOT, Drive
 from ds_driver.closed_loop.success_rate import unseen_roads
 from ds_orchestrator.cli.output import countdown, say
 from ds_orchestrator.evaluation.table import write_tables
 from ds_orchestrator.prediction.outcome_table import OutcomeTable, table_of_outcomes
-from ds_orchestrator.siblings.kept_drives import drive_kept
+from ds_orchestrator.search.condition_space import ConditionSpace, SearchedCondition
+from ds_orchestrator.siblings.kept_drives import drive_kept, read_kept
 from ds_orchestrator.siblings.outcomes import Outcomes
 from ds_road import Road
-from ds_sim.conditions import DEFAULT
+from ds_sim.conditions import DEFAULT, Conditions
+from ds_sim.gates.gate import gate_of
 from ds_sim.session import RunRecord
 
 SIMULATORS = ("bullet", "softbody", "panda", "donkey")
 NETWORKS = ("dave2_short", "epoch", "dave2_b")
 
 
-def drive(
-    out: Path, network: str, roads: Sequence[Road], twins: Sequence[MadeTwin], workers: int, *, known_only: bool
-) -> dict[str, list[RunRecord | None]]:
-    """Drive every road on every simulator and twin, or read what was driven; simulator -> runs in the roads' order."""
-    folder = out / network
-    cars = {twin.name: twin for twin in twins}
-    simulators = {name: name for name in SIMULATORS} | {
-        name: twin.simulator(out / "twins") for name, twin in cars.items()
-    }
-    drives = {
-        name: [
-            Drive(simulator, network, road, SEED + k, cars[name].conditions if name in cars else DEFAULT)
-            for k, road in enumerate(roads)
-        ]
-        for name, simulator in simulators.items()
-    }  # whole twins, one after the other: a stopped run scores those that are done
-    if known_only:
-        from ds_orchestrator.siblings.kept_drives import read_kept
+Runs = dict[str, list[RunRecord | None]]
+"""Simulator or twin -> its runs in the tests' order; None for one that is not there."""
+Valid = Mapping[str, Sequence[bool]]
+"""Simulator or twin -> whether the gates let each test be judged there."""
 
-        return {name: [read_kept(folder, one) for one in of] for name, of in drives.items()}
-    runs: dict[str, list[RunRecord | None]] = {name: [] for name in drives}
-    flat = [(name, one) for name, of in drives.items() for one in of]
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetTest:
+    """A road, its seed, and its conditions."""
+
+    road: Road
+    seed: int
+    conditions: Conditions = DEFAULT
+
+
+def draw_tests(count: int, *, conditions: bool) -> list[BudgetTest]:
+    """Draw the tests; the roads are the same with and without conditions."""
+    space = ConditionSpace([SearchedCondition(name=name, **ends) for name, ends in CONDITIONS.items()])
+    return [
+        BudgetTest(
+            road=road,
+            seed=SEED + k,
+            conditions=space.draw(np.random.default_rng([SEED, 1, k])) if conditions else DEFAULT,
+        )
+        for k, road in enumerate(unseen_roads(count, SEED))
+    ]
+
+
+def drive(
+    out: Path,
+    driver: str,
+    tests: Sequence[BudgetTest],
+    twins: Sequence[MadeTwin],
+    workers: int,
+    *,
+    valid: Valid | None = None,
+    known_only: bool,
+) -> Runs:
+    """Drive the tests on every simulator and twin, or read what was driven.
+
+    Args:
+        out: folder of the benchmark.
+        driver: name of a network; `AUTOPILOT` for the gates.
+        tests: what to drive.
+        twins: made twins, driven whole, one after the other: a stopped run scores those that are done.
+        workers: number of processes.
+        valid: the tests that say something about the driver; all if None.
+        known_only: drive nothing.
+    """
+    gated = driver == AUTOPILOT
+    folder = out / ("gates" if gated else driver)
+    simulators = {name: (name, dict[str, float]()) for name in SIMULATORS} | {
+        twin.name: (twin.simulator(out / "twins"), {key: twin.values[key] for key in CAMERA}) for twin in twins
+    }
+    drives = [
+        (name, k, Drive(simulator, driver, test.road, test.seed, replace(test.conditions, **camera), probed=gated))
+        for name, (simulator, camera) in simulators.items()
+        for k, test in enumerate(tests)
+        if valid is None or valid[name][k]
+    ]
+    runs: Runs = {name: [None] * len(tests) for name in simulators}
+    if known_only:
+        for name, k, one in drives:
+            runs[name][k] = read_kept(folder, one)
+        return runs
     progress, kept = countdown(), 0
-    found = drive_kept([one for _, one in flat], folder, workers=workers, say=say)
-    for done, ((name, _), (run, fresh)) in enumerate(zip(flat, found, strict=True), start=1):
-        runs[name].append(run)
+    found = drive_kept([one for *_, one in drives], folder, workers=workers, say=say)
+    for done, ((name, k, _), (run, fresh)) in enumerate(zip(drives, found, strict=True), start=1):
+        runs[name][k] = run
         kept += not fresh
         if fresh:
-            progress(done - kept, len(flat) - kept, f"{network} on {name}: {run.outcome.name.lower()}")
+            progress(done - kept, len(drives) - kept, f"{driver} on {name}: {run.outcome.name.lower()}")
     return runs
 
 
 def cases_of(
-    network: str, runs: Mapping[str, Sequence[RunRecord | None]], twins: Sequence[MadeTwin], siblings: Sequence[str]
+    network: str,
+    runs: Runs,
+    valid: Valid,
+    tests: Sequence[BudgetTest],
+    twins: Sequence[MadeTwin],
+    siblings: Sequence[str],
 ) -> list[Case]:
     """Make every case whose drives are done; a test without a verdict on one of its simulators is left out."""
+
+    def table(known: Sequence[str], twin: str, name: str) -> OutcomeTable | None:
+        return _table([runs[one] for one in (*known, twin)], [valid[one] for one in (*known, twin)], tests, name)
+
     cases = [
-        Case(network=network, group="in turn", name=name, outside="", table=table)
-        for name in SIMULATORS
-        for table in [_table([runs[one] for one in SIMULATORS if one != name], runs[name], name)]
-        if table is not None
+        ("in turn", name, "", table([one for one in SIMULATORS if one != name], name, name)) for name in SIMULATORS
     ]
-    known = [runs[one] for one in siblings]
-    for twin in twins:
-        table = _table(known, runs[twin.name], twin.name)
-        if table is not None:
-            cases.append(Case(network=network, group="made", name=twin.name, outside=twin.outside, table=table))
-    for name in siblings:
-        table = _table(known, runs[name], f"{name} again")
-        if table is not None:
-            cases.append(Case(network=network, group="control", name=f"{name} again", outside="", table=table))
-    return cases
+    cases += [("made", twin.name, twin.outside, table(siblings, twin.name, twin.name)) for twin in twins]
+    cases += [("control", f"{name} again", "", table(siblings, name, f"{name} again")) for name in siblings]
+    return [
+        Case(network=network, group=group, name=name, outside=outside, table=found)
+        for group, name, outside, found in cases
+        if found is not None
+    ]
 
 
 def _table(
-    siblings: Sequence[Sequence[RunRecord | None]], twin: Sequence[RunRecord | None], name: str
+    runs: Sequence[Sequence[RunRecord | None]],
+    valid: Sequence[Sequence[bool]],
+    tests: Sequence[BudgetTest],
+    twin: str,
 ) -> OutcomeTable | None:
-    """Outcomes of the siblings and a twin; None if drives of the twin are missing."""
-    if any(run is None for of in (*siblings, twin) for run in of):
+    """Outcomes of the siblings and, last, the twin on the tests that are valid on all; None if drives are missing."""
+    rows = [k for k in range(len(tests)) if all(of[k] for of in valid)]
+    columns = [[of[k] for k in rows] for of in runs]
+    if any(run is None for of in columns for run in of):
         return None
-    columns = [[run for run in of if run is not None] for of in (*siblings, twin)]
-    rows = [k for k in range(len(twin)) if all(of[k].outcome.is_verdict for of in columns)]
-    names = (*(f"sibling {k}" for k in range(1, len(siblings) + 1)), name)
+    found = [(k, [run for run in of if run is not None]) for k, *of in zip(rows, *columns, strict=True)]
+    judged = [(k, of) for k, of in found if all(run.outcome.is_verdict for run in of)]
     outcomes = Outcomes(
-        simulators=names,
-        roads=tuple(columns[0][k].road for k in rows),
-        failed=np.array([[of[k].outcome.is_failure for of in columns] for k in rows], np.bool_),
-        lateral=np.array([[of[k].max_lateral_position for of in columns] for k in rows]),
+        simulators=(*(f"sibling {k}" for k in range(1, len(runs))), twin),
+        roads=tuple(tests[k].road for k, _ in judged),
+        failed=np.array([[run.outcome.is_failure for run in of] for _, of in judged], np.bool_),
+        lateral=np.array([[run.max_lateral_position for run in of] for _, of in judged]),
         profiles={},
     )
-    return table_of_outcomes(outcomes, twin=name)
+    return table_of_outcomes(outcomes, twin=twin, conditions=[tests[k].conditions for k, _ in judged])
 
 
 def main() -> None:
@@ -124,6 +182,7 @@ def main() -> None:
     parser.add_argument("--tests", type=int, default=30, help="random roads, at least 10")
     parser.add_argument("--networks", default="dave2_short", help=f"some of {','.join(NETWORKS)}, or any other")
     parser.add_argument("--siblings", default=",".join(SIMULATORS[:3]), help="three that predict the made twins")
+    parser.add_argument("--conditions", action="store_true", help="tests are roads and conditions, with gates")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--score", action="store_true", help="only score the twins whose drives are done")
     arguments = parser.parse_args()
@@ -132,13 +191,19 @@ def main() -> None:
     siblings = arguments.siblings.split(",")
     if len(siblings) != 3 or not set(siblings) <= set(SIMULATORS):
         parser.error(f"--siblings {arguments.siblings}: expected three of {','.join(SIMULATORS)}")
-    roads = unseen_roads(arguments.tests, SEED)
+    tests = draw_tests(arguments.tests, conditions=arguments.conditions)
     twins = [made_twin(number, SEED) for number in range(1, arguments.twins + 1)]
     arguments.out.mkdir(parents=True, exist_ok=True)
+    valid: Valid = {name: [True] * len(tests) for name in (*SIMULATORS, *(twin.name for twin in twins))}
+    if arguments.conditions:
+        gates = drive(arguments.out, AUTOPILOT, tests, twins, arguments.workers, known_only=arguments.score)
+        # A test whose gates were not driven counts as valid, so that a case with it is incomplete.
+        valid = {name: [gate is None or gate_of(gate).is_valid for gate in of] for name, of in gates.items()}
+        say(f"gates: {sum(not one for of in valid.values() for one in of)} tests of simulators are excluded")
     scored: list[Scored] = []
     for network in arguments.networks.split(","):
-        runs = drive(arguments.out, network, roads, twins, arguments.workers, known_only=arguments.score)
-        cases = cases_of(network, runs, twins, siblings)
+        runs = drive(arguments.out, network, tests, twins, arguments.workers, valid=valid, known_only=arguments.score)
+        cases = cases_of(network, runs, valid, tests, twins, siblings)
         say(f"{network}: scoring {len(cases)} twins")
         scored += [score(case) for case in cases]
     if not scored:
@@ -149,6 +214,7 @@ def main() -> None:
     write_tables(tables, arguments.out)
     document = {
         "networks": arguments.networks.split(","), "tests": arguments.tests, "siblings": siblings,
+        "conditions": CONDITIONS if arguments.conditions else {},
         "twins": [twin.document() for twin in twins],
         "scores": [
             {

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from benchmarks.budget_scores import SEED, Case, pooled, score
 from benchmarks.made_twins import EVERY, OUTSIDE, WITHIN, made_twin
+from benchmarks.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
 
 from ds_orchestrator.prediction.outcome_table import table_of_outcomes
 from ds_orchestrator.siblings.outcomes import Outcomes
 from ds_road import generate
+from ds_sim.conditions import DEFAULT
 from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
 from ds_twin_donkey.parameter_file import read_parameters
 
 
@@ -52,3 +56,26 @@ def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monke
         assert four["hierarchical model"].mean() < found.plain["hierarchical model"].mean()
     mean, (low, high) = pooled([(found.case, found.plain["mean"])])
     assert mean == pytest.approx(found.plain["mean"].mean()) and low < mean < high
+
+
+def test_tests_with_conditions_are_cases_where_every_simulator_lets_them_be_judged() -> None:
+    plain, tests = draw_tests(6, conditions=False), draw_tests(6, conditions=True)
+    assert [test.road for test in tests] == [test.road for test in plain]
+    assert all(test.conditions == DEFAULT for test in plain) and tests == draw_tests(8, conditions=True)[:6]
+    runs: Runs = {name: [_run(test, failed=k == 5) for k, test in enumerate(tests)] for name in SIMULATORS}
+    valid = {name: [True] * 6 for name in SIMULATORS}
+    valid["panda"][1], runs["panda"][1] = False, None
+    cases = {case.name: case.table for case in cases_of("none", runs, valid, tests, [], SIMULATORS[:3])}
+    kept = [tests[k].road.road_id for k in (0, 2, 3, 4, 5)]
+    assert list(cases["donkey"].test_ids) == kept and cases["donkey"].failed("donkey").tolist() == [False] * 4 + [True]
+    assert {"line_contrast", "visibility"} <= set(cases["donkey"].feature_names)
+    assert cases["donkey"].conditions == tuple(tests[k].conditions for k in (0, 2, 3, 4, 5))
+    # Where a drive is missing, no case is complete but those that do without its simulator.
+    runs["donkey"][3] = None
+    cases = {case.name: case.table for case in cases_of("none", runs, valid, tests, [], SIMULATORS[:3])}
+    assert sorted(cases) == ["bullet again", "panda again", "softbody again"]
+
+
+def _run(test: BudgetTest, *, failed: bool) -> RunRecord:
+    outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
+    return RunRecord(road=test.road, seed=test.seed, outcome=outcome)

@@ -166,12 +166,15 @@ def table_of_campaign(data: CampaignData) -> OutcomeTable:
     )
 
 
-def table_of_outcomes(outcomes: Outcomes, *, twin: str | None = None) -> OutcomeTable:
+def table_of_outcomes(
+    outcomes: Outcomes, *, twin: str | None = None, conditions: Sequence[Conditions] | None = None
+) -> OutcomeTable:
     """Collect outcomes on the same roads, such as those of `ds siblings compare`; cells are those of the paper's maps.
 
     Args:
         outcomes: outcomes of one driver on all simulators.
         twin: simulator that plays the twin; None if all are siblings.
+        conditions: operating conditions of each road; the default ones if None.
     """
     from ds_orchestrator.search.features import cell_of
 
@@ -180,7 +183,7 @@ def table_of_outcomes(outcomes: Outcomes, *, twin: str | None = None) -> Outcome
         outcomes.simulators,
         None,
         outcomes.roads,
-        [DEFAULT] * len(outcomes.roads),
+        [DEFAULT] * len(outcomes.roads) if conditions is None else conditions,
         [cell_of(road) for road in outcomes.roads],
         np.where(outcomes.failed, State.FAILED, State.COMPLETED).astype(np.int8),
         outcomes.lateral,
