@@ -18,6 +18,7 @@ from tests.command_line import ds
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.folder import locked, store_of
 from ds_orchestrator.campaign.refined_data import is_refined
+from ds_orchestrator.campaign.road_selection import roads_of
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.comparison import given_tests
 from ds_orchestrator.prediction.families import families_of
@@ -99,6 +100,10 @@ def test_new_tests_lie_in_disputed_cells_and_all_siblings_drive_them(tmp_path: P
     with closing(Store(folder / "campaign.sqlite")) as store:
         roads = [test.road for test in store.tests()]
         assert store.count_executions() == 72 and not any(is_refined(test.test_id) for test in store.tests())
+    listed = roads_of(folder, refined=True)
+    assert [road["test_id"] for road in listed if is_refined(road["test_id"])] == [test.test_id for test in tests]
+    assert roads_of(folder, test=tests[0].test_id) == [road for road in listed if road["test_id"] == tests[0].test_id]
+    assert not any(is_refined(road["test_id"]) for road in roads_of(folder))
     # Mutants: every new road belongs to a family of the campaign's.
     families = families_of([*roads, *(test.road for test in tests)])
     assert set(families[len(roads) :]) <= set(families[: len(roads)])

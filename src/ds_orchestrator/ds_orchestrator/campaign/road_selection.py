@@ -7,9 +7,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.campaign.folder import config_of, open_store
-from ds_orchestrator.maps.campaign_maps import cells_of
+from ds_orchestrator.campaign.folder import open_store
+from ds_orchestrator.campaign.refined_data import is_refined, with_refinement
 from ds_orchestrator.search.features import Cell, Feature, feature_of
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
@@ -22,6 +23,7 @@ def roads_of(
     simulator: str | None = None,
     cell: str | None = None,
     test: str | None = None,
+    refined: bool = False,
 ) -> list[dict[str, Any]]:
     """Select roads of a campaign.
 
@@ -32,6 +34,8 @@ def roads_of(
         cell: keep roads of this cell, as the axes of `ds maps` or the bins of `ds maps --json` name it, such as
             `3,0.17` or `3,17`.
         test: keep the road of this test.
+        refined: with the tests of `ds campaign refine`, which the twin did not drive; one that `test` names needs no
+            `refined`.
 
     Returns:
         Roads as `ds_road.road_from_json` takes them, with `test_id`, `seed`, `cell` (bin by feature) and `outcomes`
@@ -42,25 +46,25 @@ def roads_of(
         ConfigError: the campaign has no such simulator, cell or test.
     """
     with closing(open_store(folder)) as store:
-        config, tests, executions, gates = config_of(store), store.tests(), store.executions(), store.gates()
+        data = read_campaign(store)
+    if refined or (test is not None and is_refined(test)):
+        data = with_refinement(folder, data)
+    config, tests, cells = data.config, data.tests, data.cells
     if simulator is not None and simulator not in config.simulators:
         raise ConfigError(f"{folder} has no simulator {simulator!r}: expected one of {', '.join(config.simulators)}")
     if test is not None and test not in {t.test_id for t in tests}:
         raise ConfigError(
             f"{folder} has no test {test!r}: expected an id such as {_examples(t.test_id for t in tests)}"
         )
-    cells = cells_of(
-        tests, executions, features=config.features, maxitwo_compatible=config.maxitwo_compatible, gates=gates
-    )
     wanted = None if cell is None else _cell_named(cell, [feature_of(name) for name in config.features], cells)
     outcomes: dict[str, dict[str, Any]] = {t.test_id: {} for t in tests}
     failures: set[tuple[str, str]] = set()
-    for execution in executions:
+    for execution in data.executions:
         outcomes.setdefault(execution.test_id, {})[execution.simulator] = execution.outcome.name
         if execution.outcome.is_failure:
             failures.add((execution.test_id, execution.simulator))
     excluded: dict[str, dict[str, str]] = {}
-    for (test_id, name), gate in gates.items():
+    for (test_id, name), gate in data.gates.items():
         if not gate.is_valid:
             excluded.setdefault(test_id, {})[name] = gate.state.value
     found = []

@@ -300,6 +300,9 @@ def campaign_roads_command(
         str | None, typer.Option(help="Only roads of this cell of the feature map, as on its axes, such as 3,0.17.")
     ] = None,
     test: Annotated[str | None, typer.Option(help="Only the road of this test.")] = None,
+    refined: Annotated[
+        bool, typer.Option("--refined", help="With the tests of `ds campaign refine`, which the twin did not drive.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="File to write; standard output if left out.")] = None,
 ) -> None:
     """Print a campaign's roads as JSON, as `ds drive --road` and `ds road check` take it.
@@ -309,7 +312,7 @@ def campaign_roads_command(
     """
     from ds_orchestrator.campaign.road_selection import roads_of
 
-    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
+    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test, refined=refined)
     # One road per line, so that a line can be cut out and driven.
     text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in found) + "\n]" if found else "[]"
     if out is None:
