@@ -15,9 +15,10 @@ from ds_orchestrator.prediction.coverage import COVERAGE, forecast_cells
 from ds_orchestrator.prediction.margins import margin
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
 from ds_orchestrator.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN
-from ds_orchestrator.prediction.real.selection import choose
+from ds_orchestrator.prediction.real.selection import candidates_of, choose
+from ds_orchestrator.prediction.real.worth import LEAST_GAIN, next_gain
 from ds_orchestrator.prediction.span import ODDS, span_of
-from ds_orchestrator.prediction.twin_prediction import MarginDrive, predict_twin
+from ds_orchestrator.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
 from ds_orchestrator.prediction.undriven import undriven_probabilities
 from ds_orchestrator.prediction.verdicts import ERROR_RATE
 
@@ -67,6 +68,8 @@ class Scored:
         ranks: randomised ranks of the cells' failure rates in their forecasts, without a drive.
         calls: budget -> tests that were not driven and are called safe, those of them that fail, tests called failing,
             and those of them that do not; drives chosen by expected information.
+        stopped: drives until the rule of `ds real update` says to stop, each chosen with those before known, at most
+            the largest budget; Brier score then, and after the largest budget.
     """
 
     case: Case
@@ -75,6 +78,7 @@ class Scored:
     odds: Mapping[int, float]
     ranks: Sequence[float]
     calls: Mapping[int, tuple[int, int, int, int]]
+    stopped: tuple[int, float, float]
 
 
 def score(case: Case) -> Scored:
@@ -103,7 +107,8 @@ def score(case: Case) -> Scored:
             rows: list[int] = []
             for budget in BUDGETS:
                 if order is None:
-                    more = [one.row for one in choose(table, updated, budget - len(rows))]
+                    left = len(candidates_of(table, updated))
+                    more = [one.row for one in choose(table, updated, min(budget - len(rows), left))]
                 else:
                     more = order[len(rows) : budget]
                 updated, rows = updated.updated([_outcome(table, row) for row in more]), [*rows, *more]
@@ -117,7 +122,22 @@ def score(case: Case) -> Scored:
                     odds[budget] = span_of(updated).odds
                     calls[budget] = _calls(updated.probabilities(), truth, hidden > 0.0)
         after |= {(rule, budget): errors for budget, errors in sums.items()}
-    return Scored(case=case, plain=plain, after=after, odds=odds, ranks=ranks, calls=calls)
+    last = float(after["information", BUDGETS[-1]][HIERARCHICAL].mean())
+    drives, brier = _stopped(table, prediction, truth)
+    stopped = drives, brier, last
+    return Scored(case=case, plain=plain, after=after, odds=odds, ranks=ranks, calls=calls, stopped=stopped)
+
+
+def _stopped(table: OutcomeTable, prediction: TwinPrediction, truth: Array) -> tuple[int, float]:
+    """Drives until another one is not worth its while, and the Brier score then."""
+    drives = 0
+    while drives < BUDGETS[-1]:
+        gain = next_gain(table, prediction)
+        if gain is None or gain < LEAST_GAIN:
+            break
+        (choice,) = choose(table, prediction, 1)
+        prediction, drives = prediction.updated([_outcome(table, choice.row)]), drives + 1
+    return drives, float(((prediction.probabilities() - truth) ** 2).mean())
 
 
 def _calls(probabilities: Array, truth: Array, rows: NDArray[np.bool_]) -> tuple[int, int, int, int]:
@@ -178,7 +198,8 @@ def tables_of(scored: Sequence[Scored]) -> list[Table]:
         "control": [one for one in scored if one.case.group == "control"],
     }
     groups = {name: of for name, of in groups.items() if of}
-    return [_budget_table(groups), _baseline_table(groups), _calibration_table(groups), _span_table(groups)]
+    tables = _budget_table, _baseline_table, _calibration_table, _stop_table, _span_table
+    return [table(groups) for table in tables]
 
 
 def _budget_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
@@ -246,6 +267,27 @@ def _calibration_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
             Column("twins"), Column("cells", "count"), Column("held", "number"), Column("drives", "count"),
             Column("called safe", "count"), Column("of them fail", "count"),
             Column("called failing", "count"), Column("of them do not", "count"),
+        ],
+        rows=rows,
+    )  # fmt: skip
+
+
+def _stop_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
+    rows: list[tuple[Any, ...]] = [
+        (
+            group, len(of), float(np.mean([one.stopped[0] for one in of])),
+            f"{min(one.stopped[0] for one in of)} to {max(one.stopped[0] for one in of)}",
+            float(np.mean([one.plain[HIERARCHICAL].mean() for one in of])),
+            *(float(np.mean([one.stopped[k] for one in of])) for k in (1, 2)),
+        )
+        for group, of in groups.items()
+    ]  # fmt: skip
+    return Table(
+        name="stop",
+        title=f"Drives until the rule says to stop, at most {BUDGETS[-1]}; mean of the twins' Brier scores",
+        columns=[
+            Column("twins"), Column("number", "count"), Column("drives", "number"), Column("range"),
+            Column("before", "number"), Column("when it stops", "number"), Column(f"after {BUDGETS[-1]}", "number"),
         ],
         rows=rows,
     )  # fmt: skip

@@ -219,7 +219,7 @@ def main() -> None:
         "scores": [
             {
                 "network": one.case.network, "group": one.case.group, "twin": one.case.name, "odds": one.odds,
-                "ranks": one.ranks, "calls": one.calls,
+                "ranks": one.ranks, "calls": one.calls, "stopped": one.stopped,
                 "plain": {name: float(e.mean()) for name, e in one.plain.items()},
                 "after": {
                     f"{rule} {budget}": {name: float(e.mean()) for name, e in errors.items()}

@@ -54,6 +54,9 @@ def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monke
         four = found.after[rule, 4]
         assert four["mean"].sum() < found.plain["mean"].sum()
         assert four["hierarchical model"].mean() < found.plain["hierarchical model"].mean()
+    # Failures that follow nothing: no drive is expected to tell of another test, so the rule asks for none.
+    drives, brier, last = found.stopped
+    assert drives == 0 and brier == pytest.approx(found.plain["hierarchical model"].mean()) and last == 0.0
     mean, (low, high) = pooled([(found.case, found.plain["mean"])])
     assert mean == pytest.approx(found.plain["mean"].mean()) and low < mean < high
 

@@ -120,12 +120,6 @@ def worth_of(table: OutcomeTable, before: TwinPrediction, after: TwinPrediction)
     probabilities = before.probabilities()[rows]
     mean = float(probabilities.mean())
     squared_r = float(probabilities.var()) / max(mean * (1.0 - mean), 1e-12)
-    try:
-        (choice,) = choose(table, after, 1)
-        error = expected_error(table, after)
-        gain: float | None = choice.gain / error if error > 0.0 else 0.0
-    except BudgetError:
-        gain = None
     rate = float(after.draws(rows=rows, outcomes=False).mean())
     return Worth(
         drives=len(after.drives),
@@ -135,8 +129,18 @@ def worth_of(table: OutcomeTable, before: TwinPrediction, after: TwinPrediction)
         simulated=_simulated(*widths, tests=len(rows), siblings=len(table.siblings), drives=len(after.drives)),
         random_alone=random_drives(widths[2], rate),
         control_variate=1.0 / max(1.0 - squared_r, 1e-6),
-        next_gain=gain,
+        next_gain=next_gain(table, after),
     )
+
+
+def next_gain(table: OutcomeTable, prediction: TwinPrediction) -> float | None:
+    """Share of the expected squared error that the best next drive is expected to take; None if no test is left."""
+    try:
+        (choice,) = choose(table, prediction, 1)
+    except BudgetError:
+        return None
+    error = expected_error(table, prediction)
+    return choice.gain / error if error > 0.0 else 0.0
 
 
 def _simulated(before: float, limit: float, after: float, *, tests: int, siblings: int, drives: int) -> float | None:
