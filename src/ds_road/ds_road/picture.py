@@ -47,11 +47,19 @@ class _View:
         thickness = max(round(width * _SUPERSAMPLING), 1)
         cv2.polylines(self.canvas, [self.pixels(points)], False, colour, thickness, cv2.LINE_8, _SHIFT)
 
+    def disc(self, centre: NDArray[np.float64], colour: tuple[int, int, int]) -> None:
+        """Draw a disc with a white rim, the same size in every picture."""
+        (x, y), one = self.pixels(centre[None])[0].tolist(), _SUPERSAMPLING << _SHIFT
+        for pixels, inner in ((6, WHITE), (4, colour)):
+            cv2.circle(self.canvas, (x, y), pixels * one, inner, cv2.FILLED, cv2.LINE_8, _SHIFT)
+
 
 def draw(
     road: Road, *, trajectories: Mapping[str, NDArray[np.float64]] | None = None, size: int = 640, caption: bool = True
 ) -> NDArray[np.uint8]:
-    """Draw a road: white edges, yellow centre line, control points as red stars, start as triangle, end as square.
+    """Draw a road: white edges, yellow centre line, start as triangle, end as square.
+
+    Control points are red stars; with trajectories, whose ends are marked by discs, they are left out.
 
     Args:
         road: road to draw, valid or not.
@@ -78,10 +86,13 @@ def draw(
     colours = [PALETTE[index % len(PALETTE)] for index in range(len(paths))]
     for path, colour in zip(paths.values(), colours, strict=True):
         view.line(path, colour, 2)
-    if not road.sampled:
+    if not road.sampled and not paths:
         for point in road.control_points:
             _star(view, np.array(point))
     _ends(view, road)
+    for path, colour in zip(paths.values(), colours, strict=True):
+        if len(path):
+            view.disc(path[-1], colour)
     rows, columns = (side // _SUPERSAMPLING for side in view.canvas.shape[:2])
     image = np.asarray(cv2.resize(view.canvas, (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
     _legend(image, dict(zip(paths, colours, strict=True)))

@@ -384,6 +384,18 @@ def test_every_control_point_has_a_star() -> None:
     np.testing.assert_allclose(spacing, spacing.mean(), atol=2.0)
 
 
+def test_a_trajectory_ends_in_a_disc_and_no_star_covers_it() -> None:
+    road = Road([(125.0, 25.0 * i) for i in range(9)])
+    path = np.array([(126.0, 25.0), (126.0, 100.0)])
+    picture = draw(road, trajectories={"car": path}, caption=False).astype(int)
+    assert not (np.abs(picture - (215, 40, 40)).max(axis=2) < 10).any()
+    blue = (np.abs(picture - (31, 119, 180)).max(axis=2) < 10)[60:]  # below the legend
+    rows = np.flatnonzero(blue.any(axis=1))
+    wide = np.flatnonzero(blue.sum(axis=1) > 4)
+    # 75 m up the straight road; its only wide part is the disc at the top, where it ends.
+    assert len(rows) > 150 and 5 <= len(wide) <= 9 and wide[0] - rows[0] <= 1
+
+
 @pytest.mark.parametrize("path", [np.zeros(4), np.full((3, 2), np.nan), np.zeros((3, 1))])
 def test_the_picture_refuses_an_invalid_trajectory(path: Any) -> None:
     with pytest.raises(RoadError, match="trajectory car"):
