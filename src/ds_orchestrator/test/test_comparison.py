@@ -205,6 +205,12 @@ def test_the_markdown_answers_first_and_escapes_names() -> None:
     assert all(row.replace("\\|", "").count("|") == rows[0].count("|") for row in rows[:3])
 
 
+def test_the_markdown_lists_cells_only_where_one_changed_significantly() -> None:
+    few, many = (markdown_of(compared(pairs("bullet", (n, 0, 2, 10))), {}) for n in (1, 30))
+    assert "No kind of road stands out: over 2 cells" in few and "p (BH)" not in few
+    assert "No kind of road" not in many and "p (BH)" in many
+
+
 def test_tables_and_json_hold_finite_numbers_alone() -> None:
     for found in (compared([]), compared(pairs("bullet", (1, 1, 1, 1))), compared(pairs("bullet", (0, 0, 0, 0)))):
         text = json.dumps(document_of(found, {}), allow_nan=False)

@@ -5,9 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ds_orchestrator.comparison.analysis import Comparison
+from ds_orchestrator.comparison.paired_statistics import ALPHA
 from ds_orchestrator.comparison.summary import answer_of, cautions_of, sentences_of
 from ds_orchestrator.comparison.tables import MOST_ROWS, cell_table, command_of, drive_table, simulator_table
 from ds_orchestrator.evaluation.table import Table
+
+_READING = (
+    "The reference is the network to be replaced, the candidate the one that would replace it; beside each name the "
+    "first digits of its files' SHA-256.",
+    "A test is a road, its conditions and a seed, driven by both on the same simulator; leaving the lane or getting "
+    "stuck is a failure. Simulators are deterministic: the same network repeats its drives to the bit, so that a test "
+    "that newly fails is no accident of one drive.",
+    "The twin is the most faithful simulator, the others are cheap ones that are wrong in different ways.",
+    "p: McNemar's exact test on the tests that changed; Holm's adjustment takes the number of simulators into account. "
+    "Significant: below 0.05. 95 % intervals: Jeffreys.",
+)
 
 
 def markdown_of(comparison: Comparison, road_files: Mapping[str, str], unmet: Sequence[str] = ()) -> str:
@@ -29,16 +41,37 @@ def markdown_of(comparison: Comparison, road_files: Mapping[str, str], unmet: Se
         driver = comparison.candidate.driver
         shown = [one for one in comparison.newly_failing if one.test.name in road_files][:MOST_ROWS]
         commands = [command_of(one, driver, road_files[one.test.name]) for one in shown]
-        lines += ["<details><summary>See them: commands that write a video of each</summary>", "", "```bash"]
+        lines += ["<details><summary>See them: commands that write a video of each</summary>", ""]
+        lines += ["The road files are among the results of this run.", "", "```bash"]
         lines += [*commands, "```", "", "</details>", ""]
-    cells = cell_table(comparison, most=MOST_ROWS)
-    if cells.rows:
-        lines += ["<details><summary>Where: cells of the feature map that changed</summary>", "", *_table(cells)]
-        lines += ["", "</details>", ""]
+    lines += _where(comparison)
     if cautions := cautions_of(comparison):
         lines += ["<details><summary>What these numbers cannot carry</summary>", ""]
         lines += [*(f"- {_text(caution)}" for caution in cautions), "", "</details>", ""]
-    return "\n".join(lines)
+    lines += ["<details><summary>How to read this</summary>", "", *(f"- {line}" for line in _READING), "", "</details>"]
+    return "\n".join([*lines, ""])
+
+
+def _where(comparison: Comparison) -> list[str]:
+    """Cells that changed, if any changed significantly; other rows would be noise that looks like evidence."""
+    if not comparison.cells:
+        return []
+    smallest = min(one.p_adjusted for one in comparison.cells)
+    if smallest >= ALPHA:
+        return [
+            f"No kind of road stands out: over {len(comparison.cells)} cells of the feature maps the smallest p is "
+            f"{smallest:.2g} after Benjamini and Hochberg; most cells have too few tests.",
+            "",
+        ]
+    cells = _table(cell_table(comparison, most=MOST_ROWS))
+    return [
+        "<details><summary>Where: cells of the feature map that changed</summary>",
+        "",
+        *cells,
+        "",
+        "</details>",
+        "",
+    ]
 
 
 def _table(table: Table) -> list[str]:

@@ -40,15 +40,17 @@ def simulator_table(comparison: Comparison) -> Table:
         name="compared_networks",
         title=f"{comparison.candidate.label} against {comparison.reference.label}",
         columns=[
-            Column("simulator"), Column("tests", "count"), Column("before", "count"),
-            Column("now", "count"), Column("newly fail", "count"), Column("fixed", "count"),
+            Column("simulator"), Column("tests", "count"), Column("reference", "count"),
+            Column("candidate", "count"), Column("newly fail", "count"), Column("fixed", "count"),
             Column("difference", "number"), Column("95 %", "number"), Column("p (Holm)", "p"),
-            *((Column("random roads"),) if with_random else ()), Column("margin, m", "number"), Column("verdict"),
+            *((Column("random roads"),) if with_random else ()), Column("margin, m", "number"),
+            Column("verdict"),
         ],
         rows=rows,
         notes=[
-            "Before, now: tests on which the reference and the candidate fail. Difference: failure probability now "
-            "minus before; above 0 is worse. Margin: median change of the smallest distance to the lane's edge."
+            "Reference, candidate: tests on which they fail. Difference: the candidate's failure probability minus the "
+            "reference's, with its 95 % interval; above 0 is worse. Margin: median change of the smallest distance to "
+            "the lane's edge."
             + (" Random roads: newly fail, fixed, and all, of tests that no search chose." if with_random else "")
         ],
     )  # fmt: skip
@@ -105,8 +107,8 @@ def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
         name="compared_tests",
         title="Every test, the worst change first" if every else title,
         columns=[
-            Column("test"), Column("simulator"), *((Column("change"),) if every else ()), Column("before"),
-            Column("now"), Column("margin before, m", "number"), Column("margin now, m", "number"),
+            Column("test"), Column("simulator"), *((Column("change"),) if every else ()), Column("reference"),
+            Column("candidate"), Column("margin of reference, m", "number"), Column("of candidate, m", "number"),
         ],
         rows=[
             (
