@@ -1,8 +1,9 @@
 """Ships a trained network with ds_driver, with a card on its training data and performance.
 
 `python tools/ship_network.py --data DATA --offline DATA2 --training DIR [--network dave2] [--name NAME] [--roads 25]
-[--seed 424242] [--eight-bit]` drives roads not seen in training on every simulator in both directions, compares the
-network with the autopilot on another data set, then writes weights and card to `src/ds_driver/ds_driver/models`.
+[--seed 424242] [--eight-bit] [--backend onnx]` drives roads not seen in training on every simulator in both directions,
+compares the network with the autopilot on another data set, then writes weights and card to
+`src/ds_driver/ds_driver/models`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
+from ds_driver.networks.backends import BACKENDS
 from ds_driver.networks.eight_bit import compress
 from ds_driver.networks.weights import SHIPPED, generators_in, load_weights
 from ds_driver.sim2real.generator_set import FOLDER, shipped_set_of
@@ -47,6 +49,7 @@ def main() -> None:
     parser.add_argument("--roads", type=int, default=25)
     parser.add_argument("--seed", type=int, default=424242)
     parser.add_argument("--eight-bit", action="store_true", help="store, and assess, large layers in 8 bits")
+    parser.add_argument("--backend", default="onnx", choices=BACKENDS, help="what computes the network when assessed")
     arguments = parser.parse_args()
     name = arguments.name or arguments.network
     weights = arguments.training / f"{arguments.network}.safetensors"
@@ -64,9 +67,10 @@ def main() -> None:
     overlap = sorted(trained_on & ({road.road_id for road in roads} | road_ids(arguments.offline)))
     if overlap:
         sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
-    found = predict(arguments.offline, str(weights), _print_progress)
+    assessed = f"{weights}@{arguments.backend}"
+    found = predict(arguments.offline, assessed, _print_progress)
     errors = {name: answers.absolute_errors for name, answers in found.items()}
-    success = success_rates(str(weights), list(SIMULATORS), roads, arguments.seed, _print_progress)
+    success = success_rates(assessed, list(SIMULATORS), roads, arguments.seed, _print_progress)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]
@@ -99,7 +103,8 @@ def main() -> None:
             + (f" --images {plan['images_per_simulator']}" if plan["images_per_simulator"] else ""),
             f"python tools/ship_network.py --data data --offline offline --training training --network"
             f" {arguments.network}{f' --name {name}' if arguments.name else ''} --roads {arguments.roads}"
-            f" --seed {arguments.seed}{' --eight-bit' if arguments.eight_bit else ''}",
+            f" --seed {arguments.seed}{' --eight-bit' if arguments.eight_bit else ''}"
+            + (f" --backend {arguments.backend}" if arguments.backend != "onnx" else ""),
         ],
         "training": plan,
         "seconds": round(sum(epoch["seconds"] for epoch in history)),
