@@ -96,9 +96,12 @@ def runnable() -> float:
 def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal.Signals, after: float) -> None:
     """While Python starts, while PyTorch is imported, while the network is loaded; in seconds of CPU time."""
     process = start("ds_driver/driver", domain)
-    deadline = time.monotonic() + 60.0
-    while processor_time(process.pid) < after and time.monotonic() < deadline:
+    used, since = 0.0, time.monotonic()
+    # A fast machine is ready before; then the processor time stands still.
+    while used < after and time.monotonic() < since + 1.0:
         time.sleep(0.005)
+        if (now := processor_time(process.pid)) > used:
+            used, since = now, time.monotonic()
     assert seconds_to_end(process, number) < SECOND
 
 
