@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -142,28 +142,12 @@ def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
         for value in values:
             parts = [draw_map(part, value, bounds=bounds) for part in slices_of(feature_map)]
             _save(folder / f"{label_of(map_id.name)}_{_FILE_ENDINGS[value]}.png", np.hstack(parts))
-    overview = draw_overview(maps, values)
-    if overview is not None:
-        _save(folder / "overview.png", overview)
-
-
-def draw_overview(maps: Mapping[MapId, FeatureMap], values: Sequence[Value]) -> NDArray[np.uint8] | None:
-    """Draw the siblings' unions, their merge and the twin side by side, one row per value.
-
-    Args:
-        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them; all share the same bounds.
-        values: values to draw, from top to bottom.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB; None without such maps, or with other than two features.
-    """
     compared = [maps[map_id] for map_id in compared_ids(maps)]
-    if not compared or len(compared[0].features) != 2:
-        return None
-    bounds = bounds_of(maps.values())
-    rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in values]
-    width = max(row.shape[1] for row in rows)
-    return np.vstack([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows])
+    if compared and len(compared[0].features) == 2:
+        rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in values]
+        width = max(row.shape[1] for row in rows)
+        rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
+        _save(folder / "overview.png", np.vstack(rows))
 
 
 def _save(path: Path, image: NDArray[np.uint8]) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.heatmap import draw_overview
+from ds_orchestrator.maps.heatmap import bounds_of, draw_map
 from ds_orchestrator.maps.map_id import MapId, compared_ids
 from ds_orchestrator.report.data_address import data_address
 from ds_orchestrator.search.features import feature_of
@@ -18,15 +18,14 @@ class FurtherMap:
 
     Attributes:
         title: both features, without units.
-        description: in words, which cells fail, for readers who do not see the picture.
         folder: folder of the maps' files, relative to the campaign's.
-        address: picture of the failure probabilities as a `data:` address.
+        pictures: of the failure probabilities, one per map: in words, which cells fail, for readers who do not see it,
+            and the picture as a `data:` address.
     """
 
     title: str
-    description: str
     folder: str
-    address: str
+    pictures: Sequence[tuple[str, str]]
 
 
 def further_map(axes: tuple[str, ...], maps: Mapping[MapId, FeatureMap]) -> FurtherMap:
@@ -35,19 +34,16 @@ def further_map(axes: tuple[str, ...], maps: Mapping[MapId, FeatureMap]) -> Furt
     Args:
         axes: names of the two features.
         maps: maps of the campaign over them.
-
-    Raises:
-        ValueError: there are no maps to compare, or not two features.
     """
-    picture = draw_overview(maps, ["probability"])
-    if picture is None:
-        raise ValueError(f"maps over {', '.join(axes)} cannot be drawn: two features and at least one map are needed")
     across, up = (feature_of(name).title.partition(",")[0] for name in axes)
+    bounds = bounds_of(maps.values())
     return FurtherMap(
         title=f"{up} by {across}",
-        description="; ".join(_failing(maps[map_id]) for map_id in compared_ids(maps)),
         folder=f"maps/{'_by_'.join(axes)}",
-        address=data_address(picture),
+        pictures=[
+            (_failing(maps[map_id]), data_address(draw_map(maps[map_id], "probability", bounds=bounds)))
+            for map_id in compared_ids(maps)
+        ],
     )
 
 
