@@ -496,7 +496,7 @@ def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: P
     assert f"All tests on nowhere:A: failures in {failing} of {len(union['cells'])} cells" in (shown["alt"] or "")
     picture = cv2.imdecode(np.frombuffer(base64.b64decode((shown["src"] or "").partition(",")[2]), np.uint8), 1)
     drawn = cv2.imread(str(next((tmp_path / "maps/turns_count_by_curvature").glob("union_*_probability.png"))))
-    assert np.array_equal(picture, drawn)
+    assert picture is not None and drawn is not None and np.array_equal(picture, drawn)
 
 
 def _maps_over_turns(folder: Path) -> dict[str, Any]:

@@ -106,7 +106,9 @@ function testButton(test, detail, list) {
 
 const radiusWords = (curvature) => (curvature > 0 ? `${(1 / curvature).toFixed(1)} m in radius` : "none, straight");
 
-const conditionWords = (test) => test.conditions.split(",").map((pair) => pair.replace("=", " = ")).join(", ");
+/** Conditions for reading; the commands beside them have all digits. */
+const conditionWords = (test) => test.conditions.split(",").map((pair) => pair.split("="))
+  .map(([name, value]) => `${name} = ${Number(Number(value).toPrecision(3))}`).join(", ");
 
 // ---- one test -----------------------------------------------------------------------------------------------------
 function showTest(test, detail) {
