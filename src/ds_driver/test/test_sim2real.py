@@ -417,7 +417,7 @@ def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Pa
     content, written = file.read_bytes(), file.stat().st_mtime_ns
     translate(data, out, translator, lambda i, n, line: None)
     assert file.stat().st_mtime_ns == written
-    translate(data, tmp_path / "again", translator, lambda i, n, line: None)
+    translate(data, tmp_path / "again", translator, lambda i, n, line: None, workers=2)
     assert drive_path(tmp_path / "again", "bullet", "r", "forward").read_bytes() == content
     other = Translator(tiny_generator(tmp_path / "other.safetensors", seed=2))
     with pytest.raises(Sim2RealError, match="another generator"):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from ds_driver.data.pixels import rgb_of, rgb_of_file
 from ds_driver.data.recordings import MAX_IMAGE_FILE
 from ds_driver.data.translated import GENERATOR
 from ds_driver.networks.preprocessing import ImageError
-from ds_driver.sim2real.generator_file import check_fits
+from ds_driver.process_pool import map_in_processes
+from ds_driver.sim2real.generator_file import check_fits, load_generator
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError
 from ds_driver.whole_files import write_whole
@@ -35,7 +37,7 @@ MARK = TRANSLATED
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 
-def translate(source: Path, out: Path, translator: Translator, progress: Progress) -> int:
+def translate(source: Path, out: Path, translator: Translator, progress: Progress, *, workers: int | None = 1) -> int:
     """Translate a data set, bag or tub of simulated drives; what is there already is kept, so a stopped one continues.
 
     Args:
@@ -43,6 +45,7 @@ def translate(source: Path, out: Path, translator: Translator, progress: Progres
         out: folder to write, new or one that the same generator wrote.
         translator: translates.
         progress: called after each drive, or each hundred images of a tub.
+        workers: number of processes for a data set; as many as there are processors if None. Bags and tubs take one.
 
     Returns:
         Number of translated drives, or of images of a bag or tub.
@@ -58,10 +61,12 @@ def translate(source: Path, out: Path, translator: Translator, progress: Progres
         return _bag(source, out, translator, progress)
     # A data set has a manifest.json, too.
     is_data_set = next(source.glob("*/*.parquet"), None) is not None
-    return (_tub if is_tub(source) and not is_data_set else _data_set)(source, out, translator, progress)
+    if is_tub(source) and not is_data_set:
+        return _tub(source, out, translator, progress)
+    return _data_set(source, out, translator, progress, workers)
 
 
-def _data_set(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:
+def _data_set(folder: Path, out: Path, translator: Translator, progress: Progress, workers: int | None) -> int:
     """Translate the drives of the generator's simulator.
 
     Translated images are cropped already, so their folder is marked as imported recordings are.
@@ -76,18 +81,48 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
     (out / simulator).mkdir(parents=True, exist_ok=True)
     keep_import(out, simulator, {MARK: translator.generator.sha256})
     write_whole(out / simulator / GENERATOR, translator.generator.content)
-    for done, file in enumerate(files, start=1):
-        target = out / simulator / file.name
-        if not target.exists():
-            read_drive(file)
-            rows: list[dict[str, Any]] = pq.read_table(file).to_pylist()
-            for row in rows:
-                row["image"] = encode(translator.translate(decode(row["image"])))
-            write_drive(target, rows)
+    jobs = [_Drive(file=file, target=out / simulator / file.name) for file in files]
+    done_jobs: Iterable[Path]
+    if workers == 1:
+        done_jobs = (_translate_drive(translator, job) for job in jobs)
+    else:
+        work = partial(_translate_in_worker, out / simulator / GENERATOR, translator.backend)
+        done_jobs = map_in_processes(work, jobs, workers=workers)
+    for done, file in enumerate(done_jobs, start=1):
         progress(done, len(files), f"{simulator}: {file.stem}")
     if (folder / "manifest.json").is_file():
         write_manifest(out, _facts(folder / "manifest.json"))
     return len(files)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Drive:
+    """A drive of a data set, and where its translation goes."""
+
+    file: Path
+    target: Path
+
+
+def _translate_drive(translator: Translator, drive: _Drive) -> Path:
+    if not drive.target.exists():
+        read_drive(drive.file)
+        rows: list[dict[str, Any]] = pq.read_table(drive.file).to_pylist()
+        for row in rows:
+            row["image"] = encode(translator.translate(decode(row["image"])))
+        write_drive(drive.target, rows)
+    return drive.file
+
+
+def _translate_in_worker(generator: Path, backend: str, drive: _Drive) -> Path:
+    if drive.target.exists():
+        return drive.file
+    return _translate_drive(_translator(generator, backend), drive)
+
+
+@lru_cache(maxsize=1)
+def _translator(generator: Path, backend: str) -> Translator:
+    """A worker's own translator."""
+    return Translator(load_generator(generator), backend)
 
 
 def _facts(manifest: Path) -> dict[str, Any]:

@@ -35,6 +35,7 @@ class Translator:
         if backend not in BACKENDS:
             raise Sim2RealError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
         self.generator = generator
+        self.backend = backend
         self._runner = _runner(generator, backend, device)
 
     def prepared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:

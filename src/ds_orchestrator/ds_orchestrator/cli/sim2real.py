@@ -75,7 +75,7 @@ def show(generator: Path, source: Path, out: Path, count: int) -> Result:
     return Result(document={"picture": str(out), "images": len(images)}, show=lambda: print(out))
 
 
-def translate(source: Path, out: Path, generator: Path, backend: str) -> Result:
+def translate(source: Path, out: Path, generator: Path, backend: str, workers: int | None) -> Result:
     """Translate a data set, bag or tub."""
     from ds_driver.sim2real.generator_file import load_generator
     from ds_driver.sim2real.generator_set import open_set, shipped_sets
@@ -87,7 +87,7 @@ def translate(source: Path, out: Path, generator: Path, backend: str) -> Result:
         files = list(open_set(str(generator)).files.values())
     translators = (Translator(load_generator(file), backend) for file in files)
     try:
-        count = sum(translate_all(source, out, translator, countdown()) for translator in translators)
+        count = sum(translate_all(source, out, one, countdown(), workers=workers) for one in translators)
     except KeyboardInterrupt:
         raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
     return Result(document={"out": str(out), "translated": count}, show=lambda: print(out))
@@ -238,10 +238,13 @@ def translate_command(
         Path, typer.Option(help="Generator, a .safetensors file; a set of them for a data set of several simulators.")
     ],
     backend: Annotated[str, typer.Option(help="onnx, openvino, openvino-bf16 or torch.")] = "onnx",
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes for a data set; as many as processors if left out.")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Translate the images of a data set, bag or tub; the same format out."""
-    answer(translate(source, out, generator, backend), as_json)
+    answer(translate(source, out, generator, backend, workers), as_json)
 
 
 @sim2real_app.command("reality")
