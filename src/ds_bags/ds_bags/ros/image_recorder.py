@@ -26,8 +26,8 @@ from ds_bags.verification import IMAGE
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation
 
-QUEUE = 50
-"""Depth of the subscription queues, messages; chosen: 2.5 s of a run at 20 Hz."""
+QUEUE = 600
+"""Depth of the subscription queues, messages; as deep as cameras publish (`ds_sim.ros.frame_publisher`)."""
 _KINDS: dict[str, tuple[Any, str]] = {
     "state": (VehicleState, STATE),
     "drive": (DriveCommand, "ds_interfaces/msg/DriveCommand"),
