@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,8 @@ from ds_road.features import lane_curvature
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+from ds_twin_donkey.parameter_file import FORMAT, write_parameters
+from ds_twin_donkey.parameters import DonkeyParameters
 
 Array = NDArray[np.float64]
 ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(60))
@@ -276,6 +279,24 @@ def test_a_stopped_comparison_drives_only_what_is_missing(tmp_path: Path, monkey
     settings.write_text("[]")
     with pytest.raises(KeptDrivesError, match="cannot be read: remove"):
         comparison(drives[:1])
+
+
+def test_drives_of_a_fitted_car_are_kept_where_its_file_is_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_drives, "run_drive", lambda drive: record(drive.road, Outcome.COMPLETED, seed=drive.seed))
+    monkeypatch.setattr(kept_drives, "map_in_processes", lambda work, jobs, workers: map(work, jobs))
+    kept = []
+    for name, friction in (("here", 0.8), ("there", 0.8), ("other", 0.7)):
+        car = tmp_path / name / "car.yaml"
+        car.parent.mkdir()
+        content = {name: {"value": value} for name, value in asdict(DonkeyParameters(friction=friction)).items()}
+        write_parameters(car, {"format": FORMAT, "parameters": content})
+        (found,) = drive_kept(
+            [Drive(f"donkey@{car}", "autopilot", ROADS[0], 7)], tmp_path / "drives", say=lambda line: None
+        )
+        kept.append(not found[1])
+    assert kept == [False, True, False]
 
 
 def test_the_pictures_show_every_road_of_every_simulator() -> None:

@@ -120,4 +120,10 @@ def read_kept(folder: Path, drive: Drive) -> RunRecord | None:
 def _path(folder: Path, drive: Drive) -> Path:
     conditions = format_conditions(drive.conditions)
     digest = f"-{hashlib.sha256(conditions.encode()).hexdigest()[:16]}" if conditions else ""
-    return folder / label_of(drive.simulator) / f"{drive.road.road_id}-{drive.seed}{digest}.run"
+    return folder / _label(drive.simulator) / f"{drive.road.road_id}-{drive.seed}{digest}.run"
+
+
+def _label(simulator: str) -> str:
+    """Label of a simulator; of one with a parameter file, by the file's content, so that the folder may be moved."""
+    name, at, _ = simulator.partition("@")
+    return label_of(f"{name}@{spec_of(simulator).extra.get('car', simulator)}" if at else simulator)
