@@ -170,8 +170,9 @@ def _table(
         failed=np.array([[run.outcome.is_failure for run in of] for _, of in judged], np.bool_),
         lateral=np.array([[run.max_lateral_position for run in of] for _, of in judged]),
         profiles={},
+        conditions=tuple(tests[k].conditions for k, _ in judged),
     )
-    return table_of_outcomes(outcomes, twin=twin, conditions=[tests[k].conditions for k, _ in judged])
+    return table_of_outcomes(outcomes, twin=twin)
 
 
 def main() -> None:

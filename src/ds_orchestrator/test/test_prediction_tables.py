@@ -11,9 +11,9 @@ from report_campaigns import make_campaign
 from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.prediction import OutcomeTableError, State, table_of_campaign
-from ds_orchestrator.prediction.families import families_of
 from ds_orchestrator.search import DeepHyperion, SearchSettings
 from ds_orchestrator.siblings import ROAD_FEATURES
+from ds_orchestrator.siblings.families import families_of
 from ds_orchestrator.store.store import Test
 from ds_road import MutationError, Road, generate, mutate
 from ds_sim.conditions.model import Conditions

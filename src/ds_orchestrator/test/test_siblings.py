@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,9 @@ from ds_orchestrator.siblings.kept_drives import KeptDrivesError, drive_kept
 from ds_orchestrator.siblings.outcomes import recorded_profile
 from ds_orchestrator.siblings.pictures import draw_failures, draw_matrix
 from ds_orchestrator.siblings.residuals import residual_correlations
-from ds_road import Road, generate
+from ds_road import MutationError, Road, generate, mutate
 from ds_road.features import lane_curvature
+from ds_sim.conditions import Conditions
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
@@ -97,6 +99,49 @@ def test_a_sibling_of_noise_is_not_said_to_add_anything() -> None:
         for seed in range(10, 13)
     ]
     assert set(verdicts) == {"nothing shown"}
+
+
+def test_a_condition_that_decides_is_a_feature() -> None:
+    """The twin and a sibling fail where lines are faint; the roads' shapes say nothing."""
+    contrasts = np.random.default_rng(6).uniform(0.05, 1.0, len(ROADS))
+    lateral = 2 * 0.4 / contrasts
+    plain = made_up({"a": lateral, "twin": 1.1 * lateral})
+    outcomes = replace(plain, conditions=tuple(Conditions(line_contrast=one) for one in contrasts.tolist()))
+    assert outcomes.feature_names == (*ROAD_FEATURES, "line_contrast")
+    blind, seeing = baseline_of(plain, "twin", repeats=1), baseline_of(outcomes, "twin", repeats=1)
+    assert blind.best is not None and seeing.best is not None
+    assert blind.best.auc < 0.7 and seeing.best.auc > 0.98 and seeing.chosen == {"line_contrast": 1.0}
+    assert information_about(plain, "twin", ["a"], repeats=1)[0].verdict == "adds information"
+    assert information_about(outcomes, "twin", ["a"], repeats=1)[0].verdict == "nothing shown"
+    assert draw_failures(outcomes, "line_contrast").shape == (460, 1140, 3)
+
+
+def test_roads_are_predicted_from_other_families_than_their_own() -> None:
+    """Near copies of 12 roads, and outcomes that are chance for each family: copies would give them away."""
+    rng = np.random.default_rng(8)
+    roads = []
+    for root in ROADS[:12]:
+        roads.append(root)
+        while len(roads) % 8:
+            with suppress(MutationError):
+                roads.append(mutate(root, rng))
+    fails = np.repeat(np.arange(12) % 2 == 0, 8)
+    lateral = np.where(fails, 2.5, 0.5)[:, None] + 0.01 * rng.normal(size=(96, 2))
+    outcomes = replace(
+        made_up({"a": lateral[:0, 0], "twin": lateral[:0, 1]}),
+        roads=tuple(roads), failed=lateral >= 2.0, lateral=np.minimum(lateral, 2.0),
+        profiles={name: [np.empty(0)] * 96 for name in ("a", "twin")},
+    )  # fmt: skip
+    assert sorted(np.bincount(outcomes.families)) == [8] * 12
+    leaking = predict_failures(outcomes.features, fails, repeats=1).probability[0]
+    honest = baseline_of(outcomes, "twin", repeats=1)
+    assert honest.all is not None and honest.all.auc_interval is not None
+    assert roc_auc_score(fails, leaking) > 0.85 and honest.all.auc < 0.7
+    # A dozen coins: the interval is that of 12 families, far wider than that of 96 roads.
+    low, high = honest.all.auc_interval
+    assert high - low > 0.3
+    few = replace(outcomes, failed=np.column_stack([np.arange(96) // 8 < 4] * 2))
+    assert "roads of 4 families of mutants fail on twin, of 8 do not" in baseline_of(few, "twin").caution
 
 
 def test_too_few_failures_are_too_few_to_say() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_orchestrator.prediction.families import families_of
-from ds_orchestrator.siblings.outcomes import ROAD_FEATURES, Outcomes
+from ds_orchestrator.siblings.families import families_of
+from ds_orchestrator.siblings.outcomes import ROAD_FEATURES, Outcomes, condition_columns
 from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
-from ds_sim.conditions.scales import share_of
+from ds_sim.conditions.model import DEFAULT, Conditions
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.campaign_data import CampaignData
@@ -166,15 +165,12 @@ def table_of_campaign(data: CampaignData) -> OutcomeTable:
     )
 
 
-def table_of_outcomes(
-    outcomes: Outcomes, *, twin: str | None = None, conditions: Sequence[Conditions] | None = None
-) -> OutcomeTable:
+def table_of_outcomes(outcomes: Outcomes, *, twin: str | None = None) -> OutcomeTable:
     """Collect outcomes on the same roads, such as those of `ds siblings compare`; cells are those of the paper's maps.
 
     Args:
         outcomes: outcomes of one driver on all simulators.
         twin: simulator that plays the twin; None if all are siblings.
-        conditions: operating conditions of each road; the default ones if None.
     """
     from ds_orchestrator.search.features import cell_of
 
@@ -183,7 +179,7 @@ def table_of_outcomes(
         outcomes.simulators,
         None,
         outcomes.roads,
-        [DEFAULT] * len(outcomes.roads) if conditions is None else conditions,
+        outcomes.conditions or [DEFAULT] * len(outcomes.roads),
         [cell_of(road) for road in outcomes.roads],
         np.where(outcomes.failed, State.FAILED, State.COMPLETED).astype(np.int8),
         outcomes.lateral,
@@ -231,7 +227,7 @@ def _table(
     if not np.isin(states, (State.COMPLETED, State.FAILED)).any():
         raise OutcomeTableError("no test has a verdict yet: drive some tests first")
     of_road = {road.road_id: [of(road) for of in ROAD_FEATURES.values()] for road in roads}
-    of_conditions = _condition_columns(conditions)
+    of_conditions = condition_columns(conditions)
     half_lanes = np.array([road.lane_width / 2 for road in roads])
     features = np.array([of_road[road.road_id] for road in roads], np.float64).reshape(len(roads), -1)
     return OutcomeTable(
@@ -247,13 +243,3 @@ def _table(
         lateral=np.minimum(lateral, half_lanes[:, None]),
         families=families_of(roads),
     )
-
-
-def _condition_columns(conditions: Sequence[Conditions]) -> Mapping[str, Array]:
-    """Conditions that differ between tests, on their scales; one that a simulator chooses itself cannot be compared."""
-    columns = {}
-    for name, field in FIELDS.items():
-        values = [getattr(one, name) for one in conditions]
-        if len(set(values)) > 1 and None not in values:
-            columns[name] = np.array([share_of(name, field.low, field.high, value) for value in values])
-    return columns

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.prediction.outcome_table import OutcomeTable, OutcomeTableError
 from ds_orchestrator.siblings.cross_validation import FOLDS, SEED, STRENGTHS, Array, Columns, auc_roc, bounded
+from ds_orchestrator.siblings.families import parts_of
 
 Indices = NDArray[np.intp]
 
@@ -38,19 +39,12 @@ def undriven_probabilities(table: OutcomeTable, columns: Columns) -> Array:
         raise OutcomeTableError("all tests descend from one road: expected two families of tests, or more")
     with config_context(assume_finite=True, skip_parameter_validation=True):
         found = np.empty(len(table))
-        parts = _parts(table.families, SEED)
+        parts = parts_of(table.families, FOLDS, SEED)
         for part in np.unique(parts):
             train, test = driven[parts[driven] != part], np.flatnonzero(parts == part)
             model = _chosen(table.features[train], counts[train], table.families[train], columns)
             found[test] = _fitted(model, table.features[train], counts[train], table.features[test])
     return found
-
-
-def _parts(families: Indices, seed: int) -> Indices:
-    """Divide families at random into `FOLDS` parts, or as many as there are families."""
-    known, member = np.unique(families, return_inverse=True)
-    order = np.random.default_rng(seed).permutation(len(known))
-    return np.asarray((order % min(FOLDS, len(known)))[member])
 
 
 Model = tuple[list[int], float]
@@ -60,7 +54,7 @@ Model = tuple[list[int], float]
 def _chosen(features: Array, counts: Array, families: Indices, columns: Columns) -> Model:
     """Choose the strength of the penalty with the smallest loss on other families, the first of equal ones."""
     used = [_best(features, counts)] if columns == "best" else list(range(features.shape[1]))
-    parts = _parts(families, SEED + 1)
+    parts = parts_of(families, FOLDS, SEED + 1)
     if len(np.unique(parts)) < 2:
         return used, 1.0
     losses = []

@@ -10,8 +10,8 @@ import numpy as np
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.refined_data import PREFIX
-from ds_orchestrator.prediction.families import families_of
 from ds_orchestrator.search.features import Cell, cell_of, feature_of
+from ds_orchestrator.siblings.families import families_of
 from ds_orchestrator.store.store import Test
 from ds_road import MutationError, Road, mutate
 from ds_sim.conditions.model import Conditions

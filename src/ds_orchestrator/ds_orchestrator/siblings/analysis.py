@@ -11,7 +11,7 @@ from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.siblings.baseline import Baseline, Score, baseline_of
 from ds_orchestrator.siblings.cross_validation import REPEATS
 from ds_orchestrator.siblings.information import AddedInformation, information_about
-from ds_orchestrator.siblings.outcomes import ROAD_FEATURES, Outcomes
+from ds_orchestrator.siblings.outcomes import Outcomes
 from ds_orchestrator.siblings.residuals import ResidualCorrelation, residual_correlations
 
 
@@ -85,7 +85,7 @@ def outcome_rows(outcomes: Outcomes) -> list[dict[str, Any]]:
         {
             "road_id": road.road_id,
             "lane": road.lane,
-            **dict(zip(ROAD_FEATURES, map(float, outcomes.features[k]), strict=True)),
+            **dict(zip(outcomes.feature_names, map(float, outcomes.features[k]), strict=True)),
             "failed": dict(zip(outcomes.simulators, map(bool, outcomes.failed[k]), strict=True)),
             "max_lateral_position": dict(zip(outcomes.simulators, map(float, outcomes.lateral[k]), strict=True)),
         }
@@ -102,7 +102,7 @@ def _baseline_table(baselines: Sequence[Baseline]) -> Table:
         rows.append((*start, "all features", *_score_row(one.all), ""))
     return Table(
         name="sibling_baseline",
-        title="The undriven baseline: failures predicted from road features alone",
+        title="The undriven baseline: failures predicted without driving, from road features and conditions",
         columns=[
             Column("failures on"), Column("failures", "count"), Column("roads", "count"), Column("entropy", "number"),
             Column("predicted from"), Column("AUC-ROC", "number"), Column("95 %", "number"),

@@ -1,4 +1,4 @@
-"""The undriven baseline: how well road features alone predict on which roads a driver fails, without driving them."""
+"""The undriven baseline: how well road features and conditions predict on which roads a driver fails."""
 
 from __future__ import annotations
 
@@ -7,16 +7,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ds_orchestrator.evaluation.statistics import FEWEST_OF_EACH_KIND, RESAMPLES, bootstrap_interval
-from ds_orchestrator.siblings.cross_validation import REPEATS, Array, Columns, Outcome, auc_roc, bits, predict_failures
-from ds_orchestrator.siblings.outcomes import ROAD_FEATURES, Outcomes
+from ds_orchestrator.evaluation.statistics import FEWEST_OF_EACH_KIND
+from ds_orchestrator.siblings.cross_validation import (
+    FOLDS,
+    REPEATS,
+    Array,
+    Columns,
+    Outcome,
+    auc_roc,
+    bits,
+    predict_failures,
+)
+from ds_orchestrator.siblings.families import interval_over_families
+from ds_orchestrator.siblings.outcomes import Outcomes
 
 Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Quality of cross-validated predictions; intervals are 95 % bootstrap intervals over roads.
+    """Quality of cross-validated predictions; intervals are 95 % bootstrap intervals over families of roads.
 
     Attributes:
         auc: area under the ROC curve of the mean predicted probability: probability that a failing road is ranked
@@ -36,7 +46,7 @@ class Score:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """How well road features predict the failures on one simulator.
+    """How well road features and conditions predict the failures on one simulator.
 
     Attributes:
         simulator: name of the simulator.
@@ -64,29 +74,39 @@ class Baseline:
         return max(self.chosen, key=lambda name: self.chosen[name], default="")
 
 
-def caution_of_failures(simulator: str, failed: Outcome) -> str:
-    """Explain why failures are too few for a prediction; "" if they are not (see `FEWEST_OF_EACH_KIND`)."""
+def caution_of_failures(outcomes: Outcomes, simulator: str) -> str:
+    """Explain why failures are too few for a prediction; "" if they are not.
+
+    See `FEWEST_OF_EACH_KIND`; each part of the cross-validation needs a family of each kind.
+    """
+    failed = outcomes.failures(simulator)
     failures, roads = int(failed.sum()), len(failed)
-    if min(failures, roads - failures) >= FEWEST_OF_EACH_KIND:
-        return ""
-    return (
-        f"too few failures to say: {failures} of {roads} roads fail on {simulator}, expected {FEWEST_OF_EACH_KIND} "
-        f"that fail and {FEWEST_OF_EACH_KIND} that do not"
-    )
+    if min(failures, roads - failures) < FEWEST_OF_EACH_KIND:
+        return (
+            f"too few failures to say: {failures} of {roads} roads fail on {simulator}, expected {FEWEST_OF_EACH_KIND} "
+            f"that fail and {FEWEST_OF_EACH_KIND} that do not"
+        )
+    kinds = [len(np.unique(outcomes.families[failed == one])) for one in (True, False)]
+    if min(kinds) < FOLDS:
+        return (
+            f"too few families to say: roads of {kinds[0]} families of mutants fail on {simulator}, of {kinds[1]} do "
+            f"not, expected {FOLDS} of each kind"
+        )
+    return ""
 
 
 def baseline_of(outcomes: Outcomes, simulator: str, *, repeats: int = REPEATS) -> Baseline:
-    """Predict the failures on one simulator from road features alone."""
+    """Predict the failures on one simulator from road features and conditions alone."""
     failed = outcomes.failures(simulator)
     share = float(failed.mean()) if len(failed) else 0.0
     entropy = -sum(p * float(np.log2(p)) for p in (share, 1.0 - share) if p > 0.0)
-    caution = caution_of_failures(simulator, failed)
+    caution = caution_of_failures(outcomes, simulator)
     best = everything = None
     chosen: dict[str, float] = {}
     if not caution:
-        best, counts = _score(outcomes.features, failed, "best", repeats)
-        everything, _ = _score(outcomes.features, failed, "all", repeats)
-        names = list(ROAD_FEATURES)
+        best, counts = _score(outcomes, failed, "best", repeats)
+        everything, _ = _score(outcomes, failed, "all", repeats)
+        names = outcomes.feature_names
         chosen = {names[k]: n / sum(counts.values()) for k, n in sorted(counts.items(), key=lambda kn: (-kn[1], kn[0]))}
     return Baseline(
         simulator=simulator,
@@ -100,15 +120,15 @@ def baseline_of(outcomes: Outcomes, simulator: str, *, repeats: int = REPEATS) -
     )
 
 
-def _score(features: Array, failed: Outcome, columns: Columns, repeats: int) -> tuple[Score, Mapping[int, int]]:
-    found = predict_failures(features, failed, columns=(columns,), repeats=repeats)
+def _score(outcomes: Outcomes, failed: Outcome, columns: Columns, repeats: int) -> tuple[Score, Mapping[int, int]]:
+    found = predict_failures(outcomes.features, failed, families=outcomes.families, columns=(columns,), repeats=repeats)
     probability, truth = found.probability.mean(axis=0), failed.astype(np.float64)
     squared = np.asarray(((found.probability - failed) ** 2).mean(axis=0), np.float64)
     score = Score(
         auc=_auc(probability, truth),
-        auc_interval=bootstrap_interval((probability, truth), _auc, RESAMPLES),
+        auc_interval=interval_over_families((probability, truth), _auc, outcomes.families),
         brier=float(squared.mean()),
-        brier_interval=bootstrap_interval((squared,), _mean, RESAMPLES),
+        brier_interval=interval_over_families((squared,), _mean, outcomes.families),
         bits=float(bits(found.probability, failed).mean()),
     )
     return score, found.chosen

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit
 from scipy.stats import rankdata
 
+from ds_orchestrator.siblings.families import Indices, are_alone, parts_of
+
 Array = NDArray[np.float64]
 Outcome = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 Columns = Literal["best", "all"]
 """Predictors of a model: the single feature that separates the training roads best, or all features."""
 
@@ -75,9 +76,14 @@ class Predictions:
 
 
 def predict_failures(
-    features: Array, failed: Outcome, *, columns: Sequence[Columns] = ("best", "all"), repeats: int = REPEATS
+    features: Array,
+    failed: Outcome,
+    *,
+    families: Indices | None = None,
+    columns: Sequence[Columns] = ("best", "all"),
+    repeats: int = REPEATS,
 ) -> Predictions:
-    """Predict every outcome by a logistic model of the other roads.
+    """Predict every outcome by a logistic model of the other roads, those of other families if roads have any.
 
     In each training part, a second cross-validation chooses the model (features and strength of the penalty) with the
     smallest loss.
@@ -85,19 +91,21 @@ def predict_failures(
     Args:
         features: (roads, features) predictors.
         failed: (roads,) outcomes, at least ten of each kind.
+        families: (roads,) number of the family; each road is its own if None.
         columns: sets of features to choose from.
         repeats: number of divisions into parts.
     """
     from sklearn import config_context
 
     models = list(product(columns, STRENGTHS))
+    families = np.arange(len(failed)) if families is None else families
     probability, folds, chosen = np.empty((repeats, len(failed))), [], Counter[int]()
     # The values are checked already; checking them in each of thousands of fits would take most of the time.
     with config_context(assume_finite=True, skip_parameter_validation=True):
         for repeat in range(repeats):
-            for train, test in folds_of(failed, SEED + repeat):
+            for train, test in folds_of(failed, families, SEED + repeat):
                 seen, outcome = features[train], failed[train]
-                model, known = _chosen(models, seen, outcome, SEED + repeat)
+                model, known = _chosen(models, seen, outcome, families[train], SEED + repeat)
                 probability[repeat, test] = _fitted(model, seen, outcome, features[test])
                 chosen[best_feature(seen, outcome)] += 1
                 predicted = logit(probability[repeat, test])
@@ -148,15 +156,26 @@ def bounded(probability: Array, roads: int) -> Array:
     return np.asarray(np.clip(probability, least, 1.0 - least))
 
 
-def folds_of(failed: Outcome, seed: int) -> Iterator[tuple[Indices, Indices]]:
-    """Divide roads into `FOLDS` parts with about the same share of failures; yields training and test indices."""
+def folds_of(failed: Outcome, families: Indices, seed: int) -> Iterator[tuple[Indices, Indices]]:
+    """Divide roads into `FOLDS` parts; yields training and test indices.
+
+    Roads that descend from each other stay in one part, drawn at random. Where none do, the parts have about the same
+    share of failures.
+    """
     from sklearn.model_selection import StratifiedKFold
 
+    if not are_alone(families):
+        parts = parts_of(families, FOLDS, seed)
+        for part in np.unique(parts):
+            yield np.flatnonzero(parts != part), np.flatnonzero(parts == part)
+        return
     yield from StratifiedKFold(FOLDS, shuffle=True, random_state=seed).split(failed, failed)
 
 
 def best_feature(features: Array, failed: Outcome) -> int:
     """Index of the feature with the largest AUC-ROC for failures, in whichever direction; the first of equal ones."""
+    if failed.all() or not failed.any():
+        return 0
     auc = auc_roc(features, failed)
     return int(np.argmax(np.round(np.maximum(auc, 1.0 - auc), 12)))
 
@@ -169,14 +188,14 @@ def auc_roc(values: Array, failed: Outcome) -> Array:
 
 
 def _chosen(
-    models: Sequence[tuple[Columns, float]], features: Array, failed: Outcome, seed: int
+    models: Sequence[tuple[Columns, float]], features: Array, failed: Outcome, families: Indices, seed: int
 ) -> tuple[tuple[Columns, float], Array]:
     """Choose the model with the smallest loss in a cross-validation, the first of equal ones.
 
     Returns:
         The model, and its probability on every road from the other parts.
     """
-    parts = list(folds_of(failed, seed))
+    parts = list(folds_of(failed, families, seed))
     found = np.empty((len(models), len(failed)))
     for k, model in enumerate(models):
         for train, test in parts:
@@ -190,6 +209,8 @@ def _fitted(model: tuple[Columns, float], features: Array, failed: Outcome, othe
     """Fit a model to training roads, and predict the probability of failure on other roads."""
     from sklearn.linear_model import LogisticRegression
 
+    if failed.all() or not failed.any():
+        return bounded(np.full(len(others), float(failed[0])), len(failed))
     columns, strength = model
     used = [best_feature(features, failed)] if columns == "best" else slice(None)
     train, test = _standardised(features[:, used], others[:, used])

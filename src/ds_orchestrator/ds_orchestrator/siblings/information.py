@@ -1,4 +1,4 @@
-"""Information that a sibling adds about another simulator's failures, beyond road features and other siblings."""
+"""Information that a sibling adds about another simulator's failures, beyond features and other siblings."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ds_orchestrator.evaluation.statistics import RESAMPLES, bootstrap_interval
 from ds_orchestrator.siblings.baseline import Interval, caution_of_failures
 from ds_orchestrator.siblings.cross_validation import REPEATS, Array, bits, predict_failures, predict_with
+from ds_orchestrator.siblings.families import interval_over_families
 from ds_orchestrator.siblings.outcomes import Outcomes
 
 
@@ -20,10 +20,10 @@ class AddedInformation:
     Attributes:
         about: simulator whose failures are predicted.
         sibling: sibling whose outcome and largest lateral position are added to the predictors.
-        beyond: siblings whose outcomes are among the predictors already, besides the road features.
+        beyond: siblings whose outcomes are among the predictors already, besides road features and conditions.
         left: bits a road that these predictors leave: mean logarithmic loss on roads that the model has not seen.
         bits: reduction of that loss, bits a road; None where failures are too few.
-        interval: 95 % interval of the reduction, by a bootstrap over roads (paired: every road keeps both losses).
+        interval: 95 % interval of the reduction, by a bootstrap over families (paired: every road keeps both losses).
         caution: why there is no number, or "".
     """
 
@@ -65,7 +65,7 @@ def information_about(
         repeats: divisions into folds over which losses are averaged.
     """
     failed = outcomes.failures(about)
-    if caution := caution_of_failures(about, failed):
+    if caution := caution_of_failures(outcomes, about):
         return [
             AddedInformation(
                 about=about, sibling=name, beyond=tuple(siblings[:k]), left=None, bits=None, interval=None,
@@ -73,7 +73,7 @@ def information_about(
             )
             for k, name in enumerate(siblings)
         ]  # fmt: skip
-    predictions = predict_failures(outcomes.features, failed, repeats=repeats)
+    predictions = predict_failures(outcomes.features, failed, families=outcomes.families, repeats=repeats)
     losses = bits(predictions.probability, failed)
     driven: list[Array] = []
     found = []
@@ -89,7 +89,7 @@ def information_about(
                 beyond=tuple(siblings[:k]),
                 left=float(losses.mean()),
                 bits=float(gained.mean()),
-                interval=bootstrap_interval((gained,), _mean, RESAMPLES),
+                interval=interval_over_families((gained,), _mean, outcomes.families),
                 caution="",
             )
         )

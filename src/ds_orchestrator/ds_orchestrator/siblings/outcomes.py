@@ -12,8 +12,11 @@ import shapely
 from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.simulator_agreement import lateral_profile, profile_of
+from ds_orchestrator.siblings.families import Indices, families_of
 from ds_road import Road
 from ds_road.features import direction_coverage
+from ds_sim.conditions.model import FIELDS, Conditions
+from ds_sim.conditions.scales import share_of
 from ds_sim.session import RunRecord
 
 if TYPE_CHECKING:
@@ -42,6 +45,7 @@ class Outcomes:
         lateral: (roads, simulators) largest absolute lateral position, m, at most half a lane: how far a car goes after
             leaving its lane does not tell how it drove.
         profiles: per simulator and road the lateral positions every `GRID` m along the lane, m.
+        conditions: (roads,) operating conditions; the default ones if None.
         left_out: number of roads without a verdict on some simulator.
     """
 
@@ -50,13 +54,29 @@ class Outcomes:
     failed: NDArray[np.bool_]
     lateral: NDArray[np.float64]
     profiles: Mapping[str, Sequence[NDArray[np.float64]]]
+    conditions: tuple[Conditions, ...] | None = None
     left_out: int = 0
 
     @cached_property
+    def feature_names(self) -> tuple[str, ...]:
+        """Names of what is known of a road before it is driven: `ROAD_FEATURES`, then the conditions that differ."""
+        return (*ROAD_FEATURES, *condition_columns(self.conditions or ()))
+
+    @cached_property
     def features(self) -> NDArray[np.float64]:
-        """(roads, features) values of `ROAD_FEATURES`."""
+        """(roads, features) values of `feature_names`; each condition as a share of its range on its scale."""
         rows = [[of(road) for of in ROAD_FEATURES.values()] for road in self.roads]
-        return np.array(rows, np.float64).reshape(len(self.roads), len(ROAD_FEATURES))
+        of_roads = np.array(rows, np.float64).reshape(len(self.roads), len(ROAD_FEATURES))
+        return np.column_stack((of_roads, *condition_columns(self.conditions or ()).values()))
+
+    def feature(self, name: str) -> NDArray[np.float64]:
+        """(roads,) values of one feature."""
+        return self.features[:, self.feature_names.index(name)]
+
+    @cached_property
+    def families(self) -> Indices:
+        """(roads,) number of the family of mutants to which a road belongs."""
+        return families_of(self.roads)
 
     def failures(self, simulator: str) -> NDArray[np.bool_]:
         """(roads,) whether the run on one simulator failed."""
@@ -104,8 +124,22 @@ def outcomes_of_campaign(data: CampaignData) -> Outcomes:
             name: [recorded_profile(test.road, row[column].trajectory) for test, row in judged]
             for column, name in enumerate(names)
         },
+        conditions=tuple(test.conditions for test, _ in judged),
         left_out=len(rows) - len(judged),
     )
+
+
+def condition_columns(conditions: Sequence[Conditions]) -> Mapping[str, NDArray[np.float64]]:
+    """Conditions that differ between tests, as shares of their ranges on their scales, a column each.
+
+    One that a simulator chooses itself cannot be compared, and is left out.
+    """
+    columns = {}
+    for name, field in FIELDS.items():
+        values = [getattr(one, name) for one in conditions]
+        if len(set(values)) > 1 and None not in values:
+            columns[name] = np.array([share_of(name, field.low, field.high, value) for value in values])
+    return columns
 
 
 def _outcomes(
@@ -115,6 +149,7 @@ def _outcomes(
     lateral: Sequence[Sequence[float]],
     profiles: Mapping[str, Sequence[NDArray[np.float64]]],
     *,
+    conditions: tuple[Conditions, ...] | None = None,
     left_out: int,
 ) -> Outcomes:
     shape = len(roads), len(simulators)
@@ -125,6 +160,7 @@ def _outcomes(
         failed=np.array(failed, np.bool_).reshape(shape),
         lateral=np.minimum(np.array(lateral, np.float64).reshape(shape), half_lanes[:, None]),
         profiles=profiles,
+        conditions=conditions,
         left_out=left_out,
     )
 

@@ -19,12 +19,12 @@ def draw_failures(outcomes: Outcomes, feature: str) -> Picture:
 
     Args:
         outcomes: of at least one road.
-        feature: name in `ROAD_FEATURES`; the same axis for every simulator.
+        feature: name of one of its features; the same axis for every simulator.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    values = outcomes.features[:, list(ROAD_FEATURES).index(feature)]
+    values = outcomes.feature(feature)
     low, high = float(values.min()), float(values.max())
     margin = 0.03 * (high - low) or 1.0
     most = max(road.lane_width / 2 for road in outcomes.roads)
@@ -46,7 +46,7 @@ def draw_matrix(outcomes: Outcomes, feature: str) -> Picture:
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    values = outcomes.features[:, list(ROAD_FEATURES).index(feature)]
+    values = outcomes.feature(feature)
     order = np.argsort(values, kind="stable")
     image = np.full((_HEAD + _ROW * len(outcomes.simulators) + _FOOT, WIDTH, 3), 255, np.uint8)
     write(image, "Who fails where: a column for each road, dark where the driver fails", (LEFT, 24), 0.55)
@@ -74,6 +74,8 @@ def _axis(image: Picture, values: NDArray[np.float64], feature: str, edges: NDAr
 
 
 def _with_unit(feature: str) -> str:
+    if feature not in ROAD_FEATURES:
+        return f"{feature}, share of its range"
     if "curvature" in feature:
         return f"{feature}, 1/m"
     return f"{feature}, m" if feature == "length" else feature

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.simulator_agreement import GRID
-from ds_orchestrator.evaluation.statistics import FEWEST_OF_EACH_KIND, RESAMPLES, bootstrap_interval
+from ds_orchestrator.evaluation.statistics import FEWEST_OF_EACH_KIND
 from ds_orchestrator.siblings.baseline import Interval, caution_of_failures
 from ds_orchestrator.siblings.cross_validation import FOLDS, REPEATS, SEED, Array, best_feature, folds_of
+from ds_orchestrator.siblings.families import Indices, are_alone, interval_over_families, parts_of
 from ds_orchestrator.siblings.outcomes import Outcomes
 from ds_road.features import lane_curvature
 
@@ -26,7 +26,7 @@ FEWEST_ROADS = 2 * FEWEST_OF_EACH_KIND
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualCorrelation:
-    """Correlation of two simulators' lateral positions; intervals are 95 % bootstrap intervals over roads.
+    """Correlation of two simulators' lateral positions; intervals are 95 % bootstrap intervals over families of roads.
 
     Attributes:
         first: name of the first simulator.
@@ -38,7 +38,7 @@ class ResidualCorrelation:
         roads_interval: its interval.
         places: r of the lateral positions at the same places of the roads, after the curvature of the lane at the place
             is taken out.
-        places_interval: its interval; roads are drawn, each with all its places.
+        places_interval: its interval; families are drawn, each with all its places.
         caution: why a number is missing, or "".
     """
 
@@ -56,17 +56,19 @@ class ResidualCorrelation:
 def residual_correlations(outcomes: Outcomes, *, repeats: int = REPEATS) -> list[ResidualCorrelation]:
     """Compute the residual correlations of every pair of simulators, in their order."""
     lateral = {name: outcomes.largest_lateral(name) for name in outcomes.simulators}
-    cautions = {name: caution_of_failures(name, outcomes.failures(name)) for name in outcomes.simulators}
+    cautions = {name: caution_of_failures(outcomes, name) for name in outcomes.simulators}
     by_road = {
         name: None if cautions[name] else _road_residuals(outcomes, name, repeats) for name in outcomes.simulators
     }
     by_place = _place_residuals(outcomes)
     found = []
     for first, second in combinations(outcomes.simulators, 2):
-        plain, plain_interval = _correlation(lateral[first], lateral[second])
+        plain, plain_interval = _correlation(lateral[first], lateral[second], outcomes.families)
         one, other = by_road[first], by_road[second]
-        roads, roads_interval = (None, None) if one is None or other is None else _correlation(one, other)
-        places, places_interval = _clustered_correlation(by_place[first], by_place[second])
+        roads, roads_interval = (
+            (None, None) if one is None or other is None else _correlation(one, other, outcomes.families)
+        )
+        places, places_interval = _clustered_correlation(by_place[first], by_place[second], outcomes.families)
         few = f"{len(outcomes.roads)} roads, expected {FEWEST_ROADS}" if len(outcomes.roads) < FEWEST_ROADS else ""
         found.append(
             ResidualCorrelation(
@@ -89,7 +91,7 @@ def _road_residuals(outcomes: Outcomes, simulator: str, repeats: int) -> Array:
     failed, lateral, features = outcomes.failures(simulator), outcomes.largest_lateral(simulator), outcomes.features
     residuals = np.empty((repeats, len(lateral)))
     for repeat in range(repeats):
-        for train, test in folds_of(failed, SEED + repeat):
+        for train, test in folds_of(failed, outcomes.families, SEED + repeat):
             used = features[:, best_feature(features[train], failed[train])]
             residuals[repeat, test] = lateral[test] - _isotonic(used[train], lateral[train], used[test])
     return np.asarray(residuals.mean(axis=0))
@@ -107,7 +109,7 @@ def _place_residuals(outcomes: Outcomes) -> dict[str, list[Array]]:
     for name in outcomes.simulators:
         profiles = outcomes.profiles[name]
         residuals = [np.empty(0)] * len(profiles)
-        for train, test in _parts(len(profiles)):
+        for train, test in _parts(outcomes.families):
             x = np.concatenate([curvatures[k][: len(profiles[k])] for k in train]) if len(train) else np.empty(0)
             y = np.concatenate([profiles[k] for k in train]) if len(train) else np.empty(0)
             for k in test:
@@ -117,9 +119,12 @@ def _place_residuals(outcomes: Outcomes) -> dict[str, list[Array]]:
     return found
 
 
-def _parts(roads: int) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Divide roads into `FOLDS` parts, in no order; training and test indices."""
-    order = np.random.default_rng(SEED).permutation(roads)
+def _parts(families: Indices) -> list[tuple[Indices, Indices]]:
+    """Divide roads into `FOLDS` parts, in no order, each family in one of them; training and test indices."""
+    if not are_alone(families):
+        parts = parts_of(families, FOLDS, SEED)
+        return [(np.flatnonzero(parts != part), np.flatnonzero(parts == part)) for part in np.unique(parts)]
+    order = np.random.default_rng(SEED).permutation(len(families))
     return [(np.setdiff1d(order, part), np.sort(part)) for part in np.array_split(order, FOLDS)]
 
 
@@ -137,10 +142,10 @@ def _ranks(values: Array) -> Array:
     return np.asarray(rankdata(values), np.float64)
 
 
-def _correlation(one: Array, other: Array) -> tuple[float | None, Interval | None]:
+def _correlation(one: Array, other: Array, families: Indices) -> tuple[float | None, Interval | None]:
     if len(one) < FEWEST_ROADS or not np.ptp(one) or not np.ptp(other):
         return None, None
-    return _pearson(one, other), bootstrap_interval((one, other), _pearson, RESAMPLES)
+    return _pearson(one, other), interval_over_families((one, other), _pearson, families)
 
 
 def _pearson(one: Array, other: Array) -> float:
@@ -148,13 +153,15 @@ def _pearson(one: Array, other: Array) -> float:
     return float(np.corrcoef(one, other)[0, 1]) if np.ptp(one) and np.ptp(other) else float("nan")
 
 
-def _clustered_correlation(ones: Sequence[Array], others: Sequence[Array]) -> tuple[float | None, Interval | None]:
-    """Pearson r over all places of all roads, and its interval over roads, from sums per road."""
+def _clustered_correlation(
+    ones: Sequence[Array], others: Sequence[Array], families: Indices
+) -> tuple[float | None, Interval | None]:
+    """Pearson r over all places of all roads, and its interval over families, from sums per road."""
     sums = np.array([_sums(one, other) for one, other in zip(ones, others, strict=True)]).reshape(-1, 6)
     if (sums[:, 0] > 0).sum() < FEWEST_ROADS:
         return None, None
     found = _of_sums(*sums.T)
-    return (None, None) if np.isnan(found) else (found, bootstrap_interval(tuple(sums.T), _of_sums, RESAMPLES))
+    return (None, None) if np.isnan(found) else (found, interval_over_families(tuple(sums.T), _of_sums, families))
 
 
 def _sums(one: Array, other: Array) -> tuple[float, ...]:
