@@ -15,7 +15,7 @@ from scipy.stats import beta, spearmanr
 from sklearn.metrics import roc_auc_score
 
 from ds_driver.closed_loop.simulation import Drive
-from ds_orchestrator.evaluation.simulator_agreement import GRID, compare, lateral_profile
+from ds_orchestrator.evaluation.simulator_agreement import GRID, lateral_profile
 from ds_orchestrator.siblings import (
     ROAD_FEATURES,
     AddedInformation,
@@ -29,6 +29,7 @@ from ds_orchestrator.siblings.baseline import baseline_of
 from ds_orchestrator.siblings.cross_validation import auc_roc, best_feature, predict_failures
 from ds_orchestrator.siblings.information import information_about
 from ds_orchestrator.siblings.kept_drives import KeptDrivesError, drive_kept
+from ds_orchestrator.siblings.nesting import nestings
 from ds_orchestrator.siblings.outcomes import recorded_profile
 from ds_orchestrator.siblings.pictures import draw_failures, draw_matrix
 from ds_orchestrator.siblings.residuals import residual_correlations
@@ -233,10 +234,10 @@ def test_a_verdict_needs_an_interval_above_zero() -> None:
 
 def test_nesting_is_a_share_with_the_interval_of_clopper_and_pearson() -> None:
     """20 roads fail on both, 5 on the first alone, 10 on the second alone."""
-    fail, drive = Outcome.OUT_OF_BOUNDS, Outcome.COMPLETED
-    verdicts = [(fail, fail)] * 20 + [(fail, drive)] * 5 + [(drive, fail)] * 10 + [(drive, drive)] * 15
-    runs = {name: [record(ROADS[0], verdict[k]) for verdict in verdicts] for k, name in enumerate("ab")}
-    (found,) = compare(runs)
+    verdicts = [(2.5, 2.5)] * 20 + [(2.5, 0.5)] * 5 + [(0.5, 2.5)] * 10 + [(0.5, 0.5)] * 15
+    one, other = np.array(verdicts).T
+    (found,) = nestings(made_up({"a": one, "b": other}))
+    assert (found.both, found.only_first, found.only_second, found.neither) == (20, 5, 10, 15)
     assert (found.second_given_first, found.first_given_second) == (20 / 25, 20 / 30)
     for interval, count, total in (
         (found.second_given_first_interval, 20, 25),
@@ -245,9 +246,21 @@ def test_nesting_is_a_share_with_the_interval_of_clopper_and_pearson() -> None:
         assert interval == pytest.approx(
             (beta(count, total - count + 1).ppf(0.025), beta(count + 1, total - count).ppf(0.975))
         )
-    (never,) = compare({"a": [record(ROADS[0], drive)] * 3, "b": [record(ROADS[0], fail)] * 3})
+    (never,) = nestings(made_up({"a": np.full(3, 0.5), "b": np.full(3, 2.5)}))
     assert never.second_given_first is None and never.second_given_first_interval is None
     assert never.first_given_second == 0.0 and never.first_given_second_interval is not None
+
+
+def test_nesting_of_near_copies_is_that_of_their_families() -> None:
+    """Of 4 copies each of 10 roads all fail on both simulators: 10 observations, not 40."""
+    copies = tuple(ROADS[k // 4] for k in range(40))
+    alike = np.full((40, 2), True)
+    apart = alike & np.column_stack((np.arange(40) >= 0, np.arange(40) // 4 > 1))
+    made = made_up({"a": np.full(40, 2.5), "b": np.full(40, 2.5)})
+    for failed, ends in ((alike, (beta(10, 1).ppf(0.025), 1.0)), (apart, (0.5, 1.0))):
+        (found,) = nestings(replace(made, roads=copies, failed=failed))
+        assert found.second_given_first == failed[:, 1].mean()
+        assert found.second_given_first_interval == pytest.approx(ends, abs=0.05)
 
 
 def record(road: Road, outcome: Outcome, *, seed: int = 0, offset: float = 0.25) -> RunRecord:

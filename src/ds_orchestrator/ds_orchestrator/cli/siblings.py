@@ -242,25 +242,16 @@ def _show(document: dict[str, Any], pairs: Sequence[PairComparison], found: Sibl
         table.add_row(name, str(row["roads"]), str(row["failures"]), str(row["errors"]), number(median))
     console = Console()
     console.print(table)
-    verdicts = Table("pair", "both fail", "first only", "second only", "neither", "Cohen's kappa")
-    nesting = Table("pair", "second fails where first does", "first fails where second does")
-    distances = Table("pair", "median apart, m", "95 %, m", f"over {APART:g} m apart", "correlation")
+    distances = Table("pair", "Cohen's kappa", "median apart, m", "95 %, m", f"over {APART:g} m apart", "correlation")
     for pair in pairs:
         names = f"{pair.first}, {pair.second}"
-        counts = (pair.both_fail, pair.only_first_fails, pair.only_second_fails, pair.both_complete)
         kappa = _with_interval(pair.kappa, pair.kappa_interval) or "undefined"
-        verdicts.add_row(names, *map(str, counts), kappa)
-        nesting.add_row(
-            names,
-            _with_interval(pair.second_given_first, pair.second_given_first_interval) or "no failure",
-            _with_interval(pair.first_given_second, pair.first_given_second_interval) or "no failure",
-        )
         share = "" if pair.share_apart is None else f"{pair.share_apart:.0%}"
-        distances.add_row(names, number(pair.median_apart), number(pair.apart_95), share, number(pair.correlation))
-    console.print(verdicts)
+        distances.add_row(
+            names, kappa, number(pair.median_apart), number(pair.apart_95), share, number(pair.correlation)
+        )
     for reason in sorted({pair.reason for pair in pairs if pair.reason}):
         print(f"kappa undefined: {reason}")
-    console.print(nesting)
     console.print(distances)
     for one in analysis_tables(found):
         one.show(console)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from statsmodels.stats.inter_rater import cohens_kappa
-from statsmodels.stats.proportion import proportion_confint
 
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -37,11 +36,6 @@ class PairComparison:
         kappa: Cohen's kappa of the verdicts; None if undefined.
         kappa_interval: asymptotic 95 % interval of kappa (statsmodels), clipped to [-1, 1].
         reason: why there is no kappa, or "".
-        second_given_first: share of the roads on which the first fails on which the second fails too: how far the
-            first's failures lie inside the second's; None if the first never fails.
-        second_given_first_interval: its 95 % interval (Clopper and Pearson, Biometrika 26, 1934).
-        first_given_second: the same the other way round.
-        first_given_second_interval: its interval.
         median_apart: median distance between the lateral positions over all places, m.
         apart_95: 95th percentile of that distance, m.
         most_apart: largest distance, m.
@@ -59,10 +53,6 @@ class PairComparison:
     kappa: float | None
     kappa_interval: tuple[float, float] | None
     reason: str
-    second_given_first: float | None
-    second_given_first_interval: tuple[float, float] | None
-    first_given_second: float | None
-    first_given_second_interval: tuple[float, float] | None
     median_apart: float | None
     apart_95: float | None
     most_apart: float | None
@@ -164,27 +154,12 @@ def _pair(first: str, second: str, pairs: list[tuple[RunRecord, RunRecord]]) -> 
         kappa=kappa,
         kappa_interval=interval,
         reason=reason,
-        second_given_first=_share(table[1, 1], table[1].sum()),
-        second_given_first_interval=_share_interval(table[1, 1], table[1].sum()),
-        first_given_second=_share(table[1, 1], table[:, 1].sum()),
-        first_given_second_interval=_share_interval(table[1, 1], table[:, 1].sum()),
         median_apart=float(np.median(apart)) if known else None,
         apart_95=float(np.percentile(apart, 95)) if known else None,
         most_apart=float(apart.max()) if known else None,
         share_apart=float((apart > APART).mean()) if known else None,
         correlation=float(np.corrcoef(ones, others)[0, 1]) if varied else None,
     )
-
-
-def _share(count: int, total: int) -> float | None:
-    return float(count / total) if total else None
-
-
-def _share_interval(count: int, total: int) -> tuple[float, float] | None:
-    if not total:
-        return None
-    low, high = proportion_confint(int(count), int(total), alpha=0.05, method="beta")
-    return float(low), float(high)
 
 
 def _kappa(first: str, second: str, table: NDArray[np.int_]) -> tuple[float | None, tuple[float, float] | None, str]:

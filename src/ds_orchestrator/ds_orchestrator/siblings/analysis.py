@@ -11,6 +11,7 @@ from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.siblings.baseline import Baseline, Score, baseline_of
 from ds_orchestrator.siblings.cross_validation import REPEATS
 from ds_orchestrator.siblings.information import AddedInformation, information_about
+from ds_orchestrator.siblings.nesting import Nesting, nestings
 from ds_orchestrator.siblings.outcomes import Outcomes
 from ds_orchestrator.siblings.residuals import ResidualCorrelation, residual_correlations
 
@@ -20,11 +21,13 @@ class SiblingAnalysis:
     """What each sibling adds.
 
     Attributes:
+        nesting: how far failures lie inside each other, per pair.
         baselines: how well road features alone predict the failures, per simulator.
         residuals: correlations of lateral positions beyond the best feature, per pair.
         information: what each sibling adds about another simulator.
     """
 
+    nesting: Sequence[Nesting]
     baselines: Sequence[Baseline]
     residuals: Sequence[ResidualCorrelation]
     information: Sequence[AddedInformation]
@@ -32,6 +35,7 @@ class SiblingAnalysis:
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
+            "nesting": [asdict(one) for one in self.nesting],
             "baselines": [{**asdict(one), "chosen": dict(one.chosen)} for one in self.baselines],
             "residual_correlations": [asdict(one) for one in self.residuals],
             "information": [
@@ -62,6 +66,7 @@ def analyse(outcomes: Outcomes, about: Sequence[str], *, repeats: int = REPEATS)
         repeats: divisions into folds over which cross-validated losses are averaged.
     """
     return SiblingAnalysis(
+        nesting=nestings(outcomes),
         baselines=[baseline_of(outcomes, name, repeats=repeats) for name in outcomes.simulators],
         residuals=residual_correlations(outcomes, repeats=repeats),
         information=[
@@ -75,8 +80,13 @@ def analyse(outcomes: Outcomes, about: Sequence[str], *, repeats: int = REPEATS)
 
 
 def analysis_tables(found: SiblingAnalysis) -> list[Table]:
-    """Tabulate an analysis: the undriven baseline, the residual correlations, and the information added."""
-    return [_baseline_table(found.baselines), _residual_table(found.residuals), _information_table(found.information)]
+    """Tabulate an analysis: nesting, the undriven baseline, the residual correlations, and the information added."""
+    return [
+        _nesting_table(found.nesting),
+        _baseline_table(found.baselines),
+        _residual_table(found.residuals),
+        _information_table(found.information),
+    ]
 
 
 def outcome_rows(outcomes: Outcomes) -> list[dict[str, Any]]:
@@ -91,6 +101,26 @@ def outcome_rows(outcomes: Outcomes) -> list[dict[str, Any]]:
         }
         for k, road in enumerate(outcomes.roads)
     ]
+
+
+def _nesting_table(nesting: Sequence[Nesting]) -> Table:
+    return Table(
+        name="sibling_nesting",
+        title="Do failures lie inside each other? Roads on which both, one or none fails",
+        columns=[
+            Column("pair"), Column("both", "count"), Column("first only", "count"), Column("second only", "count"),
+            Column("neither", "count"), Column("second fails where first does", "number"), Column("95 %", "number"),
+            Column("first fails where second does", "number"), Column("95 % of that", "number"),
+        ],
+        rows=[
+            (
+                f"{one.first}, {one.second}", one.both, one.only_first, one.only_second, one.neither,
+                one.second_given_first, one.second_given_first_interval, one.first_given_second,
+                one.first_given_second_interval,
+            )
+            for one in nesting
+        ],
+    )  # fmt: skip
 
 
 def _baseline_table(baselines: Sequence[Baseline]) -> Table:
