@@ -21,10 +21,10 @@ from ds_orchestrator.campaign.refined_data import is_refined
 from ds_orchestrator.campaign.road_selection import roads_of
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.comparison import given_tests
-from ds_orchestrator.prediction.families import families_of
 from ds_orchestrator.refinement import CellEvidence
 from ds_orchestrator.run import SilentListener
 from ds_orchestrator.search.features import cell_of
+from ds_orchestrator.siblings.families import families_of
 from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.conditions import DEFAULT, Conditions
