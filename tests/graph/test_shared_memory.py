@@ -44,13 +44,10 @@ def test_what_a_killed_process_leaves_is_removed_and_what_a_living_one_uses_stay
         assert left and kept
         os.kill(killed.pid, signal.SIGKILL)
         killed.wait()
-        time.sleep(1.1)
-        assert all((FOLDER / name).exists() for name in left)
-        removed, deadline = 0, time.monotonic() + 10.0
-        while any((FOLDER / name).exists() for name in left):  # one that another process is just checking stays
+        deadline = time.monotonic() + 10.0
+        while any((FOLDER / name).exists() for name in left):  # graphs of other tests remove leftovers, too
             assert time.monotonic() < deadline
-            removed += remove_leftovers(older_than=1.0)
-        assert removed >= len(left)
+            remove_leftovers(older_than=1.0)
         assert all((FOLDER / name).exists() for name in kept)
     finally:
         for process in (killed, living):
