@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from contextlib import closing
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
 from ds_orchestrator import run
 from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import parse_config
-from ds_orchestrator.campaign.folder import open_store
+from ds_orchestrator.campaign.folder import ENGINE, open_store
 from ds_orchestrator.campaign.road_selection import roads_of
 from ds_orchestrator.campaign.runner import trajectory_sha256
+from ds_orchestrator.cli.campaign.run import stored_config
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.gates import GateState, gate_of
 from ds_sim.registry import make_simulator
@@ -65,6 +67,24 @@ def test_drives_and_gates_are_those_of_the_library(data: CampaignData) -> None:
         else:
             assert test.test_id not in executions
     simulator.close()
+
+
+def test_it_resumes_with_what_drove_it_last(folder: Path, tmp_path: Path) -> None:
+    resumed = stored_config(folder, None)
+    assert (resumed.engine, resumed.workers) == ("local", 1)
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    for text in (
+        '{"engine": "graph", "workers": 65}',
+        '{"engine": "evil", "workers": 1}',
+        '{"engine": "graph"}',
+        "[" * 900,
+    ):
+        (copy / ENGINE).write_text(text)
+        found = stored_config(copy, None)
+        assert (found.engine, found.workers) == ("graph", 1)  # the defaults
+    (copy / ENGINE).write_text('{"engine": "dask", "workers": 3}')
+    assert stored_config(copy, None) == resumed.model_copy(update={"engine": "dask", "workers": 3})
 
 
 def test_bags_keep_the_conditions_and_re_simulate(folder: Path, data: CampaignData) -> None:

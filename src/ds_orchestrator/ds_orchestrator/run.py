@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
-from ds_orchestrator.campaign.folder import locked, open_store, prepare_folder, store_of
+from ds_orchestrator.campaign.folder import keep_engine, locked, open_store, prepare_folder, store_of
 from ds_orchestrator.campaign.live_file import LiveFile, ObservedExecutor
 from ds_orchestrator.campaign.provenance import record_provenance
 from ds_orchestrator.campaign.runner import Campaign, Listener, Stopped
@@ -103,6 +103,7 @@ def run_campaign(
         LiveFile(folder, listener or SilentListener()) as live,
     ):
         record_provenance(store, config, folder)
+        keep_engine(folder, config)
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
         data: CampaignData | None = None  # read again after driving

@@ -8,8 +8,10 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import get_args
 
-from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, Engine, parse_config
 from ds_orchestrator.store.store import Store, StoreError
 
 
@@ -46,6 +48,9 @@ STAGES = ("maps", "evaluation", "report")
 """Stages that compute results from the executions, in order."""
 LIVE = ".live.json"
 """File that says what a running campaign does; see `ds_orchestrator.campaign.live_file`."""
+ENGINE = ".engine.json"
+"""File with what drove last: engine and workers, which belong to no result and so not to the store."""
+_ENGINE_BYTES = 1000
 WRITTEN = ("bags", "logs", "maps", "evaluation", "refinement", "report.html")
 """Entries that a campaign writes into its folder beside the store."""
 
@@ -90,7 +95,7 @@ def refuse_foreign_files(folder: Path) -> None:
         StoreError: an entry is a link that leaves the folder, or is neither a file nor a folder.
     """
     home = folder.resolve()
-    places = [folder / name for name in ("campaign.sqlite", ".lock", LIVE, f"{LIVE}.partial", *WRITTEN)]
+    places = [folder / name for name in ("campaign.sqlite", ".lock", ENGINE, LIVE, f"{LIVE}.partial", *WRITTEN)]
     inside = [entry for place in places if place.is_dir() for entry in place.iterdir()]
     for path in (*places, *inside):
         if path.is_symlink() and not path.resolve().is_relative_to(home):
@@ -123,6 +128,24 @@ def _with_present_keys(identity: str) -> str:
         return _parsed(identity).identity()
     except ConfigError:
         return identity  # differs from every valid one; the store reports the differences
+
+
+def keep_engine(folder: Path, config: CampaignConfig) -> None:
+    """Write what drives a campaign, so that it resumes in the same way."""
+    write_whole(folder / ENGINE, json.dumps({"engine": config.engine, "workers": config.workers}).encode())
+
+
+def with_kept_engine(folder: Path, config: CampaignConfig) -> CampaignConfig:
+    """Let a campaign be driven by what drove it last; unchanged if that is not known."""
+    try:
+        with (folder / ENGINE).open("rb") as file:
+            kept = json.loads(file.read(_ENGINE_BYTES))
+        engine, workers = kept["engine"], kept["workers"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return config
+    if engine not in get_args(Engine) or type(workers) is not int or not 1 <= workers <= MOST_WORKERS:
+        return config
+    return config.model_copy(update={"engine": engine, "workers": workers})
 
 
 def config_of(store: Store) -> CampaignConfig:

@@ -115,11 +115,11 @@ def _kept(out: Path, done: int) -> str:
 
 def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
     """Read the configuration of a campaign folder; the code that it names is shipped or trusted."""
-    from ds_orchestrator.campaign.folder import config_of, open_store
+    from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
     from ds_orchestrator.run import check_trust
 
     with closing(open_store(folder)) as store:
-        config = config_of(store)
+        config = with_kept_engine(folder, config_of(store))
     check_trust(config, trust or [])
     return config
 
