@@ -110,11 +110,16 @@ def _place_residuals(outcomes: Outcomes) -> dict[str, list[Array]]:
         profiles = outcomes.profiles[name]
         residuals = [np.empty(0)] * len(profiles)
         for train, test in _parts(outcomes.families):
-            x = np.concatenate([curvatures[k][: len(profiles[k])] for k in train]) if len(train) else np.empty(0)
-            y = np.concatenate([profiles[k] for k in train]) if len(train) else np.empty(0)
-            for k in test:
-                if len(x) and len(profiles[k]):
-                    residuals[k] = profiles[k] - _isotonic(x, y, curvatures[k][: len(profiles[k])])
+            x, at = (
+                np.concatenate([np.empty(0), *(curvatures[k][: len(profiles[k])] for k in part)])
+                for part in (train, test)
+            )
+            y = np.concatenate([np.empty(0), *(profiles[k] for k in train)])
+            if not len(x) or not len(at):
+                continue
+            predicted = np.split(_isotonic(x, y, at), np.cumsum([len(profiles[k]) for k in test])[:-1])
+            for k, expected in zip(test, predicted, strict=True):
+                residuals[k] = profiles[k] - expected
         found[name] = residuals
     return found
 
