@@ -1,4 +1,7 @@
-"""Scores predictors of a twin after a few drives on it, and tabulates them; see `benchmarks.real_budget`."""
+"""Scores predictors of a twin after a few drives on it, and tabulates them.
+
+For `benchmarks.real_budget` and `benchmarks.campaign_budget`.
+"""
 
 from __future__ import annotations
 
@@ -47,6 +50,7 @@ class Case:
         name: of the twin.
         outside: the value of a made twin that is far outside, or "".
         table: outcomes, with the twin.
+        clusters: per test what is resampled with it, such as its road or its family; the same for all twins.
     """
 
     network: str
@@ -54,6 +58,7 @@ class Case:
     name: str
     outside: str
     table: OutcomeTable
+    clusters: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,16 +170,20 @@ def _outcome(table: OutcomeTable, row: int) -> MarginDrive:
 
 
 def pooled(errors: Sequence[tuple[Case, Array]]) -> tuple[float, tuple[float, float]]:
-    """Mean over twins and tests of a squared error, or of a difference of two, with its 95 % interval."""
-    roads = sorted({test for case, _ in errors for test in case.table.test_ids})
-    place = {test: k for k, test in enumerate(roads)}
-    values, known = np.zeros((len(errors), len(roads))), np.zeros((len(errors), len(roads)))
+    """Mean over twins and tests of a squared error, or of a difference of two, with its 95 % interval.
+
+    The interval resamples twins and clusters of tests: of the errors of a cluster only their sum and number matter.
+    """
+    clusters = sorted({cluster for case, _ in errors for cluster in case.clusters})
+    place = {cluster: k for k, cluster in enumerate(clusters)}
+    values, known = np.zeros((len(errors), len(clusters))), np.zeros((len(errors), len(clusters)))
     for k, (case, of) in enumerate(errors):
-        columns = [place[test] for test in case.table.test_ids]
-        values[k, columns], known[k, columns] = of, 1.0
+        columns = [place[cluster] for cluster in case.clusters]
+        np.add.at(values[k], columns, of)
+        np.add.at(known[k], columns, 1.0)
     rng = np.random.default_rng(SEED)
     twins = rng.multinomial(len(errors), np.full(len(errors), 1 / len(errors)), RESAMPLES).astype(np.float64)
-    tests = rng.multinomial(len(roads), np.full(len(roads), 1 / len(roads)), RESAMPLES).astype(np.float64)
+    tests = rng.multinomial(len(clusters), np.full(len(clusters), 1 / len(clusters)), RESAMPLES).astype(np.float64)
     means = np.einsum("bt,tr,br->b", twins, values, tests, optimize=True)
     means /= np.maximum(np.einsum("bt,tr,br->b", twins, known, tests, optimize=True), 1.0)
     low, high = np.quantile(means, (0.025, 0.975))

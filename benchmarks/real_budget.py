@@ -145,7 +145,7 @@ def cases_of(
     cases += [("made", twin.name, twin.outside, table(siblings, twin.name, twin.name)) for twin in twins]
     cases += [("control", f"{name} again", "", table(siblings, name, f"{name} again")) for name in siblings]
     return [
-        Case(network=network, group=group, name=name, outside=outside, table=found)
+        Case(network=network, group=group, name=name, outside=outside, table=found, clusters=found.test_ids)
         for group, name, outside, found in cases
         if found is not None
     ]

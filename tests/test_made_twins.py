@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,7 @@ def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monke
         simulators=("a", "b", "c", "d"), roads=roads, failed=failed, lateral=np.where(failed, 2.0, 1.2), profiles={}
     )
     table = table_of_outcomes(outcomes, twin="d")
-    found = score(Case(network="none", group="made", name="d", outside="", table=table))
+    found = score(Case(network="none", group="made", name="d", outside="", table=table, clusters=table.test_ids))
     driven = failed[:, :3].mean(axis=1)
     assert found.plain["mean"] == pytest.approx((driven - 1.0) ** 2)
     for rule in ("information", "disagreement", "random"):
@@ -59,6 +60,13 @@ def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monke
     assert drives == 0 and brier == pytest.approx(found.plain["hierarchical model"].mean()) and last == 0.0
     mean, (low, high) = pooled([(found.case, found.plain["mean"])])
     assert mean == pytest.approx(found.plain["mean"].mean()) and low < mean < high
+    # Five copies of each test, resampled with it, are no more evidence than one; five unrelated tests are.
+    five = np.repeat(np.arange(16), 5)
+    errors = found.plain["mean"][five]
+    copies = replace(found.case, clusters=tuple(table.test_ids[k] for k in five))
+    assert pooled([(copies, errors)]) == (pytest.approx(mean), (pytest.approx(low), pytest.approx(high)))
+    _, (lowest, highest) = pooled([(replace(copies, clusters=tuple(map(str, range(80)))), errors)])
+    assert highest - lowest < 0.6 * (high - low)
 
 
 def test_tests_with_conditions_are_cases_where_every_simulator_lets_them_be_judged() -> None:

@@ -1,0 +1,82 @@
+"""What a few drives on a car are worth after a campaign: each simulator in turn is the twin that was never driven.
+
+`python -m benchmarks.campaign_budget CAMPAIGN... --out budget` takes the outcomes of whole campaigns, whose tests the
+search made hard, and drives nothing. Every simulator of a campaign, the twin among them, is predicted from the others
+after 0, 2, 4, 8 and 16 drives, by the rules and scores of `benchmarks.real_budget`, and tests without a verdict on one
+of the simulators are left out. Intervals are 95 % of 2,000 resamples of twins and of families of mutants at the same
+time.
+"""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from benchmarks.budget_scores import BUDGETS, Case, Scored, score, tables_of
+from rich.console import Console
+
+from ds_orchestrator.campaign.campaign_data import read_campaign
+from ds_orchestrator.campaign.folder import open_store
+from ds_orchestrator.cli.output import countdown, say
+from ds_orchestrator.evaluation.table import write_tables
+from ds_orchestrator.prediction.outcome_table import OutcomeTable, table_of_campaign
+
+
+def cases_of(folder: Path) -> list[Case]:
+    """Make a case of every simulator of a campaign.
+
+    Raises:
+        CampaignError: the folder holds no campaign.
+        OutcomeTableError: no test has a verdict yet.
+    """
+    with closing(open_store(folder, read_only=True)) as store:
+        data = read_campaign(store)
+    whole = table_of_campaign(data)
+    table = whole.select(np.all([whole.known(name) for name in whole.simulators], axis=0))
+    return [
+        Case(
+            network=f"{data.config.driver}, {folder.name}",
+            group="in turn",
+            name=name,
+            outside="",
+            table=table.with_twin(name),
+            clusters=_clusters(table, folder.name),
+        )
+        for name in table.simulators
+    ]
+
+
+def _clusters(table: OutcomeTable, campaign: str) -> tuple[str, ...]:
+    return tuple(f"{campaign}: {family}" for family in table.families)
+
+
+def main() -> None:
+    """Score every campaign, then all of them together."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("campaigns", type=Path, nargs="+", help="folders of campaigns with a twin")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the tables")
+    arguments = parser.parse_args()
+    cases = [case for folder in arguments.campaigns for case in cases_of(folder)]
+    small = [case.name for case in cases if len(case.table) < max(BUDGETS)]
+    if small:
+        parser.error(f"too few tests for {max(BUDGETS)} drives: {', '.join(small)}")
+    progress = countdown()
+    scored: list[Scored] = []
+    for case in cases:
+        scored.append(score(case))
+        progress(len(scored), len(cases), f"{case.network}: {case.name}, {len(case.table)} tests")
+    for network in dict.fromkeys(one.case.network for one in scored):
+        say(network)
+        for table in tables_of([one for one in scored if one.case.network == network]):
+            table.show(Console(width=180))
+    if len(arguments.campaigns) > 1:
+        say("all campaigns")
+        for table in tables_of(scored):
+            table.show(Console(width=180))
+    write_tables(tables_of(scored), arguments.out)
+
+
+if __name__ == "__main__":
+    main()
