@@ -1,4 +1,4 @@
-from .coverage import CellForecast, forecast_cells, forecasts_in_turn
+from .coverage import CellForecast, forecast_cells
 from .outcome_table import (
     OutcomeTable,
     OutcomeTableError,
@@ -8,6 +8,7 @@ from .outcome_table import (
     table_of_outcomes,
 )
 from .predictor_scores import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
+from .self_check import SelfCheck, check_in_turn
 from .twin_prediction import MarginDrive, TwinPrediction, predict_twin
 from .verdicts import CellVerdict, TestVerdict, Verdicts, judge
 
@@ -19,14 +20,15 @@ __all__ = [
     "OutcomeTableError",
     "PredictorComparison",
     "PredictorScore",
+    "SelfCheck",
     "State",
     "TestVerdict",
     "TwinPrediction",
     "Verdicts",
+    "check_in_turn",
     "compare_predictors",
     "comparison_tables",
     "forecast_cells",
-    "forecasts_in_turn",
     "judge",
     "predict_twin",
     "table_of_campaign",

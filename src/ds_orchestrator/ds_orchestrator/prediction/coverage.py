@@ -1,8 +1,7 @@
-"""Whether intervals hold what they say: each simulator in turn plays the twin that was never driven."""
+"""Forecasts of the failure rates of cells, and whether their intervals hold what was found."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
-from ds_orchestrator.prediction.twin_prediction import TwinPrediction, predict_twin
+from ds_orchestrator.prediction.twin_prediction import TwinPrediction
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -90,12 +89,3 @@ def forecast_cells(
             )
         )
     return found
-
-
-def forecasts_in_turn(table: OutcomeTable, *, fewest: int = 1) -> dict[str, Sequence[CellForecast]]:
-    """Let each simulator in turn play the twin; simulator -> forecasts of its cells."""
-    return {
-        name: forecast_cells(turned, predict_twin(turned), fewest=fewest)
-        for name in table.simulators
-        for turned in [table.with_twin(name)]
-    }

@@ -13,6 +13,7 @@ from ds_orchestrator.campaign.refined_data import is_refined, with_refinement
 from ds_orchestrator.prediction.outcome_table import OutcomeTableError, table_of_campaign
 from ds_orchestrator.prediction.real.records import RecordError, read_drives
 from ds_orchestrator.prediction.real.update import margin_drives
+from ds_orchestrator.prediction.self_check import check_in_turn
 from ds_orchestrator.prediction.sources import as_population
 from ds_orchestrator.prediction.span import span_of
 from ds_orchestrator.prediction.twin_prediction import predict_twin
@@ -44,14 +45,14 @@ class AnswerSection:
     Attributes:
         sentence: the answer in one line; why there is none, if there are no panels.
         reading: how to read the map.
-        warning: whether the car is outside of what the siblings span, or "".
+        warnings: whether the car is outside of what the siblings span, and which calls not to rely on.
         axes: titles of the first two axes.
         panels: the map; several for maps of three axes.
     """
 
     sentence: str
     reading: str = ""
-    warning: str = ""
+    warnings: Sequence[str] = ()
     axes: tuple[str, str] = ("", "")
     panels: Sequence[AnswerPanel] = ()
 
@@ -72,12 +73,13 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
     verdicts = judge(table, prediction, tuple(data.config.features))
+    check = check_in_turn(table)
     new = sum(is_refined(test.test_id) for test in refined.tests)
     titles = [feature_of(name).title for name in verdicts.features]
     return AnswerSection(
         sentence=_sentence(verdicts, table.siblings, len(drives), sum(drive.failed for drive in drives)),
-        reading=_reading(verdicts, new, len(drives)),
-        warning=span_of(prediction).warning.removeprefix("warning: "),
+        reading=f"{_reading(verdicts, new, len(drives))} {check.sentence}.",
+        warnings=[text for text in (span_of(prediction).warning.removeprefix("warning: "), check.warning) if text],
         axes=(titles[0], titles[1]),
         panels=_panels(verdicts),
     )

@@ -37,6 +37,7 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
     from ds_orchestrator.prediction.coverage import forecast_cells
     from ds_orchestrator.prediction.outcome_table import OutcomeTableError
     from ds_orchestrator.prediction.predictor_scores import compare_predictors, comparison_tables
+    from ds_orchestrator.prediction.self_check import check_in_turn
     from ds_orchestrator.prediction.sources import read_source
     from ds_orchestrator.prediction.twin_prediction import predict_twin
     from ds_orchestrator.prediction.verdict_picture import draw_verdicts
@@ -48,12 +49,14 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
     say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
     prediction = predict_twin(table)
     verdicts = judge(table, prediction, source.features, tolerated=tolerated)
-    tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts))]
+    check = check_in_turn(table)
+    tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts)), *([check.table()] if check.siblings else [])]
     document: dict[str, Any] = {
         "siblings": list(table.siblings),
         "twin": table.twin,
         "population": prediction.population.document(),
         "verdicts": verdicts.document(),
+        "self_check": check.document(),
         "comparison": None,
         "forecasts": [],
     }
@@ -81,6 +84,10 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
         if "no_comparison" in document:
             print(f"predictors are not compared: {document['no_comparison']}")
         print(verdicts.sentence)
+        if not check.siblings:
+            print(check.sentence)
+        if check.warning:
+            print(f"warning: {check.warning}")
         if out is not None:
             print(out / "prediction.json")
 
