@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from benchmarks.condition_pictures import picture
+from benchmarks.conditions.pictures import picture
 from numpy.typing import NDArray
 
 from ds_driver.sim2real.generator_set import open_set

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.budget_scores import SEED, Case, pooled, score
-from benchmarks.made_twins import EVERY, OUTSIDE, WITHIN, made_twin
-from benchmarks.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
+from benchmarks.prediction.budget_scores import SEED, Case, pooled, score
+from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WITHIN, made_twin
+from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
 
 from ds_orchestrator.prediction.outcome_table import table_of_outcomes
 from ds_orchestrator.siblings.outcomes import Outcomes
@@ -39,7 +39,7 @@ def test_twins_are_those_of_their_seed_and_lie_in_their_ranges(tmp_path: Path) -
 
 def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monkeypatch: pytest.MonkeyPatch) -> None:
     """A twin that fails everywhere: without drives every predictor errs, with all drives known none does."""
-    monkeypatch.setattr("benchmarks.budget_scores.CHOICES", 2)
+    monkeypatch.setattr("benchmarks.prediction.budget_scores.CHOICES", 2)
     rng = np.random.default_rng(3)
     roads = tuple(generate(rng, max_angle=200) for _ in range(16))
     failed = np.column_stack((rng.random((16, 3)) < 0.3, np.ones(16, bool)))
@@ -64,7 +64,8 @@ def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monke
     five = np.repeat(np.arange(16), 5)
     errors = found.plain["mean"][five]
     copies = replace(found.case, clusters=tuple(table.test_ids[k] for k in five))
-    assert pooled([(copies, errors)]) == (pytest.approx(mean), (pytest.approx(low), pytest.approx(high)))
+    again, ends = pooled([(copies, errors)])
+    assert (again, *ends) == pytest.approx((mean, low, high))
     _, (lowest, highest) = pooled([(replace(copies, clusters=tuple(map(str, range(80)))), errors)])
     assert highest - lowest < 0.6 * (high - low)
 

@@ -1,6 +1,6 @@
 """Scores predictors of a twin after a few drives on it, and tabulates them.
 
-For `benchmarks.real_budget` and `benchmarks.campaign_budget`.
+For `benchmarks.prediction.real_budget` and `benchmarks.prediction.campaign_budget`.
 """
 
 from __future__ import annotations

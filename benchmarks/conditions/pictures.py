@@ -1,6 +1,6 @@
 """Pictures of each operating condition at three strengths on each simulator, for `docs/conditions.md`.
 
-    python benchmarks/condition_pictures.py --out docs/images [--sim bullet ...] [--only visibility ...]
+    python benchmarks/conditions/pictures.py --out docs/images [--sim bullet ...] [--only visibility ...]
 
 One sheet per simulator: a row per condition, its strengths from left to right.
 """

@@ -1,10 +1,10 @@
 """What a few drives on a car are worth after a campaign: each simulator in turn is the twin that was never driven.
 
-`python -m benchmarks.campaign_budget CAMPAIGN... --out budget` takes the outcomes of whole campaigns, whose tests the
-search made hard, and drives nothing. Every simulator of a campaign, the twin among them, is predicted from the others
-after 0, 2, 4, 8 and 16 drives, by the rules and scores of `benchmarks.real_budget`, and tests without a verdict on one
-of the simulators are left out. Intervals are 95 % of 2,000 resamples of twins and of families of mutants at the same
-time.
+`python -m benchmarks.prediction.campaign_budget CAMPAIGN... --out budget` takes the outcomes of whole campaigns, whose
+tests the search made hard, and drives nothing. Every simulator of a campaign, the twin among them, is predicted from
+the others after 0, 2, 4, 8 and 16 drives, by the rules and scores of `benchmarks.prediction.real_budget`, and tests
+without a verdict on one of the simulators are left out. Intervals are 95 % of 2,000 resamples of twins and of families
+of mutants at the same time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from benchmarks.budget_scores import BUDGETS, Case, Scored, score, tables_of
+from benchmarks.prediction.budget_scores import BUDGETS, Case, Scored, score, tables_of
 from rich.console import Console
 
 from ds_orchestrator.campaign.campaign_data import read_campaign

@@ -1,6 +1,6 @@
 """Processor time that conditions cost on each simulator: loading a road, and drawing a frame.
 
-python benchmarks/condition_costs.py [--frames 40]
+python benchmarks/conditions/costs.py [--frames 40]
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """What a few drives on a car are worth: twins that were never driven, predicted after 0, 2, 4, 8 and 16 chosen drives.
 
-`python -m benchmarks.real_budget --out budget` drives the same random roads on the siblings, on `donkey`, and on 20
-made twins (`benchmarks.made_twins`), and keeps every drive: stopped, the same command goes on with the drive at which
-it was, and a larger `--twins` or another network adds to what is there. `--score` only scores. A drive takes 4 s of
-processor time: 20 twins, 30 roads and one network are 720 drives, 45 minutes on one core.
+`python -m benchmarks.prediction.real_budget --out budget` drives the same random roads on the siblings, on `donkey`,
+and on 20 made twins (`benchmarks.prediction.made_twins`), and keeps every drive: stopped, the same command goes on
+with the drive at which it was, and a larger `--twins` or another network adds to what is there. `--score` only scores.
+A drive takes 4 s of processor time: 20 twins, 30 roads and one network are 720 drives, 45 minutes on one core.
 
 Twins: each of the four simulators in turn, predicted from the other three; the made twins, predicted from `--siblings`;
 and control twins, each equal to one of these siblings. Drives are chosen by expected information (`ds real propose`),
@@ -15,9 +15,9 @@ Intervals are 95 % of 2,000 resamples of twins and of roads at the same time (th
 Stat. 2007), as all twins drive the same roads; twins that share a maker are still more alike than cars are.
 
 With `--conditions` each road has its own line contrast and visibility, drawn from the ranges of
-`benchmarks.objectives`: a network that completes every road can fail there. Tests that the gates exclude on one of a
-case's simulators are left out of it. The gates' own runs are kept, too, and serve every network.
-Fixed before the first drive: twins, roads, conditions, networks, siblings, budgets, rules, scores.
+`benchmarks.conditions.objectives`: a network that completes every road can fail there. Tests that the gates exclude on
+one of a case's simulators are left out of it. The gates' own runs are kept, too, and serve every network. Fixed before
+the first drive: twins, roads, conditions, networks, siblings, budgets, rules, scores.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from benchmarks.budget_scores import BUDGETS, SEED, Case, Scored, score, tables_of
-from benchmarks.made_twins import CAMERA, MadeTwin, made_twin
-from benchmarks.objectives import CONDITIONS
+from benchmarks.conditions.objectives import CONDITIONS
+from benchmarks.prediction.budget_scores import BUDGETS, SEED, Case, Scored, score, tables_of
+from benchmarks.prediction.made_twins import CAMERA, MadeTwin, made_twin
 from rich.console import Console
 
 from ds_driver.closed_loop.simulation import AUTOPILOT, Drive

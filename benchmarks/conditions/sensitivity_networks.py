@@ -1,10 +1,10 @@
 """Puts the sensitivities of several networks side by side, as a Markdown table.
 
-`python -m benchmarks.sensitivity_networks DIR...` reads what `ds sensitivity --out DIR` wrote for each network on the
-same simulators. A cell is the value at which the twin's median road first fails, then the earliest of the siblings';
-`-` stands for no failure in the whole range, `x` for a simulator on which the gates exclude the test before the network
-fails. Conditions under which no network fails anywhere are named below the table, and so is how often the twin fails
-before all siblings, with one of them, or after.
+`python -m benchmarks.conditions.sensitivity_networks DIR...` reads what `ds sensitivity --out DIR` wrote for each
+network on the same simulators. A cell is the value at which the twin's median road first fails, then the earliest of
+the siblings'; `-` stands for no failure in the whole range, `x` for a simulator on which the gates exclude the test
+before the network fails. Conditions under which no network fails anywhere are named below the table, and so is how
+often the twin fails before all siblings, with one of them, or after.
 """
 
 from __future__ import annotations

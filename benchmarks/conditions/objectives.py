@@ -1,8 +1,8 @@
 """Compares the objectives of a search of roads and conditions: the same budget, several seeds, effect sizes.
 
-`python -m benchmarks.objectives --out objectives` runs one campaign for each objective and seed with the engine
-`local`, each in its own folder; stopped, the same command goes on with the test at which it was. Every test is driven
-on every sibling, whatever the objective, so that the budgets are the same. It prints and writes, per objective:
+`python -m benchmarks.conditions.objectives --out objectives` runs one campaign for each objective and seed with the
+engine `local`, each in its own folder; stopped, the same command goes on with the test at which it was. Every test is
+driven on every sibling, whatever the objective, so that the budgets are the same. It prints and writes, per objective:
 distinct failing cells, tests that fail on all siblings, and tests on which the siblings differ, over tests that are
 valid on all of them. Effect sizes are Vargha and Delaney's A12 over the paper's objective: the probability that a
 campaign of one finds more than a campaign of the other, ties counted half (0.56 small, 0.64 medium, 0.71 large: J.
@@ -72,7 +72,7 @@ def config_of(
             "objective": objective,
         },
     }  # fmt: skip
-    return parse_config(raw, "benchmarks.objectives")
+    return parse_config(raw, "benchmarks.conditions.objectives")
 
 
 def found_in(data: CampaignData) -> Found:
