@@ -10,6 +10,7 @@ from typing import Any
 from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.siblings.baseline import Baseline, Score, baseline_of
 from ds_orchestrator.siblings.cross_validation import REPEATS
+from ds_orchestrator.siblings.departures import KINDS, Departures, departures_of
 from ds_orchestrator.siblings.information import AddedInformation, information_about
 from ds_orchestrator.siblings.nesting import Nesting, nestings
 from ds_orchestrator.siblings.outcomes import Outcomes
@@ -21,12 +22,14 @@ class SiblingAnalysis:
     """What each sibling adds.
 
     Attributes:
+        departures: how failures leave the lane, per simulator.
         nesting: how far failures lie inside each other, per pair.
         baselines: how well road features alone predict the failures, per simulator.
         residuals: correlations of lateral positions beyond the best feature, per pair.
         information: what each sibling adds about another simulator.
     """
 
+    departures: Sequence[Departures]
     nesting: Sequence[Nesting]
     baselines: Sequence[Baseline]
     residuals: Sequence[ResidualCorrelation]
@@ -35,6 +38,7 @@ class SiblingAnalysis:
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
+            "departures": [{**asdict(one), "counts": dict(one.counts)} for one in self.departures],
             "nesting": [asdict(one) for one in self.nesting],
             "baselines": [{**asdict(one), "chosen": dict(one.chosen)} for one in self.baselines],
             "residual_correlations": [asdict(one) for one in self.residuals],
@@ -66,6 +70,7 @@ def analyse(outcomes: Outcomes, about: Sequence[str], *, repeats: int = REPEATS)
         repeats: divisions into folds over which cross-validated losses are averaged.
     """
     return SiblingAnalysis(
+        departures=departures_of(outcomes),
         nesting=nestings(outcomes),
         baselines=[baseline_of(outcomes, name, repeats=repeats) for name in outcomes.simulators],
         residuals=residual_correlations(outcomes, repeats=repeats),
@@ -80,8 +85,9 @@ def analyse(outcomes: Outcomes, about: Sequence[str], *, repeats: int = REPEATS)
 
 
 def analysis_tables(found: SiblingAnalysis) -> list[Table]:
-    """Tabulate an analysis: nesting, the undriven baseline, the residual correlations, and the information added."""
+    """Tabulate an analysis, in the order of its attributes."""
     return [
+        _departure_table(found.departures),
         _nesting_table(found.nesting),
         _baseline_table(found.baselines),
         _residual_table(found.residuals),
@@ -101,6 +107,16 @@ def outcome_rows(outcomes: Outcomes) -> list[dict[str, Any]]:
         }
         for k, road in enumerate(outcomes.roads)
     ]
+
+
+def _departure_table(departures: Sequence[Departures]) -> Table:
+    return Table(
+        name="sibling_departures",
+        title="How failures leave the lane: wide is out of a bend, to cut is into it",
+        columns=[Column("simulator"), Column("failures", "count"), *(Column(kind, "count") for kind in KINDS)],
+        rows=[(one.simulator, one.failures, *(one.counts[kind] for kind in KINDS)) for one in departures],
+        notes=[one.sentence for one in departures if one.sentence],
+    )
 
 
 def _nesting_table(nesting: Sequence[Nesting]) -> Table:
