@@ -35,7 +35,7 @@ def test_a_sibling_that_fails_in_a_way_of_its_own_is_noticed() -> None:
     assert check.safe.too_many and not check.failing.too_many
     assert "do not rely on safe:" in check.warning and " called safe " in check.sentence
     own = {one.simulator: one for one in check.siblings}
-    assert own["c"].safe[1] > 10 and all(own[name].safe[1] <= 2 for name in "abd")
+    assert own["c"].safe[1] > 10 and all(own[name].safe[1] <= 2 for name in ("a", "b", "d"))
     # What is counted is what the prediction of that sibling says.
     turned = table.with_twin(None).with_twin("c")
     safe = predict_twin(turned).probabilities() <= 0.05
