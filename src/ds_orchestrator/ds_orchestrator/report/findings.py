@@ -13,6 +13,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.heatmap import Value
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.report.failure_region import RoadOutcomes, Share, Split, best_split, road_outcomes
+from ds_sim.conditions.model import DEFAULT, FIELDS
 
 _CHANCE = 0.05
 """p-value from which a correlation is called compatible with chance (paper 4.3.1)."""
@@ -21,6 +22,8 @@ NOT_TESTED = (
     "Only the shape of the road varied between tests. Weather, light, traffic, junctions, slopes, road surface, "
     "markings and lane width were not tested"
 )
+NOT_TESTED_EITHER = "Traffic, junctions, slopes and lane width were not tested"
+"""Where operating conditions differ between tests, or from the simulators' own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,10 +133,26 @@ def _limits(outcomes: RoadOutcomes) -> str:
     low, high = min(curvatures), max(curvatures)
     tightest = f"of {radius(high)} radius" if low == high else f"from {radius(low)} down to {radius(high)} radius"
     number = count(min(turns), "turn") if min(turns) == max(turns) else f"{min(turns)} to {max(turns)} turns"
+    conditions = _conditions(outcomes)
+    rest = f"{conditions} {NOT_TESTED_EITHER}" if conditions else NOT_TESTED
     return (
         f"Tested: {count(len(turns), 'road')} with {number}, the tightest bend of each {tightest} ({low:.3f} to "
-        f"{high:.3f} 1/m). {NOT_TESTED}. Intervals take the roads as independent, which mutants of one road are not."
+        f"{high:.3f} 1/m). {rest}. Intervals take the roads as independent, which mutants of one road are not."
     )
+
+
+def _conditions(outcomes: RoadOutcomes) -> str:
+    """Name the conditions other than the simulators' own, with their ranges; "" if there are none."""
+    named = []
+    for name, field in FIELDS.items():
+        values = {getattr(test.conditions, name) for test in outcomes.tests}
+        known = [value for value in values if value is not None]
+        if values == {getattr(DEFAULT, name)} or not known:
+            continue
+        low, high = (f"{end:.3g}" for end in (min(known), max(known)))
+        unit = f" {field.unit}" if field.unit else ""
+        named.append(f"{name} {low if low == high else f'{low} to {high}'}{unit}")
+    return f"Conditions: {', '.join(named)}." if named else ""
 
 
 def _listed(parts: Sequence[str]) -> str:
@@ -164,10 +183,12 @@ def _coverage(data: CampaignData) -> str:
     text = f"The driver {config.driver} was given {count(len(data.tests), 'road')} to drive on {roles}"
     if verdicts == expected:
         return f"{text}: {count(verdicts, 'run')}, each with a verdict."
-    return (
-        f"{text}; {verdicts} of {count(expected, 'run')} have a verdict. The others were not driven yet or ended in an "
-        "error, and enter no map."
-    )
+    excluded = len(data.excluded)
+    gated = f" {excluded} {'is' if excluded == 1 else 'are'} excluded by the gates." if excluded else ""
+    some = f"{text}; {verdicts} of {count(expected, 'run')} have a verdict.{gated}"
+    if verdicts + excluded == expected:
+        return f"{some} They enter no map." if excluded > 1 else f"{some} It enters no map."
+    return f"{some} The others were not driven yet or ended in an error, and enter no map."
 
 
 def _failures(data: CampaignData) -> str:

@@ -468,6 +468,15 @@ def test_limits_say_what_was_tested_and_what_was_not() -> None:
     only = road(0)
     assert f"Tested: 1 road with {only.turns_count} turns" in found.limits
     assert f"{1 / only.curvature:.1f} m radius" in found.limits and "traffic" in found.limits
+    assert "Only the shape of the road varied" in found.limits
+
+
+def test_limits_name_the_conditions_that_were_tested() -> None:
+    data = driven(CampaignConfig())
+    foggy = replace(data, tests=tuple(replace(t, conditions=Conditions(visibility=50.0 + k))
+                                      for k, t in enumerate(data.tests)))  # fmt: skip
+    found = summarise(foggy, results(data)[0], [])
+    assert "Conditions: visibility 50 m. Traffic" in found.limits and "shape of the road" not in found.limits
 
 
 def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: Path) -> None:
