@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.table import Column, Table
 from ds_orchestrator.maps.merge_operators import OPERATORS
-from ds_orchestrator.prediction.coverage import COVERAGE, forecast_cells
+from ds_orchestrator.prediction.coverage import forecast_cells, share_held
 from ds_orchestrator.prediction.margins import margin
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
 from ds_orchestrator.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN
@@ -23,7 +23,7 @@ from ds_orchestrator.prediction.real.worth import LEAST_GAIN, next_gain
 from ds_orchestrator.prediction.span import ODDS, span_of
 from ds_orchestrator.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
 from ds_orchestrator.prediction.undriven import undriven_probabilities
-from ds_orchestrator.prediction.verdicts import ERROR_RATE
+from ds_orchestrator.prediction.verdicts import called
 
 Array = NDArray[np.float64]
 Errors = dict[str, Array]
@@ -146,7 +146,7 @@ def _stopped(table: OutcomeTable, prediction: TwinPrediction, truth: Array) -> t
 
 
 def _calls(probabilities: Array, truth: Array, rows: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    safe, fails = rows & (probabilities <= ERROR_RATE), rows & (probabilities >= 1.0 - ERROR_RATE)
+    safe, fails = (rows & one for one in called(probabilities))
     failed = truth > 0.0
     return int(safe.sum()), int((safe & failed).sum()), int(fails.sum()), int((fails & ~failed).sum())
 
@@ -261,11 +261,10 @@ def _baseline_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
 
 
 def _calibration_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
-    edges = (1.0 - COVERAGE) / 2.0, (1.0 + COVERAGE) / 2.0
     rows: list[tuple[Any, ...]] = []
     for group, of in groups.items():
-        ranks = np.array([rank for one in of for rank in one.ranks])
-        held = float(((ranks >= edges[0]) & (ranks <= edges[1])).mean())
+        ranks = [rank for one in of for rank in one.ranks]
+        held = share_held(ranks)
         for budget in (0, AIM):
             counts = np.array([one.calls[budget] for one in of]).sum(axis=0).tolist()
             rows.append((group, len(ranks) if not budget else None, held if not budget else None, budget, *counts))

@@ -13,7 +13,6 @@ import argparse
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 from benchmarks.prediction.budget_scores import BUDGETS, Case, Scored, score, tables_of
 from rich.console import Console
 
@@ -21,7 +20,8 @@ from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.folder import open_store
 from ds_orchestrator.cli.output import countdown, say
 from ds_orchestrator.evaluation.table import write_tables
-from ds_orchestrator.prediction.outcome_table import OutcomeTable, table_of_campaign
+from ds_orchestrator.prediction.outcome_table import table_of_campaign
+from ds_orchestrator.prediction.sources import as_population
 
 
 def cases_of(folder: Path) -> list[Case]:
@@ -33,8 +33,8 @@ def cases_of(folder: Path) -> list[Case]:
     """
     with closing(open_store(folder, read_only=True)) as store:
         data = read_campaign(store)
-    whole = table_of_campaign(data)
-    table = whole.select(np.all([whole.known(name) for name in whole.simulators], axis=0))
+    whole = as_population(table_of_campaign(data))
+    table = whole.select(whole.on_siblings)
     return [
         Case(
             network=f"{data.config.driver}, {folder.name}",
@@ -42,14 +42,10 @@ def cases_of(folder: Path) -> list[Case]:
             name=name,
             outside="",
             table=table.with_twin(name),
-            clusters=_clusters(table, folder.name),
+            clusters=tuple(f"{folder.name}: {family}" for family in table.families),
         )
         for name in table.simulators
     ]
-
-
-def _clusters(table: OutcomeTable, campaign: str) -> tuple[str, ...]:
-    return tuple(f"{campaign}: {family}" for family in table.families)
 
 
 def main() -> None:
@@ -67,15 +63,15 @@ def main() -> None:
     for case in cases:
         scored.append(score(case))
         progress(len(scored), len(cases), f"{case.network}: {case.name}, {len(case.table)} tests")
-    for network in dict.fromkeys(one.case.network for one in scored):
-        say(network)
-        for table in tables_of([one for one in scored if one.case.network == network]):
+    groups = {one.case.network: [other for other in scored if other.case.network == one.case.network] for one in scored}
+    if len(groups) > 1:
+        groups["all campaigns"] = scored
+    for name, of in groups.items():
+        say(name)
+        tables = tables_of(of)  # the last ones are those of all campaigns
+        for table in tables:
             table.show(Console(width=180))
-    if len(arguments.campaigns) > 1:
-        say("all campaigns")
-        for table in tables_of(scored):
-            table.show(Console(width=180))
-    write_tables(tables_of(scored), arguments.out)
+    write_tables(tables, arguments.out)
 
 
 if __name__ == "__main__":

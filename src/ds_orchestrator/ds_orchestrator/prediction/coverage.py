@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -50,6 +51,14 @@ class CellForecast:
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {**asdict(self), "holds": self.holds}
+
+
+def share_held(ranks: Sequence[float]) -> float | None:
+    """Share of randomised ranks, one a cell, that lie inside of the interval's; None without any."""
+    if not ranks:
+        return None
+    inside = np.array(ranks)
+    return float(((inside >= (1 - COVERAGE) / 2) & (inside <= (1 + COVERAGE) / 2)).mean())
 
 
 def forecast_cells(

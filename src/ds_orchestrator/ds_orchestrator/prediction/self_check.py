@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.statistics import RESAMPLES
 from ds_orchestrator.evaluation.table import Column, Table
-from ds_orchestrator.prediction.coverage import COVERAGE, forecast_cells
+from ds_orchestrator.prediction.coverage import COVERAGE, forecast_cells, share_held
 from ds_orchestrator.prediction.margins import FEWEST_TESTS
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
 from ds_orchestrator.prediction.twin_prediction import predict_twin
-from ds_orchestrator.prediction.verdicts import ERROR_RATE
+from ds_orchestrator.prediction.verdicts import ERROR_RATE, called
 from ds_orchestrator.prediction.weighted_scores import family_weights, interval_of, mean_of
 
 FEWEST_SIBLINGS = 3
@@ -139,10 +139,8 @@ def check_in_turn(table: OutcomeTable) -> SelfCheck:
     for name in known.siblings:
         turned = known.with_twin(name)
         prediction = predict_twin(turned)
-        probabilities, fails = prediction.probabilities(), turned.failed(name)
-        low, high = probabilities <= ERROR_RATE, probabilities >= 1.0 - ERROR_RATE
-        ranks = np.array([one.rank for one in forecast_cells(turned, prediction)], np.float64)
-        inside = np.abs(ranks - 0.5) <= COVERAGE / 2
+        (low, high), fails = called(prediction.probabilities()), turned.failed(name)
+        ranks = [one.rank for one in forecast_cells(turned, prediction) if one.rank is not None]
         found.append(
             InTurn(
                 simulator=name,
@@ -151,27 +149,26 @@ def check_in_turn(table: OutcomeTable) -> SelfCheck:
                 safe=(int(low.sum()), int((low & fails).sum())),
                 failing=(int(high.sum()), int((high & ~fails).sum())),
                 cells=len(ranks),
-                held=float(inside.mean()) if len(ranks) else None,
+                held=share_held(ranks),
             )
         )
         safe.append(low)
         failing.append(high)
         failed.append(fails)
-    families = np.tile(known.families, len(known.siblings))
+    weights = family_weights(np.tile(known.families, len(known.siblings)), RESAMPLES, SEED)
     wrong = np.concatenate(failed)
     return SelfCheck(
         siblings=tuple(found),
-        safe=_calls(np.concatenate(safe), wrong, families),
-        failing=_calls(np.concatenate(failing), ~wrong, families),
+        safe=_calls(np.concatenate(safe), wrong, weights),
+        failing=_calls(np.concatenate(failing), ~wrong, weights),
     )
 
 
-def _calls(called: Bools, wrong: Bools, families: NDArray[np.intp]) -> Calls:
-    weights = family_weights(families, RESAMPLES, SEED)[:, called]
+def _calls(rows: Bools, wrong: Bools, weights: NDArray[np.float64]) -> Calls:
     return Calls(
-        count=int(called.sum()),
-        wrong=int((called & wrong).sum()),
-        interval=interval_of(mean_of(wrong[called].astype(np.float64), weights)) if called.any() else None,
+        count=int(rows.sum()),
+        wrong=int((rows & wrong).sum()),
+        interval=interval_of(mean_of(wrong[rows].astype(np.float64), weights[:, rows])) if rows.any() else None,
     )
 
 

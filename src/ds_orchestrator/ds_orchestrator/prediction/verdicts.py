@@ -145,7 +145,7 @@ def judge(
             cell=table.cells[row],
             probability=float(probabilities[row]),
             interval=(float(low[k]), float(high[k])),
-            verdict=_of_test(float(probabilities[row])),
+            verdict=verdict_of(float(probabilities[row])),
             driven=row in driven,
         )
         for k, row in enumerate(used)
@@ -165,10 +165,16 @@ def judge(
     return Verdicts(tests=tests, cells=cells, features=tuple(features), tolerated=tolerated)
 
 
-def _of_test(probability: float) -> Verdict:
+def verdict_of(probability: float) -> Verdict:
+    """Call a test, or a cell, by the probability that it fails."""
     if probability >= 1.0 - ERROR_RATE:
         return "fails"
     return "safe" if probability <= ERROR_RATE else "disputed"
+
+
+def called(probabilities: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(tests,) which tests are called safe, and which failing; the others are disputed."""
+    return probabilities <= ERROR_RATE, probabilities >= 1.0 - ERROR_RATE
 
 
 def _bounds(cells: Sequence[tuple[int, ...]] | dict[tuple[int, ...], list[int]]) -> list[tuple[int, ...]]:
@@ -196,7 +202,7 @@ def _judge_cell(
     weights = rng.standard_exponential(known.shape)
     rates = (weights * known).sum(axis=1) / weights.sum(axis=1)
     above = float((rates > tolerated).mean())
-    verdict: Verdict = "fails" if above >= 1 - ERROR_RATE else "safe" if above <= ERROR_RATE else "disputed"
+    verdict = verdict_of(above)
     low, high = np.quantile(rates, (0.05, 0.95))
     return CellVerdict(
         cell=cell,
@@ -229,7 +235,7 @@ def drives_needed(mean: float, variance: float, tolerated: float) -> int | None:
     pseudo = max(mean * (1.0 - mean) / max(variance, 1e-12) - 1.0, 1e-6)
     total = pseudo + np.arange(MOST_NEEDED + 1)
     below = betainc(mean * total, (1.0 - mean) * total, tolerated)
-    decided = np.flatnonzero((below >= 1.0 - ERROR_RATE) | (below <= ERROR_RATE))
+    decided = np.flatnonzero(np.logical_or(*called(below)))
     return int(decided[0]) if len(decided) else None
 
 

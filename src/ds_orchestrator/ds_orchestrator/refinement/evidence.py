@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import betainc
 
 from ds_orchestrator.prediction.outcome_table import OutcomeTable
-from ds_orchestrator.prediction.verdicts import ERROR_RATE, MOST_NEEDED, TOLERATED_RATE, Verdict
+from ds_orchestrator.prediction.verdicts import MOST_NEEDED, TOLERATED_RATE, Verdict, called, verdict_of
 
 Agreement = Literal["all fail", "all safe", "siblings differ", "not settled"]
 
@@ -44,7 +44,7 @@ class CellEvidence:
         if not tests:
             return "untested"
         above = 1.0 - float(betainc(failures + 0.5, tests - failures + 0.5, self.tolerated))
-        return "fails" if above >= 1.0 - ERROR_RATE else "safe" if above <= ERROR_RATE else "disputed"
+        return verdict_of(above)
 
     @property
     def agreement(self) -> Agreement:
@@ -89,7 +89,7 @@ def _needed(tests: int, failures: int, tolerated: float) -> int | None:
     for further in (np.arange(1, _FEW + 1), np.arange(_FEW + 1, MOST_NEEDED + 1)):
         more = further * (failures / tests if tests else 0.0)
         below = betainc(failures + more + 0.5, tests - failures + further - more + 0.5, tolerated)
-        decided = np.flatnonzero((below >= 1.0 - ERROR_RATE) | (below <= ERROR_RATE))
+        decided = np.flatnonzero(np.logical_or(*called(below)))
         if len(decided):
             return int(further[decided[0]])
     return None

@@ -38,7 +38,7 @@ class SiblingAnalysis:
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
-            "departures": [{**asdict(one), "counts": dict(one.counts)} for one in self.departures],
+            "departures": [asdict(one) for one in self.departures],
             "nesting": [asdict(one) for one in self.nesting],
             "baselines": [{**asdict(one), "chosen": dict(one.chosen)} for one in self.baselines],
             "residual_correlations": [asdict(one) for one in self.residuals],

@@ -18,7 +18,7 @@ from ds_orchestrator.prediction.real.records import COLUMNS, FOLDER, OPTIONAL, R
 from ds_orchestrator.prediction.real.road_sheet import draw_sheet, sheet_of
 from ds_orchestrator.prediction.real.selection import Choice, choose
 from ds_orchestrator.prediction.twin_prediction import MarginDrive, TwinPrediction
-from ds_orchestrator.prediction.verdicts import ERROR_RATE
+from ds_orchestrator.prediction.verdicts import called
 from ds_road import Road, RoadError, road_from_json, road_to_json
 from ds_sim.camera.png import png
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
@@ -96,7 +96,7 @@ def _proposed(table: OutcomeTable, prediction: TwinPrediction, choice: Choice, n
     )
 
     def decided(probabilities: Any) -> int:
-        return int(((probabilities <= ERROR_RATE) | (probabilities >= 1.0 - ERROR_RATE)).sum())
+        return int(np.logical_or(*called(probabilities)).sum())
 
     words = {State.FAILED: "failed", State.COMPLETED: "completed"}
     return ProposedDrive(
