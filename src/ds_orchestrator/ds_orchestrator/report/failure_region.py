@@ -1,26 +1,26 @@
-"""Where a driver fails, in terms of the road: one threshold on bend radius or number of turns (a decision stump).
+"""Where a driver fails: one threshold on bend radius, number of turns, or an operating condition (a decision stump).
 
 The rule was fixed before it was applied to any campaign:
 
 1. A road fails if it fails on the twin. Without a twin's outcomes, it fails if it fails on every sibling.
-2. For the largest curvature of a road and for its turns count, every threshold between two different values splits
-   the roads into gentler and harder ones. The split with the largest Youden index J, the share of failing roads above
-   minus the share of passing roads above, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before
-   turns, then the harder threshold.
+2. For the largest curvature of a road, its turns count, and every condition that varies between tests, every threshold
+   between two different values splits the tests into easier and harder ones; a condition that is hard at both ends is
+   split in both directions. The split with the largest Youden index J, the share of failing tests above minus the
+   share of passing tests above, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before turns
+   before conditions, then the harder threshold.
 3. The split is reported only if the 95 % intervals (Jeffreys) of both sides' failure probabilities do not overlap,
    since a threshold chosen from the same data always looks better than it is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.maps.merge_operators import jeffreys_interval
 from ds_orchestrator.store.store import Test
-
-Axis = Literal["curvature", "turns"]
+from ds_sim.conditions.model import FIELDS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,14 +46,16 @@ class Split:
     """Threshold that separates failing roads from the others.
 
     Attributes:
-        axis: `curvature`, the largest of a road in 1/m, or `turns`.
-        threshold: smallest value of the harder roads.
+        axis: `curvature`, the largest of a road in 1/m, `turns`, or the name of a condition.
+        threshold: of the harder roads, the value nearest to the others.
+        is_lower_bound: whether the harder roads have the threshold or more, otherwise the threshold or less.
         harder: roads from the threshold on.
         gentler: the other roads.
     """
 
-    axis: Axis
+    axis: str
     threshold: float
+    is_lower_bound: bool
     harder: Share
     gentler: Share
 
@@ -82,6 +84,11 @@ class RoadOutcomes:
         """Failures over all roads."""
         return Share(failures=sum(self.failed), roads=len(self.tests))
 
+    @property
+    def varied_conditions(self) -> tuple[str, ...]:
+        """Names of the conditions that differ between tests."""
+        return tuple(name for name in FIELDS if len({getattr(test.conditions, name) for test in self.tests}) > 1)
+
 
 def road_outcomes(data: CampaignData) -> RoadOutcomes:
     """Decide which roads of a campaign fail, by rule 1 of this module."""
@@ -102,20 +109,33 @@ def best_split(outcomes: RoadOutcomes) -> Split | None:
     """Find the split with the largest Youden index, clear or not, by rule 2 of this module; None if there is none."""
     total = outcomes.share
     passing = total.roads - total.failures
-    axes: tuple[tuple[Axis, list[float]], ...] = (
-        ("curvature", [test.road.curvature for test in outcomes.tests]),
-        ("turns", [float(test.road.turns_count) for test in outcomes.tests]),
-    )
-    candidates: list[tuple[tuple[int, bool, float], Split]] = []
-    for axis, values in axes:
-        for threshold in sorted(set(values))[1:]:
-            above = [failed for value, failed in zip(values, outcomes.failed, strict=True) if value >= threshold]
+    if not 0 < total.failures < total.roads:
+        return None
+    candidates: list[tuple[tuple[int, int, float], Split]] = []
+    for order, (axis, values, sign) in enumerate(_axes(outcomes)):
+        hardness = [sign * value for value in values]
+        for threshold in sorted(set(hardness))[1:]:
+            above = [failed for value, failed in zip(hardness, outcomes.failed, strict=True) if value >= threshold]
             harder = Share(failures=sum(above), roads=len(above))
             gentler = Share(failures=total.failures - harder.failures, roads=total.roads - harder.roads)
             # Youden's J times the failing and the passing roads: whole numbers have no rounding errors to break ties.
             youden = harder.failures * passing - (harder.roads - harder.failures) * total.failures
-            split = Split(axis=axis, threshold=threshold, harder=harder, gentler=gentler)
-            candidates.append(((youden, axis == "curvature", threshold), split))
-    if not candidates or not 0 < total.failures < total.roads:
-        return None
-    return max(candidates, key=lambda candidate: candidate[0])[1]
+            split = Split(
+                axis=axis, threshold=sign * threshold, is_lower_bound=sign > 0, harder=harder, gentler=gentler
+            )
+            candidates.append(((youden, -order, threshold), split))
+    return max(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
+
+
+def _axes(outcomes: RoadOutcomes) -> Iterator[tuple[str, list[float], int]]:
+    """Axes to split on, in order of preference: name, value of each test, and 1 where larger values are harder."""
+    yield "curvature", [test.road.curvature for test in outcomes.tests], 1
+    yield "turns", [float(test.road.turns_count) for test in outcomes.tests], 1
+    for name in outcomes.varied_conditions:
+        values = [getattr(test.conditions, name) for test in outcomes.tests]
+        if None in values:  # "as the simulator" has no place among numbers
+            continue
+        if FIELDS[name].stronger in ("high", "both"):
+            yield name, values, 1
+        if FIELDS[name].stronger in ("low", "both"):
+            yield name, values, -1

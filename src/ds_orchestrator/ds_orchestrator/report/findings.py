@@ -79,26 +79,29 @@ def summarise(
 
 def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
     """State where the driver fails and how sure that is; see `ds_orchestrator.report.failure_region` for the rule."""
+    thing = "test" if outcomes.varied_conditions else "road"
     if not outcomes.tests:
-        return f"No road has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
-    total, roads = outcomes.share, count(len(outcomes.tests), "road")
+        return f"No {thing} has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
+    total, all_of = outcomes.share, count(len(outcomes.tests), thing)
     if not total.failures:
-        none = "did not fail on the only road" if total.roads == 1 else f"failed on none of {roads}"
+        none = f"did not fail on the only {thing}" if total.roads == 1 else f"failed on none of {all_of}"
         return f"{driver} {none} on {outcomes.where} ({_percent(total)})."
     if total.failures == total.roads:
-        every = "the only road" if total.roads == 1 else f"all {roads}"
-        return f"{driver} failed on {every} on {outcomes.where} ({_percent(total)}); no gentler road was tested."
+        every = f"the only {thing}" if total.roads == 1 else f"all {all_of}"
+        return f"{driver} failed on {every} on {outcomes.where} ({_percent(total)}); no gentler {thing} was driven."
     split = best_split(outcomes)
     if split is None or not split.is_clear:
+        axes = ("the tightest bend", "the number of turns", *outcomes.varied_conditions)
+        none = f"Neither {' nor '.join(axes)} separates" if len(axes) == 2 else f"None of {_listed(axes)} separates"
         return (
-            f"{driver} failed on {total.failures} of {roads} on {outcomes.where} ({_percent(total)}). Neither the "
-            "tightest bend nor the number of turns separates these roads clearly from the others."
+            f"{driver} failed on {total.failures} of {all_of} on {outcomes.where} ({_percent(total)}). {none} these "
+            f"{thing}s clearly from the others."
         )
     harder, gentler = split.harder, split.gentler
     others = f"{gentler.failures or 'none'} of the {gentler.roads} others"
     return (
-        f"On {outcomes.where}, {driver} fails on roads with {_harder_than(split)}: {harder.failures} of {harder.roads} "
-        f"such roads failed ({_percent(harder)}), and {others} ({_percent(gentler)})."
+        f"On {outcomes.where}, {driver} fails on {thing}s with {_harder_than(split)}: {harder.failures} of "
+        f"{harder.roads} such {thing}s failed ({_percent(harder)}), and {others} ({_percent(gentler)})."
     )
 
 
@@ -115,6 +118,9 @@ def count(number: int, thing: str, plural: str = "") -> str:
 def _harder_than(split: Split) -> str:
     if split.axis == "turns":
         return f"{split.threshold:.0f} turns or more"
+    if split.axis in FIELDS:
+        unit = f" {FIELDS[split.axis].unit}" if FIELDS[split.axis].unit else ""
+        return f"{split.axis} {split.threshold:.3g}{unit} or {'more' if split.is_lower_bound else 'less'}"
     return f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
 
 

@@ -419,6 +419,44 @@ def test_the_headline_names_turns_where_they_separate_better() -> None:
     assert "fails on roads with 5 turns or more: 8 of 8 such roads" in where_it_fails("net", outcomes(*few, *many))
 
 
+def under(made: RoadOutcomes, name: str, values: list[float]) -> RoadOutcomes:
+    """The same roads, each with its own value of a condition."""
+    pairs = zip(made.tests, values, strict=True)
+    return replace(made, tests=tuple(replace(test, conditions=Conditions(**{name: value})) for test, value in pairs))
+
+
+@pytest.mark.parametrize(
+    ("name", "hard", "easy", "said"),
+    [
+        ("visibility", 40.0, 90.0, "visibility 47 m or less"),
+        ("line_cover", 0.5, 0.2, "line_cover 0.5 or more"),
+        ("camera_pitch", -0.1, 0.02, "camera_pitch -0.093 rad or less"),
+        ("camera_pitch", 0.1, -0.02, "camera_pitch 0.1 rad or more"),
+    ],
+)
+def test_the_headline_names_the_condition_that_separates_best(name: str, hard: float, easy: float, said: str) -> None:
+    failing, passing = [(0.1, 3, True)] * 8, [(0.2, 3, False)] * 20
+    step = 1.0 if name == "visibility" else 0.001
+    values = [hard + step * k for k in range(8)] + [easy + step * k for k in range(20)]
+    text = where_it_fails("net", under(outcomes(*failing, *passing), name, values))
+    assert f"net fails on tests with {said}: 8 of 8 such tests failed" in text and "none of the 20 others" in text
+
+
+def test_the_headline_names_the_conditions_that_separate_nothing() -> None:
+    mixed = under(outcomes(*[(0.1, 3, k in (2, 9)) for k in range(12)]), "visibility", [20.0 + k for k in range(12)])
+    text = where_it_fails("net", mixed)
+    assert text.startswith("net failed on 2 of 12 tests on the twin T")
+    assert "None of the tightest bend, the number of turns and visibility separates these tests clearly" in text
+
+
+def test_a_condition_that_a_test_leaves_to_the_simulator_has_no_threshold() -> None:
+    made = outcomes(*[(0.1, 3, k < 9) for k in range(20)])
+    values = [0.4] * 9 + [0.1] * 11
+    assert best_split(under(made, "pavement_reflectance", values)) is not None
+    split = best_split(under(made, "pavement_reflectance", [*values[:-1], None]))  # type: ignore[list-item]
+    assert split is None
+
+
 def test_the_headline_claims_no_threshold_that_the_intervals_do_not_carry() -> None:
     mixed = outcomes(*[(0.1 + 0.01 * k, 3, k in (2, 9)) for k in range(12)])
     split = best_split(mixed)
