@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.prediction.budget_scores import SEED, Case, pooled, score
-from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WITHIN, made_twin
+from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WIDE, WITHIN, made_twin
 from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
 
 from ds_orchestrator.prediction.outcome_table import table_of_outcomes
@@ -35,6 +35,16 @@ def test_twins_are_those_of_their_seed_and_lie_in_their_ranges(tmp_path: Path) -
     made = make_simulator(simulator)
     assert made.spec.extra["car"]
     made.close()
+
+
+def test_wide_twins_fill_their_ranges_and_can_be_made(tmp_path: Path) -> None:
+    twins = [made_twin(number, SEED, "wide") for number in range(1, 21)]
+    for name, (low, high) in WIDE.items():
+        shares = [(twin.values[name] - low) / (high - low) for twin in twins]
+        assert 0.0 <= min(shares) < 0.2 and 0.8 < max(shares) <= 1.0
+    parameters, _ = read_parameters(Path(twins[0].simulator(tmp_path).partition("@")[2]))
+    assert parameters == twins[0].parameters and parameters.steering_trim == twins[0].values["steering_trim"]
+    assert {twin.name for twin in twins}.isdisjoint(made_twin(number, SEED).name for number in range(1, 21))
 
 
 def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monkeypatch: pytest.MonkeyPatch) -> None:

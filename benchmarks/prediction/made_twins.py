@@ -1,7 +1,8 @@
 """Cars that no simulator here is: the 1:16 car with other parameters and another camera pose, from a seeded generator.
 
-Each range and its source were fixed before the first drive. Every fourth twin has one value far outside of its range,
-in turns of `OUTSIDE`: cars that the simulators may not span.
+Each range and its source were fixed before the first drive. Two kinds: `near` cars are of one kind as a hand builds it,
+and every fourth has one value far outside of its range, in turns of `OUTSIDE`: cars that the simulators may not span.
+Many of them fail on the same tests. `wide` cars differ in everything at once, over the ranges `WIDE`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
@@ -21,6 +22,7 @@ from ds_twin_donkey.parameter_file import FORMAT
 from ds_twin_donkey.parameters import DonkeyParameters
 
 Range = tuple[float, float]
+Kind = Literal["near", "wide"]
 
 WITHIN: Mapping[str, Range] = {
     "max_steering_angle": (math.radians(30.0), math.radians(38.0)),
@@ -48,6 +50,22 @@ OUTSIDE: Mapping[str, Range] = {
 """Ranges of the one value that makes an outside twin: a linkage that binds (stock: 25 to 30 degrees), a network
 that drives over Wi-Fi, a camera that slipped down by 5 to 7 degrees or aside by 3 to 6, dust on the floor (half of the
 smooth floor's grip). Chosen: two to five widths of the range within beyond its middle."""
+WIDE: Mapping[str, Range] = {
+    "max_steering_angle": (math.radians(20.0), math.radians(40.0)),
+    "servo_rate": (2.4, 7.0),
+    "servo_lag": (1 / 60, 0.1),
+    "command_delay": (1 / 60, 0.2),
+    "mass": (1.0, 2.4),
+    "friction": (0.4, 1.05),
+    "steering_trim": (-0.05, 0.05),
+    "camera_height": (0.75, 1.25),
+    "camera_pitch": (-0.1, 0.1),
+    "camera_yaw": (-0.08, 0.08),
+}
+"""Ranges of cars that are unlike each other, uniform. Chosen: from about the middle of each range in `OUTSIDE` to the
+good end of the one in `WITHIN`, on both sides where it has two; servos from half the rate of a cheap one to a fast
+one's; a bare chassis to one with a lidar on top; trim of 3 degrees, as `Conditions.tyre_pull`; a mast a quarter
+shorter or taller."""
 EVERY = 4
 """Every fourth twin is outside; chosen: "several" of 20."""
 CAMERA = ("camera_height", "camera_pitch", "camera_yaw")
@@ -58,11 +76,13 @@ class MadeTwin:
     """A car of the generator.
 
     Attributes:
+        kind: `near` or `wide`.
         number: from 1.
-        values: parameters of the car and pose of its camera, as named in `WITHIN`.
+        values: parameters of the car and pose of its camera, as named in `WITHIN` or `WIDE`.
         outside: the value that is far outside, or "".
     """
 
+    kind: Kind
     number: int
     values: Mapping[str, float]
     outside: str
@@ -70,7 +90,8 @@ class MadeTwin:
     @property
     def name(self) -> str:
         """Name in tables and of the parameter file."""
-        return f"car-{self.number:02d}{'-' + self.outside if self.outside else ''}"
+        parts = ("car" if self.kind == "near" else self.kind, f"{self.number:02d}", self.outside)
+        return "-".join(part for part in parts if part)
 
     @property
     def conditions(self) -> Conditions:
@@ -99,17 +120,22 @@ class MadeTwin:
         return {"name": self.name, "outside": self.outside, "values": dict(self.values)}
 
 
-def made_twin(number: int, seed: int) -> MadeTwin:
+def made_twin(number: int, seed: int, kind: Kind = "near") -> MadeTwin:
     """Make a twin; the same one however many others are made.
 
     Args:
         number: from 1.
         seed: seed of the generator.
+        kind: which ranges.
     """
+    if kind == "wide":
+        rng = np.random.default_rng([seed, 1, number])
+        values = {key: float(rng.uniform(*of)) for key, of in WIDE.items()}
+        return MadeTwin(kind=kind, number=number, values=values, outside="")
     rng = np.random.default_rng([seed, number])
     values = {key: float(rng.uniform(*of)) for key, of in WITHIN.items()}
     outside = ""
     if number % EVERY == 0:
         outside = list(OUTSIDE)[(number // EVERY - 1) % len(OUTSIDE)]
         values[outside] = float(rng.uniform(*OUTSIDE[outside]))
-    return MadeTwin(number=number, values=values, outside=outside)
+    return MadeTwin(kind=kind, number=number, values=values, outside=outside)

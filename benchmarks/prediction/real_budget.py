@@ -3,6 +3,7 @@
 `python -m benchmarks.prediction.real_budget --out budget` drives the same random roads on the siblings, on `donkey`,
 and on 20 made twins (`benchmarks.prediction.made_twins`), and keeps every drive: stopped, the same command goes on
 with the drive at which it was, and a larger `--twins` or another network adds to what is there. `--score` only scores.
+`--made wide` takes 20 cars that differ in everything at once, and writes its tables into `wide`.
 A drive takes 4 s of processor time: 20 twins, 30 roads and one network are 720 drives, 45 minutes on one core.
 
 Twins: each of the four simulators in turn, predicted from the other three; the made twins, predicted from `--siblings`;
@@ -180,6 +181,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of drives and results; goes on if it has some")
     parser.add_argument("--twins", type=int, default=20, help="made twins")
+    parser.add_argument("--made", choices=("near", "wide"), default="near", help="kind of the made twins")
     parser.add_argument("--tests", type=int, default=30, help="random roads, at least 10")
     parser.add_argument("--networks", default="dave2_short", help=f"some of {','.join(NETWORKS)}, or any other")
     parser.add_argument("--siblings", default=",".join(SIMULATORS[:3]), help="three that predict the made twins")
@@ -193,7 +195,7 @@ def main() -> None:
     if len(siblings) != 3 or not set(siblings) <= set(SIMULATORS):
         parser.error(f"--siblings {arguments.siblings}: expected three of {','.join(SIMULATORS)}")
     tests = draw_tests(arguments.tests, conditions=arguments.conditions)
-    twins = [made_twin(number, SEED) for number in range(1, arguments.twins + 1)]
+    twins = [made_twin(number, SEED, arguments.made) for number in range(1, arguments.twins + 1)]
     arguments.out.mkdir(parents=True, exist_ok=True)
     valid: Valid = {name: [True] * len(tests) for name in (*SIMULATORS, *(twin.name for twin in twins))}
     if arguments.conditions:
@@ -212,7 +214,9 @@ def main() -> None:
     tables = tables_of(scored)
     for table in tables:
         table.show(Console(width=180))
-    write_tables(tables, arguments.out)
+    results = arguments.out if arguments.made == "near" else arguments.out / arguments.made
+    results.mkdir(exist_ok=True)
+    write_tables(tables, results)
     document = {
         "networks": arguments.networks.split(","), "tests": arguments.tests, "siblings": siblings,
         "conditions": CONDITIONS if arguments.conditions else {},
@@ -230,7 +234,7 @@ def main() -> None:
             for one in scored
         ],
     }  # fmt: skip
-    (arguments.out / "real_budget.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    (results / "real_budget.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 if __name__ == "__main__":
