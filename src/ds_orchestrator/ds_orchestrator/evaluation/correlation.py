@@ -14,15 +14,15 @@ from typing import Any, Literal
 from ds_orchestrator.evaluation.statistics import (
     RESAMPLES,
     Array,
-    _average_precision,
-    _decided,
-    _over_shared_cells,
-    _paired,
-    _pearson,
-    _resampled_auc,
-    _resampled_r,
+    auc_prc_or_nan,
+    auc_prc_or_reason,
     bootstrap_interval,
     caution_of,
+    has_both_outcomes,
+    paired_values,
+    pearson_or_reason,
+    r_or_nan,
+    values_over_shared_cells,
 )
 from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.map_id import MapId
@@ -112,10 +112,10 @@ def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resample
         value: `probability` or `quality_loss`.
         resamples: resamples of the bootstrap; 0 computes no intervals.
     """
-    predicted, truth = _paired(feature_map, twin, value)
+    predicted, truth = paired_values(feature_map, twin, value)
     failing = int((truth > 0).sum())
-    r, p, reason = _pearson(predicted, truth, value)
-    auc, auc_reason = _average_precision(predicted, truth)
+    r, p, reason = pearson_or_reason(predicted, truth, value)
+    auc, auc_reason = auc_prc_or_reason(predicted, truth)
     if caution_of(len(truth), failing):
         resamples = 0
     return Correlation(
@@ -125,9 +125,9 @@ def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resample
         r=r,
         p=p,
         reason=reason,
-        r_interval=None if r is None else bootstrap_interval((predicted, truth), _resampled_r, resamples),
+        r_interval=None if r is None else bootstrap_interval((predicted, truth), r_or_nan, resamples),
         auc=auc,
-        auc_interval=None if auc is None else bootstrap_interval((predicted, truth), _resampled_auc, resamples),
+        auc_interval=None if auc is None else bootstrap_interval((predicted, truth), auc_prc_or_nan, resamples),
         auc_reason=auc_reason,
         baseline=failing / len(truth) if len(truth) else None,
         failing=failing,
@@ -156,17 +156,17 @@ def paired_differences(
 ) -> list[PairedDifference]:
     """Compare the merged map with each sibling's, by both values; empty with a single sibling."""
     merged, truth = maps[MapId.merged()], maps[MapId.twin(twin)]
-    difference_r, difference_auc = _difference(_resampled_r), _difference(_resampled_auc)
+    difference_r, difference_auc = _difference(r_or_nan), _difference(auc_prc_or_nan)
     found = []
     for value, sibling in product(QUESTIONS, siblings if len(siblings) > 1 else ()):
         union = maps[MapId.union(sibling)]
-        samples = merged_values, values, against = _over_shared_cells([merged, union], truth, value)
+        samples = merged_values, values, against = values_over_shared_cells([merged, union], truth, value)
         failing = int((against > 0).sum())
         drawn = 0 if caution_of(len(against), failing) else resamples
         known: dict[str, Any] = {}
-        if all(_pearson(one, against, value)[0] is not None for one in (merged_values, values)):
+        if all(pearson_or_reason(one, against, value)[0] is not None for one in (merged_values, values)):
             known |= {"r": difference_r(*samples), "r_interval": bootstrap_interval(samples, difference_r, drawn)}
-        if _decided(against):
+        if has_both_outcomes(against):
             known |= {
                 "auc": difference_auc(*samples),
                 "auc_interval": bootstrap_interval(samples, difference_auc, drawn),

@@ -11,12 +11,12 @@ import numpy as np
 from ds_orchestrator.evaluation.correlation import QUESTIONS
 from ds_orchestrator.evaluation.statistics import (
     Array,
-    _ap,
-    _decided,
-    _paired,
-    _pearson,
-    _roc,
-    _trapezoids,
+    auc_prc,
+    auc_prc_by_trapezoids,
+    auc_roc,
+    has_both_outcomes,
+    paired_values,
+    pearson_or_reason,
 )
 from ds_orchestrator.maps.algebra import merge
 from ds_orchestrator.maps.feature_map import FeatureMap
@@ -60,29 +60,29 @@ def check_robustness(maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], 
     for value, m in product(QUESTIONS, compared):
         found.append(_check("all cells of the bounds, empty ones as -2 (maxitwo)", *_filled(m, truth, value)))
     for value, m in product(QUESTIONS, compared):
-        values, against = _paired(m, truth, value)
+        values, against = paired_values(m, truth, value)
         both = (values > 0) & (against > 0)
         found.append(_check("only cells above 0 in both (maxitwo)", m, truth, value, values[both], against[both]))
     for value, m in product(QUESTIONS, compared):
-        found.append(_check("AUC of ROC (maxitwo)", m, truth, value, *_paired(m, truth, value), curve=_roc))
+        found.append(_check("AUC of ROC (maxitwo)", m, truth, value, *paired_values(m, truth, value), curve=auc_roc))
     for value, m in product(QUESTIONS, compared):
         what = "AUC-PRC by trapezoids"
-        found.append(_check(what, m, truth, value, *_paired(m, truth, value), curve=_trapezoids))
+        found.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc_by_trapezoids))
     for m in compared:
-        values, against = _paired(m, truth, "pooled_quality_loss")
+        values, against = paired_values(m, truth, "pooled_quality_loss")
         what = "quality as mean over a union's tests (maxitwo)"
-        found.append(_check(what, m, truth, "quality_loss", values, against, curve=_ap))
+        found.append(_check(what, m, truth, "quality_loss", values, against, curve=auc_prc))
     for value, sibling in product(QUESTIONS, siblings):
         m, against_own = maps[MapId.search(sibling)], maps[MapId.migration(sibling, twin)]
         what = "a sibling's own search, without migration (maxitwo)"
-        found.append(_check(what, m, against_own, value, *_paired(m, against_own, value), curve=_ap))
+        found.append(_check(what, m, against_own, value, *paired_values(m, against_own, value), curve=auc_prc))
     if len(unions) > 1:
         for value, operator in product(QUESTIONS, OPERATORS):
             m = merge(MapId.merged(), unions, probability=operator, quality_loss=operator)
             what = f"merged by {operator.replace('_', ' ')}"
-            found.append(_check(what, m, truth, value, *_paired(m, truth, value), curve=_ap))
+            found.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc))
     for one, other in combinations(unions, 2):
-        found.append(_check("sibling against sibling (maxitwo)", one, other, "probability", *_paired(one, other)))
+        found.append(_check("sibling against sibling (maxitwo)", one, other, "probability", *paired_values(one, other)))
     return found
 
 
@@ -106,7 +106,7 @@ def _check(
     *,
     curve: Callable[[Array, Array], float] | None = None,
 ) -> RobustnessCheck:
-    r, p, _ = _pearson(predicted, truth, value)
-    auc = curve(predicted, truth) if curve is not None and _decided(truth) else None
+    r, p, _ = pearson_or_reason(predicted, truth, value)
+    auc = curve(predicted, truth) if curve is not None and has_both_outcomes(truth) else None
     found = {"cells": len(predicted), "r": r, "p": p, "auc": auc}
     return RobustnessCheck(what=what, map=m.id, against=against.id, value=value, **found)  # type: ignore[arg-type]

@@ -53,13 +53,13 @@ def _values(m: FeatureMap, cells: Sequence[Cell], value: str) -> Array:
     return np.array([np.nan if v is None else v for v in found], np.float64)
 
 
-def _paired(m: FeatureMap, truth: FeatureMap, value: str = "probability") -> tuple[Array, Array]:
+def paired_values(m: FeatureMap, truth: FeatureMap, value: str = "probability") -> tuple[Array, Array]:
     """Collect a value of one map and the failure probability of another over the cells that both fill."""
-    predicted, against = _over_shared_cells([m], truth, value)
+    predicted, against = values_over_shared_cells([m], truth, value)
     return predicted, against
 
 
-def _over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str) -> tuple[Array, ...]:
+def values_over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str) -> tuple[Array, ...]:
     """Collect a value of several maps, then the failure probability of another, over the cells that all fill."""
     cells = sorted(set(truth.cells).intersection(*(m.cells for m in maps)))
     predicted, against = [_values(m, cells, value) for m in maps], _values(truth, cells, "probability")
@@ -67,7 +67,7 @@ def _over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str
     return tuple(values[known] for values in (*predicted, against))
 
 
-def _pearson(predicted: Array, truth: Array, value: str) -> tuple[float | None, float | None, str]:
+def pearson_or_reason(predicted: Array, truth: Array, value: str) -> tuple[float | None, float | None, str]:
     """Compute r and p, or the reason why they are undefined."""
     reason = ""
     if len(predicted) < FEWEST_CELLS:
@@ -84,46 +84,51 @@ def _pearson(predicted: Array, truth: Array, value: str) -> tuple[float | None, 
     return float(result.statistic), float(result.pvalue), ""
 
 
-def _decided(truth: Array) -> bool:
+def has_both_outcomes(truth: Array) -> bool:
     """Check whether some cells fail and some do not (paper 4.3.2: a cell fails if its probability is above 0)."""
     return bool((truth > 0).any() and not (truth > 0).all())
 
 
-def _average_precision(predicted: Array, truth: Array) -> tuple[float | None, str]:
+def auc_prc_or_reason(predicted: Array, truth: Array) -> tuple[float | None, str]:
     """Compute the AUC-PRC, or the reason why it is undefined."""
-    if _decided(truth):
-        return _ap(predicted, truth), ""
+    if has_both_outcomes(truth):
+        return auc_prc(predicted, truth), ""
     if not len(truth):
         return None, "no cells in common"
     return None, f"the twin fails in {'every cell' if (truth > 0).all() else 'no cell'}"
 
 
 # scikit-learn is imported in the functions that use it: the import takes 1 s, and most commands do not need it.
-def _ap(predicted: Array, truth: Array) -> float:
+def auc_prc(predicted: Array, truth: Array) -> float:
+    """Compute the AUC-PRC as scikit-learn's average precision; (cells,) values of a map, and the twin's rates."""
     from sklearn.metrics import average_precision_score
 
     return float(average_precision_score(truth > 0, predicted))
 
 
-def _roc(predicted: Array, truth: Array) -> float:
+def auc_roc(predicted: Array, truth: Array) -> float:
+    """Compute the area under the receiver operating characteristic."""
     from sklearn.metrics import roc_auc_score
 
     return float(roc_auc_score(truth > 0, predicted))
 
 
-def _trapezoids(predicted: Array, truth: Array) -> float:
+def auc_prc_by_trapezoids(predicted: Array, truth: Array) -> float:
+    """Compute the AUC-PRC by the trapezoidal rule, which interpolates between points and so is optimistic."""
     from sklearn.metrics import auc, precision_recall_curve
 
     precision, recall, _ = precision_recall_curve(truth > 0, predicted)
     return float(auc(recall, precision))
 
 
-def _resampled_r(predicted: Array, truth: Array) -> float:
-    return float(pearsonr(predicted, truth).statistic)  # NaN if one of them is constant
+def r_or_nan(predicted: Array, truth: Array) -> float:
+    """Compute Pearson's r of a resample, NaN if one of the values is constant."""
+    return float(pearsonr(predicted, truth).statistic)
 
 
-def _resampled_auc(predicted: Array, truth: Array) -> float:
-    return _ap(predicted, truth) if _decided(truth) else float("nan")
+def auc_prc_or_nan(predicted: Array, truth: Array) -> float:
+    """Compute the AUC-PRC of a resample, NaN if all its cells fail or none does."""
+    return auc_prc(predicted, truth) if has_both_outcomes(truth) else float("nan")
 
 
 def bootstrap_interval(

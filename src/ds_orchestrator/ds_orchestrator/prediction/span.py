@@ -48,7 +48,7 @@ class Span:
             return ""
         side = {1: ", further from its lane's centre than any of them", -1: ", closer to its lane's centre than any"}
         return (
-            f"warning: the car is outside of what the siblings span{side.get(int(np.sign(self.shift)), '')} "
+            f"the car is outside of what the siblings span{side.get(int(np.sign(self.shift)), '')} "
             f"({self.odds:.0f} : 1 after {self.drives} drives): trust the drives more than the simulators"
         )
 

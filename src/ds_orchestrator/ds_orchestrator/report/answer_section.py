@@ -79,7 +79,7 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     return AnswerSection(
         sentence=_sentence(verdicts, table.siblings, len(drives), sum(drive.failed for drive in drives)),
         reading=f"{_reading(verdicts, new, len(drives))} {check.sentence}.",
-        warnings=[text for text in (span_of(prediction).warning.removeprefix("warning: "), check.warning) if text],
+        warnings=[text for text in (span_of(prediction).warning, check.warning) if text],
         axes=(titles[0], titles[1]),
         panels=_panels(verdicts),
     )

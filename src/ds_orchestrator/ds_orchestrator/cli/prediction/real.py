@@ -211,7 +211,7 @@ def _show(found: Update, path: Path) -> None:
     for line in found.worth.sentences:
         print(line)
     if found.span.warning:
-        print(found.span.warning)
+        print(f"warning: {found.span.warning}")
     print(path)
 
 
