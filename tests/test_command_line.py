@@ -24,8 +24,9 @@ from ds_orchestrator.cli.output import duration
 from ds_orchestrator.cli.twin import FitProgress
 from ds_orchestrator.cli.verbs import VERBS, overview
 from ds_orchestrator.evaluation.table import Column, Table
+from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.rows import trajectory_sha256
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.store import Store
 from ds_road import Road, generate, read_roads, write_roads
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import SIMULATORS, make_simulator

@@ -27,7 +27,9 @@ from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.maps.feature_map import to_json
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.run import SilentListener
-from ds_orchestrator.store.store import Execution, Store, StoreError, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.conditions import DEFAULT, Conditions
 from ds_sim.gates.gate import Gate

@@ -24,7 +24,8 @@ from ds_orchestrator.cli.campaign.run import status
 from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 from ds_orchestrator.evaluation.exclusions import excluded_table
 from ds_orchestrator.run import SilentListener, run_campaign
-from ds_orchestrator.store.store import Store, StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.conditions import Conditions, parse_conditions
 from ds_sim.gates import GateState

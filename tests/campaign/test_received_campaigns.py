@@ -22,7 +22,8 @@ from ds_driver.networks.received import received_driver
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
 from ds_orchestrator.campaign.folder import store_of
 from ds_orchestrator.store.rows import trajectory_sha256
-from ds_orchestrator.store.store import Store, StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 
 Ds = Callable[..., tuple[int, str]]
 __all__ = ["ds"]  # a fixture

@@ -19,7 +19,8 @@ from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, read_c
 from ds_orchestrator.campaign.folder import locked
 from ds_orchestrator.cli import main as cli
 from ds_orchestrator.graph import signals as stopping
-from ds_orchestrator.store.store import Store, StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 
 CONFIG = """
 siblings: [donkey]

@@ -24,7 +24,8 @@ from ds_orchestrator.campaign.config import ConfigError, read_config
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 from ds_orchestrator.evaluation.exclusions import excluded_table, exclusion_lines
-from ds_orchestrator.store.store import Store, StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 from ds_road import RoadError
 from ds_road.files import read_roads
 from ds_sim.camera.jpeg import encode

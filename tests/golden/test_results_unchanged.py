@@ -26,7 +26,7 @@ from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.report.build import write_json
 from ds_orchestrator.search.algorithms import SEARCHES
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import Session

@@ -20,7 +20,8 @@ from ds_orchestrator.engines.start import check_engine, running_engine, running_
 from ds_orchestrator.evaluation.campaign_evaluation import read_correlations
 from ds_orchestrator.evaluation.correlation import Correlation
 from ds_orchestrator.report.build import write_all
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.gate import Gate

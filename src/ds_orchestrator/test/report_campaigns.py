@@ -15,8 +15,9 @@ from ds_orchestrator.evaluation.correlation import Correlation, evaluate
 from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.report.html_report import write_report
+from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.rows import trajectory_sha256
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.store import Store
 from ds_road import Road, generate
 from ds_sim.registry import label_of
 from ds_sim.simulator import Outcome

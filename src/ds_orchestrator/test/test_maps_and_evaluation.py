@@ -24,7 +24,7 @@ from ds_orchestrator.maps.frame import maps_frame
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.maps.merge_operators import apply, jeffreys_interval, merged_interval
 from ds_orchestrator.search.features import Cell, feature_of
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road, generate
 from ds_sim.gates import Gate, GateState
 from ds_sim.simulator import Outcome

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ds_orchestrator.campaign.stage_timer import StageTimer, seconds_of
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate
 
 

@@ -25,7 +25,9 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, ObservedExecutor, read_live
 from ds_orchestrator.graph.worker_pool import WorkerPool
 from ds_orchestrator.run import SilentListener
-from ds_orchestrator.store.store import Execution, Store, StoreError, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 from ds_orchestrator.watch.campaign_reader import CampaignReader
 from ds_orchestrator.watch.page_state import page_state
 from ds_orchestrator.watch.server import ServerError, serve

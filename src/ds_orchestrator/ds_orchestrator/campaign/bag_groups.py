@@ -10,7 +10,7 @@ from typing import Literal
 from ds_bags.layout import BagError
 from ds_orchestrator.campaign.folder import config_of, open_store
 from ds_orchestrator.maps.campaign_maps import cells_of
-from ds_orchestrator.store.store import Execution
+from ds_orchestrator.store.model import Execution
 
 By = Literal["cell", "run"]
 NO_CELL = "no_cell"
@@ -40,7 +40,7 @@ def groups_of(campaign: Path, by: By, *, say: Callable[[str], None] = lambda lin
         Name of a pack, such as `cell_3_17` (bins of the features in the configuration's order) or `bullet-0`, -> bags.
 
     Raises:
-        ds_orchestrator.store.store.StoreError: the folder holds no campaign.
+        ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign.
         BagError: the campaign has no bags.
     """
     with closing(open_store(campaign)) as store:

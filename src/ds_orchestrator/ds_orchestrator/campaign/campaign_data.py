@@ -10,7 +10,8 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import config_of
 from ds_orchestrator.maps.campaign_maps import cells_of
 from ds_orchestrator.search.features import Cell
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate
 
 

@@ -12,7 +12,8 @@ from typing import get_args
 
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, Engine, parse_config
-from ds_orchestrator.store.store import Store, StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 
 
 class LockError(RuntimeError):

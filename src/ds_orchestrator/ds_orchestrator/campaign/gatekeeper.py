@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.store.store import Store, Test
+from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import Conditions, NotApplicableError

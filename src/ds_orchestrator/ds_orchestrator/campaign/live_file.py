@@ -19,7 +19,7 @@ from ds_orchestrator.campaign.eta import Eta
 from ds_orchestrator.campaign.feedback import watched
 from ds_orchestrator.campaign.folder import LIVE
 from ds_orchestrator.campaign.runner import Executor, Listener
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import Gate

@@ -13,7 +13,7 @@ from pathlib import Path
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import config_of, open_store
 from ds_orchestrator.campaign.provenance import DRIVER_SHA256
-from ds_orchestrator.store.store import StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
 from ds_sim.simulator import Outcome
 
 DEEPEST = 3

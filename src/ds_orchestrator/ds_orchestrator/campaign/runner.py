@@ -27,7 +27,8 @@ from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import cell_of
 from ds_orchestrator.search.objectives import OBJECTIVES
 from ds_orchestrator.store import rows
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import Gate

@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from ds_orchestrator.campaign.runner import Listener
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate
 
 _PREFIX = "seconds "

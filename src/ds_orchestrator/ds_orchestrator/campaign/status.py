@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.folder import STAGES
 from ds_orchestrator.maps.campaign_maps import elites_of
-from ds_orchestrator.store.store import Execution
+from ds_orchestrator.store.model import Execution
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ds_orchestrator.campaign.eta import Eta
 from ds_orchestrator.cli.output import duration, say
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 
 EVERY = 5.0

@@ -11,7 +11,7 @@ from ds_orchestrator.comparison.analysis import Comparison, Origin, compare_netw
 from ds_orchestrator.comparison.compared_tests import Drives, GivenTests
 from ds_orchestrator.comparison.drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.comparison.given_tests import Engine, GivenDrives, Key, drive_tests
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 
 Role = Literal["reference", "candidate"]
 

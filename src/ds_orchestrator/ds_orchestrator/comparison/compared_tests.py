@@ -12,7 +12,7 @@ from ds_orchestrator.campaign.provenance import DRIVER_SHA256
 from ds_orchestrator.comparison.drives import ComparisonError, Network
 from ds_orchestrator.comparison.given_tests import Key
 from ds_orchestrator.search.features import Cell, cell_of
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_orchestrator.search.features import Cell
-from ds_orchestrator.store.store import Execution
+from ds_orchestrator.store.model import Execution
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import Outcome

@@ -17,7 +17,8 @@ from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.engines.start import check_engine, running_engine, running_gate_driver
 from ds_orchestrator.graph.process_specs import check_driver, namespaces_of
 from ds_orchestrator.search.objectives import OBJECTIVES
-from ds_orchestrator.store.store import Execution, Store, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.gate import Gate

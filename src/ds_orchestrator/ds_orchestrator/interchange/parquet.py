@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.refined_data import is_refined
 from ds_orchestrator.interchange.columns import EXECUTIONS, FRAMES, schema_of
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate

@@ -9,7 +9,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.maps.merge_operators import apply, jeffreys_interval, merged_interval
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
-from ds_orchestrator.store.store import Execution
+from ds_orchestrator.store.model import Execution
 
 
 def pool(

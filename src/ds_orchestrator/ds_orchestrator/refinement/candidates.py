@@ -12,7 +12,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.refined_data import PREFIX
 from ds_orchestrator.search.features import Cell, cell_of, feature_of
 from ds_orchestrator.siblings.families import families_of
-from ds_orchestrator.store.store import Test
+from ds_orchestrator.store.model import Test
 from ds_road import MutationError, Road, mutate
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import format_conditions

@@ -17,7 +17,7 @@ from ds_orchestrator.prediction.verdicts import CellVerdict, Verdicts, judge
 from ds_orchestrator.refinement.candidates import Candidates
 from ds_orchestrator.refinement.evidence import CellEvidence, evidence_of
 from ds_orchestrator.search.features import Cell
-from ds_orchestrator.store.store import Test
+from ds_orchestrator.store.model import Test
 
 TESTS_A_ROUND = 8
 """New tests between two fits of the model; chosen: enough to keep several workers busy, few enough that a cell gets no

@@ -20,7 +20,7 @@ from ds_orchestrator.prediction.twin_prediction import predict_twin
 from ds_orchestrator.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts, judge
 from ds_orchestrator.report.findings import count
 from ds_orchestrator.search.features import feature_of
-from ds_orchestrator.store.store import StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
 
 
 @dataclass(frozen=True, kw_only=True)

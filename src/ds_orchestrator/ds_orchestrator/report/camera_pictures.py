@@ -24,7 +24,7 @@ from ds_driver.sim2real.stage import Translation, translation_of
 from ds_orchestrator.report.data_address import data_address
 from ds_orchestrator.report.page_data import in_words
 from ds_orchestrator.report.picture_plan import moments
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_sim.conditions.loading import load
 from ds_sim.registry import make_simulator, received_simulator

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.maps.merge_operators import jeffreys_interval
-from ds_orchestrator.store.store import Test
+from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import FIELDS
 
 

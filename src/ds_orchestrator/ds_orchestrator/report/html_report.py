@@ -39,7 +39,7 @@ from ds_orchestrator.report.page_data import in_words, page_data
 from ds_orchestrator.report.picture_plan import REPLAY_PICTURES, plan_pictures
 from ds_orchestrator.report.plotly_figures import correlation_chart, density_chart, layouts
 from ds_orchestrator.report.sibling_section import SiblingSection
-from ds_orchestrator.store.store import Execution
+from ds_orchestrator.store.model import Execution
 from ds_sim.simulator import Outcome
 
 _VERDICTS = [outcome for outcome in Outcome if outcome.is_verdict]

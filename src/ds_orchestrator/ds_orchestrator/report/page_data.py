@@ -17,7 +17,7 @@ from ds_orchestrator.report.findings import radius
 from ds_orchestrator.report.plotly_figures import DASHES, colour_of_simulator
 from ds_orchestrator.report.polyline_codec import EVERY, UNITS, kept, pack
 from ds_orchestrator.search.features import FEET, Cell, Feature, feature_of
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_sim.conditions.text import format_conditions
 from ds_sim.simulator import FRAME_RATE, Outcome
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ds_orchestrator.search.features import Cell
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_sim.simulator import FRAME_RATE
 
 DRIVEN_TESTS = 24

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ds_orchestrator.store import rows as check
+from ds_orchestrator.store.config_differences import config_differences
+from ds_orchestrator.store.decode import EXECUTION_COLUMNS, TEST_COLUMNS, VERDICTS, execution_of, test_of
+from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.rows import pack_numbers
 from ds_orchestrator.store.sqlite_file import (
     CONDITIONS_VERSION,
@@ -22,78 +20,15 @@ from ds_orchestrator.store.sqlite_file import (
     SqliteFile,
     StoreError,
 )
-from ds_road import Road, Side
+from ds_road import Side
 from ds_sim.conditions.model import DEFAULT, Conditions, ConditionsError
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.gates.gate import Gate, GateState
-from ds_sim.simulator import FRAME_TIME, Outcome
+from ds_sim.simulator import Outcome
 
 MOST_TRAJECTORY_STEPS = 100_000_000
 """Frames of all runs that are read at once, 4 GiB; chosen: 200,000 runs of the usual length."""
-_VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
 _ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
-_TOLERANCE = 1e-6
-"""m and s, between a stored value and the value derived from other columns."""
-
-__all__ = ["Execution", "Store", "StoreError", "Test"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Test:
-    """Road, with operating conditions, that the search generated on one sibling.
-
-    Attributes:
-        test_id: `<sibling>-<run>-<number>`.
-        sibling: simulator whose search generated the road.
-        run: index of the search run, from 0.
-        number: index of the test within the run, from 0.
-        road: road to drive.
-        seed: seed of every execution of this test.
-        conditions: operating conditions of every execution of this test.
-    """
-
-    __test__ = False  # not a test case for pytest
-
-    test_id: str
-    sibling: str
-    run: int
-    number: int
-    road: Road
-    seed: int
-    conditions: Conditions = DEFAULT
-
-
-@dataclass(frozen=True, kw_only=True)
-class Execution:
-    """Outcome of one test on one simulator.
-
-    Attributes:
-        test_id: id of the test.
-        simulator: name of the simulator.
-        outcome: how the run ended.
-        message: reason in one line, or "" where the outcome alone explains it.
-        fitness: smallest lateral distance of the run, m.
-        max_lateral_position: largest absolute lateral position of the run, m.
-        steps: frames driven.
-        simulated_seconds: simulated time driven, s.
-        trajectory_sha256: digest of the trajectory; see `ds_orchestrator.store.rows.trajectory_sha256`.
-        trajectory: (steps + 1, 5) float64: x, y, yaw, speed, lateral position; m, rad, m/s.
-        bag: folder of the bag relative to the campaign folder, or "".
-        steering: (steps,) float64, the commands in [-1, 1].
-    """
-
-    test_id: str
-    simulator: str
-    outcome: Outcome
-    message: str
-    fitness: float
-    max_lateral_position: float
-    steps: int
-    simulated_seconds: float
-    trajectory_sha256: str
-    trajectory: NDArray[np.float64]
-    bag: str = ""
-    steering: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 class Store:
@@ -131,7 +66,7 @@ class Store:
             self._file.ask("UPDATE about SET value=? WHERE key='config'", (config,))
         if config is not None and self.config != config:
             try:
-                different = _differences(self.config, config)
+                different = config_differences(self.config, config)
             except (ValueError, RecursionError, AttributeError):
                 different = "the stored text is not a configuration"
             self.close()
@@ -238,7 +173,7 @@ class Store:
             "SELECT test_id, simulator, state, message, outcome, line_contrast, hidden_share FROM gates "
             f"{where} ORDER BY simulator, test_id",
             check.text, check.text, partial(check.one_of, known=tuple(GateState)), check.text,
-            partial(check.one_of, known=("", *_VERDICTS)), check.real, check.real, values=values,
+            partial(check.one_of, known=("", *VERDICTS)), check.real, check.real, values=values,
         )  # fmt: skip
         return {
             (test_id, simulator): Gate(
@@ -333,12 +268,14 @@ class Store:
             after: number of a row; only tests that were stored later; see `last_rows`.
         """
         rows = self._file.ask(
-            "SELECT test_id, sibling, run, number, control_points, seed, published, road_id FROM tests"
-            " WHERE rowid > ? ORDER BY sibling, run, number",
+            f"SELECT {TEST_COLUMNS} FROM tests WHERE rowid > ? ORDER BY sibling, run, number",
             (after,),
         )
         lane, conditions = self._lane(), self._conditions()
-        return [self._test_of(row, lane, conditions.get(str(row[0]), DEFAULT)) for row in rows]
+        try:
+            return [test_of(row, lane, conditions.get(str(row[0]), DEFAULT)) for row in rows]
+        except check.RowError as error:
+            raise self._file.damaged(str(error)) from None
 
     def _conditions(self) -> dict[str, Conditions]:
         """Test -> conditions, of tests with other than the default ones."""
@@ -357,29 +294,6 @@ class Store:
             return "left" if check.one_of(configured, "lane", ("right", "left")) == "left" else "right"
         except (ValueError, RecursionError, AttributeError):
             raise self._file.damaged("its configuration has no lane, expected right or left") from None
-
-    def _test_of(self, row: Row, lane: Side, conditions: Conditions) -> Test:
-        test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id = row
-        try:
-            sibling = check.text(sibling, "sibling")
-            run, number = check.whole(run, "run"), check.whole(number, "number")
-            if not check.file_name(test_id, "test_id").endswith(f"-{run}-{number:04d}"):
-                raise check.RowError(f"test_id does not end in -{run}-{number:04d}")
-            quirk = bool(check.whole(maxitwo_compatible, "published", high=1))
-            road = Road(check.control_points(points), maxitwo_compatible=quirk, lane=lane)
-            if road.road_id != road_id:
-                raise check.RowError("road_id does not match the control points")
-            return Test(
-                test_id=test_id,
-                sibling=sibling,
-                run=run,
-                number=number,
-                road=road,
-                seed=check.whole(seed, "seed"),
-                conditions=conditions,
-            )
-        except ValueError as error:
-            raise self._file.damaged(f"the test {test_id!r:.60}: {error}") from None
 
     def check(self, siblings: Sequence[str], simulators: Sequence[str], *, runs: int, budget: int) -> None:
         """Refuse rows that a campaign over these simulators cannot have, before they are used.
@@ -463,7 +377,7 @@ class Store:
     def outcome_counts(self) -> dict[tuple[str, str], int]:
         """Simulator and name of the outcome -> number of executions, without reading any trajectory."""
         found = self._checked(
-            "SELECT simulator, outcome FROM executions", check.text, partial(check.one_of, known=_VERDICTS)
+            "SELECT simulator, outcome FROM executions", check.text, partial(check.one_of, known=VERDICTS)
         )
         return dict(Counter((simulator, outcome) for simulator, outcome in found))
 
@@ -479,56 +393,14 @@ class Store:
         ):
             raise self._file.damaged(f"more than {MOST_TRAJECTORY_STEPS} steps in all runs, the limit for a campaign")
         rows = self._file.ask(
-            "SELECT test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds,"
-            f" trajectory_sha256, trajectory, bag, steering FROM executions {where} ORDER BY simulator, test_id",
+            f"SELECT {EXECUTION_COLUMNS} FROM executions {where} ORDER BY simulator, test_id",
             values,
         )
-        return [self._execution_of(row) for row in rows]
-
-    def _execution_of(self, row: Row) -> Execution:
         try:
-            steps = check.whole(row[6], "steps", high=check.MOST_STEPS)
-            execution = Execution(
-                test_id=check.text(row[0], "test_id"),
-                simulator=check.text(row[1], "simulator"),
-                outcome=Outcome[check.one_of(row[2], "outcome", _VERDICTS)],
-                message=check.text(row[3], "message"),
-                fitness=check.real(row[4], "fitness"),
-                max_lateral_position=check.real(row[5], "max_lateral_position"),
-                steps=steps,
-                simulated_seconds=check.real(row[7], "simulated_seconds"),
-                trajectory_sha256=row[8],
-                trajectory=check.unpack_trajectory(row[9], row[8], steps=steps),
-                bag=check.bag_folder(row[10]),
-                steering=check.unpack_numbers(row[11], "steering", count=steps),
-            )
-            if abs(execution.simulated_seconds - steps * FRAME_TIME) > _TOLERANCE:
-                raise check.RowError(f"simulated_seconds is {execution.simulated_seconds:g} for {steps} steps")
-            lateral = np.abs(execution.trajectory[:, 4])
-            if lateral.size and abs(lateral.max() - execution.max_lateral_position) > _TOLERANCE:
-                raise check.RowError("max_lateral_position does not match the trajectory")
-            if np.abs(execution.steering).max(initial=0.0) > 1.0:
-                raise check.RowError("steering leaves [-1, 1]")
-            return execution
+            return [execution_of(row) for row in rows]
         except check.RowError as error:
-            raise self._file.damaged(f"the run of {row[0]!s:.60} on {row[1]!s:.60} cannot be read: {error}") from None
+            raise self._file.damaged(str(error)) from None
 
     def close(self) -> None:
         """Close the file; everything is written."""
         self._file.close()
-
-
-def _differences(known: str, given: str) -> str:
-    """Describe the keys in which two configurations differ, with both values."""
-    old, new = _flat(json.loads(known)), _flat(json.loads(given))
-    unset = "the default"
-    keys = [key for key in new | old if old.get(key) != new.get(key)]
-    return "; ".join(f"{key}: {old.get(key, unset)} there, {new.get(key, unset)} now" for key in keys)
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Flatten nested keys, as in `search.runs`."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return flat

@@ -8,7 +8,7 @@ from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.comparison.analysis import Comparison, compare_networks
 from ds_orchestrator.comparison.drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.comparison.given_tests import Engine, drive_tests
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.suite.suite_file import Suite, SuiteOutcome
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.gates.gate import Gate, GateState

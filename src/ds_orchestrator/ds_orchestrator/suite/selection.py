@@ -8,7 +8,7 @@ from pathlib import Path
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.provenance import DRIVER_SHA256
 from ds_orchestrator.engines.fingerprint import code_sha256
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.suite.suite_file import MOST_TESTS, Reason, Suite, SuiteError, SuiteOutcome, SuiteTest, road_sha256
 from ds_sim.conditions.text import format_conditions
 

@@ -15,7 +15,9 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import config_of, open_store
 from ds_orchestrator.campaign.live_file import Live, read_live
 from ds_orchestrator.search.features import Cell, cell_of
-from ds_orchestrator.store.store import Execution, Store, StoreError, Test
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 
 _NO_TRAJECTORY = np.empty((0, 5))
 

@@ -12,7 +12,7 @@ from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.report.page_data import in_words
 from ds_orchestrator.report.plotly_figures import DASHES, colour_of_simulator
 from ds_orchestrator.search.features import feature_of
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.watch.campaign_reader import Snapshot
 
 

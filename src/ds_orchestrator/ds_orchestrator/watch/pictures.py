@@ -8,7 +8,7 @@ from typing import Any
 
 from ds_orchestrator.report.camera_pictures import render_drive
 from ds_orchestrator.report.picture_plan import SPACINGS, replay_frames
-from ds_orchestrator.store.store import Execution, Test
+from ds_orchestrator.store.model import Execution, Test
 from ds_sim.registry import make_simulator, received_simulator
 from ds_sim.simulator import Simulator
 

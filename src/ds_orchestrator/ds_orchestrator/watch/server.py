@@ -19,7 +19,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.report.camera_pictures import translates
 from ds_orchestrator.report.html_report import environment
-from ds_orchestrator.store.store import StoreError
+from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.watch.campaign_reader import CampaignReader
 from ds_orchestrator.watch.page_state import drive_lines, page_state
 from ds_orchestrator.watch.pictures import DrivePictures

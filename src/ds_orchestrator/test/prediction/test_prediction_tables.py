@@ -14,7 +14,7 @@ from ds_orchestrator.prediction import OutcomeTableError, State, table_of_campai
 from ds_orchestrator.search import DeepHyperion, SearchSettings
 from ds_orchestrator.siblings import ROAD_FEATURES
 from ds_orchestrator.siblings.families import families_of
-from ds_orchestrator.store.store import Test
+from ds_orchestrator.store.model import Test
 from ds_road import MutationError, Road, generate, mutate
 from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import not_applicable

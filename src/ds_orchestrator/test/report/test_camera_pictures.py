@@ -12,7 +12,7 @@ from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.runner import execution_of
 from ds_orchestrator.report.camera_pictures import SIZE, camera_pictures, drive_pictures
 from ds_orchestrator.report.picture_plan import moments, plan_pictures, replay_frames, telling_tests
-from ds_orchestrator.store.store import Test
+from ds_orchestrator.store.model import Test
 from ds_sim.registry import make_simulator
 from ds_sim.session import Session
 

@@ -17,7 +17,8 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.evaluation.campaign_evaluation import read_correlations
 from ds_orchestrator.maps.map_id import MapId, map_ids
 from ds_orchestrator.report.build import write_all
-from ds_orchestrator.store.store import Store, Test
+from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.store import Store
 from ds_sim.registry import label_of
 from ds_sim.simulator import Outcome
 

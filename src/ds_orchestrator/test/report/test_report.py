@@ -30,7 +30,8 @@ from ds_orchestrator.report.findings import summarise, where_it_fails
 from ds_orchestrator.report.html_report import duration, write_report
 from ds_orchestrator.report.page_data import page_data
 from ds_orchestrator.search.features import Cell
-from ds_orchestrator.store.store import Store, Test
+from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.conditions import Conditions
 from ds_sim.simulator import Outcome
