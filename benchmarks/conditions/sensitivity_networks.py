@@ -46,7 +46,8 @@ def read(folder: Path) -> tuple[str, Sensitivity]:
     with (folder / "sensitivity_values.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             if row["first fails"]:
-                first = First(share=float(row["share of range"]), text=f"{float(row['first fails']):.3g}")
+                value = float(f"{float(row['first fails']):.3g}")
+                first = First(share=float(row["share of range"]), text=f"{value:g}")
             else:
                 first = First(share=float("inf"), text=EXCLUDED if row["excluded from"] else NEVER)
             found.setdefault((row["condition"], float(row["hardest"])), {})[row["simulator"]] = first
