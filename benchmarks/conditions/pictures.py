@@ -2,7 +2,8 @@
 
     python benchmarks/conditions/pictures.py --out docs/images [--sim bullet ...] [--only visibility ...]
 
-One sheet per simulator: a row per condition, its strengths from left to right.
+One sheet per simulator: a row per condition, its strengths from left to right. With `--set SET` only the middle and the
+greatest strength, each beside what the simulator's sim2real generator makes of it: `conditions_<sim>_translated.jpg`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.sim2real.generator_set import open_set
+from ds_driver.sim2real.stage import Sim2RealStage
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
@@ -61,8 +64,8 @@ def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint
     return simulator.scene.still(state, np.random.default_rng(SEED))
 
 
-def sheet(name: str, only: list[str]) -> NDArray[np.uint8]:
-    """Rows of pictures with their conditions below."""
+def sheet(name: str, only: list[str], stage: Sim2RealStage | None = None) -> NDArray[np.uint8]:
+    """Rows of pictures with their conditions below; with a stage each has its translation beside it."""
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator)
     rows = []
@@ -71,8 +74,10 @@ def sheet(name: str, only: list[str]) -> NDArray[np.uint8]:
         if (only and kind not in only) or kind not in simulator.spec.conditions:
             continue
         row = []
-        for text in texts:
+        for text in texts if stage is None else texts[1:]:
             image = picture(simulator, parse_conditions(text))
+            if stage is not None:
+                image = np.hstack((image, stage.translate(image, simulator.spec.name)))
             label = np.full((18, image.shape[1], 3), 255, np.uint8)
             cv2.putText(label, text[:52], (3, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
             row.append(np.vstack((image, label)))
@@ -87,11 +92,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
     parser.add_argument("--sim", nargs="*", default=list(SIMULATORS), help="simulators")
     parser.add_argument("--only", nargs="*", default=[], help="conditions, by the first name of a row")
+    parser.add_argument("--set", help="shipped set of sim2real generators, or a folder")
     arguments = parser.parse_args()
+    stage = Sim2RealStage(open_set(arguments.set)) if arguments.set else None
+    suffix = "" if stage is None else "_translated"
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.sim:
-        image = sheet(name, arguments.only)
-        cv2.imwrite(str(arguments.out / f"conditions_{name}.jpg"), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 70])
+        image = sheet(name, arguments.only, stage)
+        file = arguments.out / f"conditions_{name}{suffix}.jpg"
+        cv2.imwrite(str(file), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 70])
 
 
 if __name__ == "__main__":

@@ -271,6 +271,16 @@ def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine])
     assert "completes 0 of 1 roads without any condition" in found.table().notes[1]
 
 
+@pytest.mark.parametrize(("driver", "translated"), [("dave2", False), ("dave2_real@openvino-bf16", True)])
+def test_thresholds_of_translated_images_say_what_they_are_not(
+    driver: str, translated: bool, engines: list[MadeUpEngine]
+) -> None:
+    engines.append(MadeUpEngine())
+    found = analysis.analyse_sensitivity(driver, ["bullet"], [LAG], roads=1, seed=1)
+    assert found.document()["translated_images"] == translated
+    assert any("sees translated images" in note for note in found.table().notes) == translated
+
+
 def test_a_picture_changes_nothing_for_the_autopilot() -> None:
     """Why the autopilot need not drive again where a factor changes pictures alone."""
     road = Road([(125, 25 * i) for i in range(4)])

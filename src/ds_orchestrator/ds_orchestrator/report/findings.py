@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ds_driver.networks.network_driver import sees_translated
 from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.evaluation.correlation import Correlation, PairedDifference
@@ -24,6 +25,10 @@ NOT_TESTED = (
 )
 NOT_TESTED_EITHER = "Traffic, junctions, slopes and lane width were not tested"
 """Where operating conditions differ between tests, or from the simulators' own."""
+TRANSLATED = (
+    "The driver saw translated images, and a generator may undo what a condition does to them, so these results say "
+    "nothing about its network on images of a real camera under such conditions. "
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +79,8 @@ def summarise(
             details.append(_comparison(config, compared, [d for d in paired_differences if d.value == value], value))
     if not config.twin:
         details.append("This campaign has no twin, so there is nothing to compare the maps with.")
-    return Findings(headline=where_it_fails(config.driver, outcomes), limits=_limits(outcomes), details=details)
+    headline = where_it_fails(config.driver, outcomes)
+    return Findings(headline=headline, limits=_limits(config.driver, outcomes), details=details)
 
 
 def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
@@ -130,7 +136,7 @@ def _percent(share: Share) -> str:
     return f"{100 * share.failures / share.roads:.0f} %, 95 % interval {low:.0f} to {high:.0f} %"
 
 
-def _limits(outcomes: RoadOutcomes) -> str:
+def _limits(driver: str, outcomes: RoadOutcomes) -> str:
     """State which roads were tested, and what was not tested."""
     if not outcomes.tests:
         return f"{NOT_TESTED}."
@@ -140,7 +146,8 @@ def _limits(outcomes: RoadOutcomes) -> str:
     tightest = f"of {radius(high)} radius" if low == high else f"from {radius(low)} down to {radius(high)} radius"
     number = count(min(turns), "turn") if min(turns) == max(turns) else f"{min(turns)} to {max(turns)} turns"
     conditions = _conditions(outcomes)
-    rest = f"{conditions} {NOT_TESTED_EITHER}" if conditions else NOT_TESTED
+    translated = TRANSLATED if conditions and sees_translated(driver) else ""
+    rest = f"{conditions} {translated}{NOT_TESTED_EITHER}" if conditions else NOT_TESTED
     return (
         f"Tested: {count(len(turns), 'road')} with {number}, the tightest bend of each {tightest} ({low:.3f} to "
         f"{high:.3f} 1/m). {rest}. Intervals take the roads as independent, which mutants of one road are not."

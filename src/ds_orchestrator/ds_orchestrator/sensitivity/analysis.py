@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ds_driver.closed_loop.simulation import AUTOPILOT
+from ds_driver.networks.network_driver import sees_translated
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.engines.local import running_local
 from ds_orchestrator.evaluation.table import Column, Table, Value
@@ -80,6 +81,7 @@ class Sensitivity:
         """Convert to JSON values."""
         return {
             "driver": self.driver,
+            "translated_images": sees_translated(self.driver),
             "simulators": list(self.simulators),
             "roads": {name: [road.road_id for road, _ in of] for name, of in self.roads.items()},
             "interval_coverage": coverage(self.needed),
@@ -103,6 +105,11 @@ class Sensitivity:
             for name, of in self.roads.items()
             if len(of) < self.needed
         ]
+        if sees_translated(self.driver):
+            notes.append(
+                f"{self.driver} sees translated images, and a generator may undo what a condition does to them: this "
+                "says nothing about its network on images of a real camera under these conditions"
+            )
         columns = [Column("condition"), *(Column(name) for name in self.simulators)]
         title = f"Strength at which {self.driver} first fails"
         return Table(name="sensitivity", title=title, columns=columns, rows=rows, notes=notes)

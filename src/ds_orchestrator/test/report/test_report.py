@@ -516,6 +516,12 @@ def test_limits_name_the_conditions_that_were_tested() -> None:
                                       for k, t in enumerate(data.tests)))  # fmt: skip
     found = summarise(foggy, results(data)[0], [])
     assert "Conditions: visibility 50 m. Traffic" in found.limits and "shape of the road" not in found.limits
+    translated = summarise(replace(foggy, config=CampaignConfig(driver="dave2_real")), results(data)[0], [])
+    assert "Conditions: visibility 50 m. The driver saw translated images" in translated.limits
+    assert (
+        "translated"
+        not in summarise(replace(data, config=CampaignConfig(driver="dave2_real")), results(data)[0], []).limits
+    )
 
 
 def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: Path) -> None:
