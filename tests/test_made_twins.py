@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.prediction.budget_scores import SEED, Case, pooled, score
+from benchmarks.prediction.drive_learners import RATE, SHIFT_SCALE, SHIFTED, learned
 from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WIDE, WITHIN, made_twin
 from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
+from scipy.stats import bernoulli, beta, norm
 
 from ds_orchestrator.prediction.outcome_table import table_of_outcomes
 from ds_orchestrator.siblings.outcomes import Outcomes
@@ -78,6 +80,24 @@ def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monke
     assert (again, *ends) == pytest.approx((mean, low, high))
     _, (lowest, highest) = pooled([(replace(copies, clusters=tuple(map(str, range(80)))), errors)])
     assert highest - lowest < 0.6 * (high - low)
+
+
+def test_simple_learners_predict_what_follows_from_the_outcomes_alone() -> None:
+    undriven = np.array([0.1, 0.3, 0.5, 0.7, 0.2, 0.9])
+    truth = np.array([1.0, 0.0, 1.0, 1.0, 0.0, 1.0])
+    found = learned(undriven, truth, [0, 3, 4])
+    posterior = beta(2 + 0.5, 1 + 0.5)  # of two failures in three drives
+    assert found[RATE] == pytest.approx([1.0, posterior.mean(), posterior.mean(), 1.0, 0.0, posterior.mean()])
+    shifts = np.linspace(-5.0, 5.0, 100_001)
+    odds = undriven / (1.0 - undriven)
+    scores = norm(0.0, SHIFT_SCALE).logpdf(shifts)
+    for row in (0, 3, 4):
+        probability = odds[row] * np.exp(shifts) / (1.0 + odds[row] * np.exp(shifts))
+        scores += bernoulli(probability).logpmf(int(truth[row]))
+    moved = odds * np.exp(shifts[scores.argmax()])
+    assert found[SHIFTED][[1, 2, 5]] == pytest.approx((moved / (1.0 + moved))[[1, 2, 5]], abs=1e-4)
+    assert found[SHIFTED][[0, 3, 4]].tolist() == [1.0, 1.0, 0.0]
+    assert learned(undriven, truth, [])[SHIFTED] == pytest.approx(undriven)
 
 
 def test_tests_with_conditions_are_cases_where_every_simulator_lets_them_be_judged() -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from benchmarks.prediction.drive_learners import LEARNERS, learned
 from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.table import Column, Table
@@ -68,7 +69,8 @@ class Scored:
     Attributes:
         case: the twin.
         plain: predictor -> errors without any drive.
-        after: rule and budget -> predictor -> errors after the drives, driven tests being known to all predictors.
+        after: rule and budget -> predictor -> errors after the drives, driven tests being known to all predictors;
+            predictors that learn from the drives are here, too.
         odds: budget -> odds that the twin is outside of the siblings' span, drives chosen by expected information.
         ranks: randomised ranks of the cells' failure rates in their forecasts, without a drive.
         calls: budget -> tests that were not driven and are called safe, those of them that fail, tests called failing,
@@ -121,6 +123,7 @@ def score(case: Case) -> Scored:
                 hidden[rows] = 0.0
                 errors = {name: squared * hidden for name, squared in plain.items()}
                 errors[HIERARCHICAL] = (updated.probabilities() - truth) ** 2
+                errors |= {name: (p - truth) ** 2 for name, p in learned(fixed[UNDRIVEN], truth, rows).items()}
                 for name, squared in errors.items():
                     sums[budget][name] = sums[budget].get(name, np.zeros(len(table))) + squared / choices
                 if order is None:
@@ -207,7 +210,7 @@ def tables_of(scored: Sequence[Scored]) -> list[Table]:
         "control": [one for one in scored if one.case.group == "control"],
     }
     groups = {name: of for name, of in groups.items() if of}
-    tables = _budget_table, _baseline_table, _calibration_table, _stop_table, _span_table
+    tables = _budget_table, _baseline_table, _learner_table, _calibration_table, _stop_table, _span_table
     return [table(groups) for table in tables]
 
 
@@ -255,6 +258,26 @@ def _baseline_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
             Column("model, no drive, minus it", "number"), Column("95 %", "number"),
             Column(f"after {AIM}, minus it", "number"), Column("95 % ", "number"),
             Column(f"after {AIM}, minus it with these outcomes", "number"), Column("95 %  ", "number"),
+        ],
+        rows=rows,
+    )  # fmt: skip
+
+
+def _learner_table(groups: Mapping[str, Sequence[Scored]]) -> Table:
+    rows = []
+    for group, of in groups.items():
+        ours = [one.after["information", AIM][HIERARCHICAL] for one in of]
+        for name in LEARNERS:
+            for rule in ("information", "random"):
+                theirs = [(one.case, one.after[rule, AIM][name]) for one in of]
+                less = [(case, own - error) for own, (case, error) in zip(ours, theirs, strict=True)]
+                rows.append((group, name, rule, pooled(theirs)[0], *pooled(less)))
+    return Table(
+        name="learners",
+        title=f"Hierarchical model after {AIM} by expected information, minus simpler ways to learn from {AIM}",
+        columns=[
+            Column("twins"), Column("predictor"), Column("drives chosen by"), Column("its Brier score", "number"),
+            Column("model minus it", "number"), Column("95 %", "number"),
         ],
         rows=rows,
     )  # fmt: skip
