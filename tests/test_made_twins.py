@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.prediction.budget_scores import SEED, Case, pooled, score
+from benchmarks.prediction.budget_scores import SEED, Case, score
+from benchmarks.prediction.budget_tables import pooled
 from benchmarks.prediction.drive_learners import RATE, SHIFT_SCALE, SHIFTED, learned
 from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WIDE, WITHIN, made_twin
 from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests

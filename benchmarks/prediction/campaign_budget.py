@@ -13,7 +13,8 @@ import argparse
 from contextlib import closing
 from pathlib import Path
 
-from benchmarks.prediction.budget_scores import BUDGETS, Case, Scored, score, tables_of
+from benchmarks.prediction.budget_scores import BUDGETS, Case, Scored, score
+from benchmarks.prediction.budget_tables import tables_of
 from rich.console import Console
 
 from ds_orchestrator.campaign.campaign_data import read_campaign

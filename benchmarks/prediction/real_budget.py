@@ -31,7 +31,8 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.conditions.objectives import CONDITIONS
-from benchmarks.prediction.budget_scores import BUDGETS, SEED, Case, Scored, score, tables_of
+from benchmarks.prediction.budget_scores import BUDGETS, SEED, Case, Scored, score
+from benchmarks.prediction.budget_tables import tables_of
 from benchmarks.prediction.made_twins import CAMERA, MadeTwin, made_twin
 from rich.console import Console
 
