@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from ds_orchestrator.sensitivity.factors import LEVELS, Factor
 from ds_orchestrator.sensitivity.measurement import RoadResult
+from ds_sim.conditions.text import three_digits
 
 Verdict = Literal[
     "fails", "completes", "infeasible", "lines invisible", "not applicable", "fails by default", "error"
@@ -67,13 +66,13 @@ class Threshold:
         """What was found, in a few words: the value at which the driver first fails, and the values of all roads."""
         if self.verdict == "fails" and self.fails:
             beyond = "never" if any(road.withstands_all for road in self.roads) else "not judged"
-            values = [_plain(self.factor.value(level)) if level else beyond for level in self.interval]
-            median = _plain(self.factor.value(self.fails))
+            values = [three_digits(self.factor.value(level)) if level else beyond for level in self.interval]
+            median = three_digits(self.factor.value(self.fails))
             return median if values == [median, median] else f"{median} ({' to '.join(dict.fromkeys(values))})"
         if self.verdict == "completes":
             return "no failure"
         if self.verdict in ("infeasible", "lines invisible") and self.excluded:
-            return f"{self.verdict} from {_plain(self.factor.value(self.excluded))}"
+            return f"{self.verdict} from {three_digits(self.factor.value(self.excluded))}"
         return self.verdict
 
     def document(self) -> dict[str, Any]:
@@ -132,11 +131,6 @@ def _median(levels: Sequence[int | None]) -> int | None:
 
 def _beyond_last(level: int | None) -> int:
     return LEVELS + 1 if level is None else level
-
-
-def _plain(value: float) -> str:
-    """Three digits, without an exponent."""
-    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
 def _finite(value: float) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,12 @@ from test_prediction_verbs import ROADS, write_comparison
 
 from ds_orchestrator.cli.application import run
 from ds_orchestrator.prediction import MarginDrive, TwinPrediction, predict_twin
-from ds_orchestrator.prediction.real.proposal import read_proposed
+from ds_orchestrator.prediction.real.proposal import ProposedDrive, read_proposed, write_proposal
 from ds_orchestrator.prediction.real.records import RecordError, added, read_csv, read_drives
 from ds_orchestrator.prediction.real.road_sheet import draw_sheet, sheet_of
 from ds_orchestrator.prediction.real.selection import BudgetError, choose
 from ds_orchestrator.prediction.span import span_of
+from ds_sim.conditions.text import parse_conditions
 
 
 def drive_of(truth: np.ndarray, row: int) -> MarginDrive:  # type: ignore[type-arg]
@@ -130,6 +132,29 @@ def test_a_road_is_taped_out_at_the_car_s_size(tmp_path: Path) -> None:
 
 CSV = "test_id,outcome,who,when,max_lateral_position,note\n"
 HALF_LANES = {"a": 2.0, "b": 2.0}
+
+
+def test_conditions_are_set_in_the_car_s_own_lengths_and_speeds(tmp_path: Path) -> None:
+    """Fog of 48 m on the road hides a model's lane like 3 m do; angles, shares, light and time do not scale."""
+    conditions = parse_conditions(
+        "line_contrast=0.4617371566636695,visibility=48,camera_pitch=3deg,illuminance=1000,speed_limit=4,steering_lag=0.2"
+    )
+    drive = ProposedDrive(
+        test_id="a", road=ROADS[0], conditions=conditions, scale=16.0, probability=0.5, gain=0.01,
+        siblings={"bullet": "failed"}, if_fails=0.9, if_completes=0.1, decided=(0, 1, 2),
+    )  # fmt: skip
+    assert drive.to_set == {
+        "line_contrast": "0.462", "visibility": "3 m (48 m at full scale)", "camera_pitch": "3 degrees",
+        "illuminance": "1000 lx", "speed_limit": "0.25 m/s (4 m/s at full scale)", "steering_lag": "0.2 s",
+    }  # fmt: skip
+    assert replace(drive, scale=1.0).to_set["visibility"] == "48 m"
+    (tmp_path / "real").mkdir()
+    place, _ = write_proposal(tmp_path, [drive])
+    text = (place / "README.md").read_text()
+    assert all(f"- set {name} to {value}: " in text for name, value in drive.to_set.items())
+    assert parse_conditions(
+        json.loads((tmp_path / "real/proposal.json").read_text())["rounds"][0][0]["conditions"]
+    ) == (conditions)
 
 
 def test_outcomes_are_read_in_metres_of_the_road(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
 
 _UNITS = {"deg": ("rad", math.pi / 180.0), "km/h": ("m/s", 1.0 / 3.6)}
@@ -69,6 +71,11 @@ def from_pairs(pairs: Iterable[tuple[str, float]]) -> Conditions:
 def to_json(conditions: Conditions) -> dict[str, float]:
     """Return the changed values by name; every one is finite, since only the default visibility is infinite."""
     return conditions.changed
+
+
+def three_digits(value: float) -> str:
+    """Format a value for people: three significant digits, without an exponent."""
+    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
 def _plain(value: float) -> str:

@@ -61,7 +61,7 @@ def propose_drives(folder: Path, *, drives: int, scale: float | None) -> Result:
         rows=[
             (
                 one.test_id, one.probability, one.gain, list(one.siblings.values()).count("failed"),
-                str(one.document()["conditions"]), one.sentence,
+                ", ".join(f"{name} {value}" for name, value in one.to_set.items()), one.sentence,
             )
             for one in found
         ],

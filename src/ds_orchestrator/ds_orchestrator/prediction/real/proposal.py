@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from ds_orchestrator.prediction.verdicts import called
 from ds_road import Road, RoadError, road_from_json, road_to_json
 from ds_sim.camera.png import png
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
-from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.conditions.text import format_conditions, parse_conditions, three_digits
 
 PROPOSAL = "proposal.json"
 TO_FILL = "outcomes.csv"
@@ -69,11 +70,26 @@ class ProposedDrive:
             f"(now {now})"
         )
 
+    @property
+    def to_set(self) -> dict[str, str]:
+        """Condition -> its value as a person sets it, to three digits: lengths and speeds at the car's scale."""
+        return {name: _as_set(name, value, self.scale) for name, value in self.conditions.changed.items()}
+
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         road = road_to_json(self.road)
         fields = {key: value for key, value in asdict(self).items() if key not in ("road", "conditions")}
         return {**fields, "road": road, "conditions": format_conditions(self.conditions), "decides": self.sentence}
+
+
+def _as_set(name: str, value: float, scale: float) -> str:
+    unit = FIELDS[name].unit
+    own = f"{three_digits(value)} {unit}".rstrip()
+    if unit == "rad":
+        return f"{three_digits(math.degrees(value))} degrees"
+    if unit in ("m", "m/s") and scale != 1.0:
+        return f"{three_digits(value / scale)} {unit} ({own} at full scale)"
+    return own
 
 
 def propose(
@@ -200,10 +216,7 @@ _HOW = (
 
 
 def _section(rank: int, drive: ProposedDrive, stem: str, size: str) -> list[str]:
-    changed = drive.conditions.changed
-    conditions = [
-        f"- set {name} to {value:g} {FIELDS[name].unit}: {FIELDS[name].doc}" for name, value in changed.items()
-    ]
+    conditions = [f"- set {name} to {value}: {FIELDS[name].doc}" for name, value in drive.to_set.items()]
     said = ", ".join(f"{name} {outcome}" for name, outcome in drive.siblings.items())
     return [
         f"## {rank}. {drive.test_id}", "", f"![road]({stem}.png)", "",
