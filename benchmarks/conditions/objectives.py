@@ -9,8 +9,8 @@ campaign of one finds more than a campaign of the other, ties counted half (0.56
 Educ. Behav. Stat. 25(2), 2000), with the p-value of Mann and Whitney, which is at least 2/252 for five seeds each.
 
 Fixed before the first campaign: siblings, conditions and their ranges, budget, axes, numbers compared. Other budgets
-(`--population`, `--iterations`) only try whether it works. Its 15 campaigns are 6,750 drives and as many gates, about
-4.5 s of processor time each with `dave2`: 9 core hours, as estimated from single drives.
+(`--population`, `--iterations`) only try whether it works. Its 15 campaigns are 6,750 drives and as many gates: 13 to
+16 minutes each with `dave2@openvino-bf16` on two cores.
 """
 
 from __future__ import annotations
