@@ -152,9 +152,8 @@ def test_conditions_are_set_in_the_car_s_own_lengths_and_speeds(tmp_path: Path) 
     place, _ = write_proposal(tmp_path, [drive])
     text = (place / "README.md").read_text()
     assert all(f"- set {name} to {value}: " in text for name, value in drive.to_set.items())
-    assert parse_conditions(
-        json.loads((tmp_path / "real/proposal.json").read_text())["rounds"][0][0]["conditions"]
-    ) == (conditions)
+    kept = json.loads((tmp_path / "real/proposal.json").read_text())["rounds"][0][0]
+    assert parse_conditions(kept["conditions"]) == conditions
 
 
 def test_outcomes_are_read_in_metres_of_the_road(tmp_path: Path) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-import numpy as np
-
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
 
 _UNITS = {"deg": ("rad", math.pi / 180.0), "km/h": ("m/s", 1.0 / 3.6)}
@@ -75,6 +73,8 @@ def to_json(conditions: Conditions) -> dict[str, float]:
 
 def three_digits(value: float) -> str:
     """Format a value for people: three significant digits, without an exponent."""
+    import numpy as np  # reading conditions, at the start of every verb that takes them, needs no NumPy
+
     return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
