@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from ds_interfaces.msg import DriveCommand, VehicleState
+from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -28,6 +29,10 @@ from ds_sim.simulator import Observation
 
 QUEUE = 600
 """Depth of the subscription queues, messages; as deep as cameras publish (`ds_sim.ros.frame_publisher`)."""
+ANSWER_TIME = 2.0
+"""Time after which a simulator is asked again, s: a node that is being discovered may lose an answer."""
+ROUNDING = 1000
+"""Tolerance of stamps, ns: a sum of two floats is rounded; chosen far below the 50 ms between frames."""
 _KINDS: dict[str, tuple[Any, str]] = {
     "state": (VehicleState, STATE),
     "drive": (DriveCommand, "ds_interfaces/msg/DriveCommand"),
@@ -51,7 +56,7 @@ class ImageRecorder:
         self._facts = facts
         self._writer = Rosbag2Writer(folder, facts)
         self._node = Node("bag_recorder", start_parameter_services=False, context=context)
-        self._camera = f"{namespace}/camera/image_raw"
+        self._namespace = namespace
         self._last: dict[int, int] = {}
         for topic, (kind, name) in _KINDS.items():
             channel = self._writer.channel(topic_of(typestore(), f"{namespace}/{topic}", name, depth=QUEUE))
@@ -66,9 +71,27 @@ class ImageRecorder:
         self._spinner = threading.Thread(target=self._spin, name="recorder", daemon=True)
         self._spinner.start()
 
-    def wait_for_camera(self, limit: float = 10.0) -> bool:
-        """Wait until the camera is discovered; return False after `limit` seconds."""
-        return self._until(lambda: self._node.count_publishers(self._camera) > 0, limit)
+    def wait_for_simulator(self, limit: float = 10.0) -> bool:
+        """Wait until the simulator's publishers reach this recorder; return False after `limit` seconds.
+
+        That a camera is in the ROS graph does not mean that it has heard of its new subscriber. A participant announces
+        its endpoints in order (DDSI-RTPS 2.5, section 8.5.4), so whoever answers a client that was created after the
+        subscriptions has heard of them.
+        """
+        deadline = time.monotonic() + limit
+        client = self._node.create_client(GetSimulatorInfo, f"{self._namespace}/get_info")
+        try:
+            camera = f"{self._namespace}/camera/image_raw"
+            if not self._until(lambda: self._node.count_publishers(camera) > 0, limit):
+                return False
+            while (left := deadline - time.monotonic()) > 0.0:
+                answer = client.call_async(GetSimulatorInfo.Request())
+                if self._until(answer.done, min(left, ANSWER_TIME)):
+                    return True
+                client.remove_pending_request(answer)
+            return False
+        finally:
+            self._node.destroy_client(client)
 
     def wait_for_images(self, count: int, limit: float = 3.0) -> bool:
         """Wait until `count` images have arrived; return False after `limit` seconds."""
@@ -116,20 +139,30 @@ class ImageRecorder:
 def with_images(run: RunRecord, folder: Path) -> Iterator[Observation]:
     """Yield the observations of a run with the images of an `ImageRecorder`, empty where one did not arrive."""
     with BagReader(folder) as bag:
-        start: int | None = None
-        # Stamps of a node do not begin at 0: take the start from the first state of the run.
-        for connection, _, raw in bag.messages(bag.of_type(STATE)):
-            state = bag.message(connection, raw)
-            if state.step == 0:
-                start = stamp_of(state)
-                break
-        images: Iterator[Any] = (bag.message(c, raw) for c, _, raw in bag.messages(bag.of_type(IMAGE)))
+        start = _start_of(run, bag)
+        recorded: Iterator[Any] = (bag.message(c, raw) for c, _, raw in bag.messages(bag.of_type(IMAGE)))
+        images = (image for image in recorded if start is not None and image.encoding == "rgb8")
         image = next(images, None)
         for observation in run.observations:
-            wanted = None if start is None else start + round(observation.time * 1e9)
-            while image is not None and wanted is not None and stamp_of(image) < wanted:
+            wanted = (start or 0) + _nanoseconds(observation.time)
+            while image is not None and stamp_of(image) < wanted - ROUNDING:
                 image = next(images, None)
             pixels = np.empty((0, 0, 3), np.uint8)
-            if image is not None and stamp_of(image) == wanted and image.encoding == "rgb8":
+            if image is not None and stamp_of(image) <= wanted + ROUNDING:
                 pixels = image.data.reshape(image.height, image.width, 3)
             yield replace(observation, image=pixels)
+
+
+def _start_of(run: RunRecord, bag: BagReader) -> int | None:
+    """Find the stamp of a run's start, ns: a node's stamps do not begin at 0, and any state may be missing."""
+    times = {observation.step: _nanoseconds(observation.time) for observation in run.observations}
+    start: int | None = None
+    for connection, _, raw in bag.messages(bag.of_type(STATE)):
+        state = bag.message(connection, raw)
+        if state.road_id == run.road.road_id and state.step in times:
+            start = stamp_of(state) - times[state.step]  # the last one: another client's run may have come before
+    return start
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(seconds * 1e9)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ds_orchestrator.graph.executor import GraphExecutor
     from ds_road import Road
     from ds_sim.session import RunRecord
+    from ds_sim.simulator import Observation
 
 FailOn = Literal["error", "failure"]
 COMMAND_TIMEOUT = 10.0
@@ -195,8 +196,8 @@ def _run(request: DriveRequest) -> tuple[RunRecord, bool]:
         own = request.attach and request.conditions.is_default  # those of the running node
         conditions = None if own else request.conditions
         run = executor.execute(sim, request.road, request.seed, conditions, watch=progress.update)
-        if recorder is not None and not recorder.wait_for_images(len(run.observations)):
-            say(f"only {recorder.images} of {len(run.observations)} images arrived")
+        if recorder is not None:
+            recorder.wait_for_images(len(run.observations))
         return run, recorder is not None
 
 
@@ -228,7 +229,7 @@ def _recorder(executor: GraphExecutor, request: DriveRequest) -> Iterator[ImageR
     shutil.rmtree(folder.parent, ignore_errors=True)
     facts = facts_of(sim, RunRecord(road=request.road, seed=request.seed, conditions=request.conditions), request.level)
     with ImageRecorder(folder, request.namespace, facts, executor.context) as recorder:
-        if not recorder.wait_for_camera():
+        if not recorder.wait_for_simulator():
             raise GraphError(f"{request.namespace} publishes no camera/image_raw to record: choose --level telemetry")
         yield recorder
 
@@ -252,6 +253,15 @@ def _keep_bag(request: DriveRequest, run: RunRecord, whose: str, *, seen: bool) 
         return
     from ds_bags.ros.image_recorder import with_images
 
-    images = with_images(run, image_spool_path(bag))
-    write_bag(bag, request.namespace, request.sim, run, about, request.level, images, translate)
+    arrived = 0
+
+    def counted() -> Iterator[Observation]:
+        nonlocal arrived
+        for observation in with_images(run, image_spool_path(bag)):
+            arrived += observation.image.size > 0
+            yield observation
+
+    write_bag(bag, request.namespace, request.sim, run, about, request.level, counted(), translate)
+    if arrived < len(run.observations):
+        say(f"only {arrived} of {len(run.observations)} images arrived: the bag lacks the others")
     shutil.rmtree(image_spool_path(bag).parent)
