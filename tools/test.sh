@@ -9,10 +9,12 @@ trap 'kill "$linters" 2>/dev/null || true; rm -f "$findings"' EXIT
 tools/lint.sh >"$findings" 2>&1 &
 linters=$!
 . .venv/env.sh
-# Files stay whole, as their tests share graphs; conftest.py puts the longest files first.
+# Files stay whole, as their tests share graphs; conftest.py puts the longest files first. A worker that dies ends the
+# tests and names the one that it was running: with replaced workers, pytest-xdist's loadfile waits forever.
 status=0
 workers=$(nproc)
-python -m pytest -n $((workers < 4 ? workers + 1 : 4)) --dist loadfile --no-loadscope-reorder --durations=25 "$@" || status=$?
+python -m pytest -n $((workers < 4 ? workers + 1 : 4)) --max-worker-restart 0 --dist loadfile --no-loadscope-reorder \
+  --durations=25 "$@" || status=$?
 wait "$linters" || { linted=$?; [[ $status -ne 0 ]] || status=$linted; }
 echo "linters (tools/lint.sh):"
 cat "$findings"
