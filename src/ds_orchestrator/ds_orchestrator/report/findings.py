@@ -15,6 +15,7 @@ from ds_orchestrator.maps.heatmap import Value
 from ds_orchestrator.maps.map_id import MapId
 from ds_orchestrator.report.failure_region import RoadOutcomes, Share, Split, best_split, road_outcomes
 from ds_sim.conditions.model import DEFAULT, FIELDS
+from ds_sim.conditions.text import three_digits
 
 _CHANCE = 0.05
 """p-value from which a correlation is called compatible with chance (paper 4.3.1)."""
@@ -126,7 +127,7 @@ def _harder_than(split: Split) -> str:
         return f"{split.threshold:.0f} turns or more"
     if split.axis in FIELDS:
         unit = f" {FIELDS[split.axis].unit}" if FIELDS[split.axis].unit else ""
-        return f"{split.axis} {split.threshold:.3g}{unit} or {'more' if split.is_lower_bound else 'less'}"
+        return f"{split.axis} {three_digits(split.threshold)}{unit} or {'more' if split.is_lower_bound else 'less'}"
     return f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
 
 
@@ -162,7 +163,7 @@ def _conditions(outcomes: RoadOutcomes) -> str:
         known = [value for value in values if value is not None]
         if values == {getattr(DEFAULT, name)} or not known:
             continue
-        low, high = (f"{end:.3g}" for end in (min(known), max(known)))
+        low, high = (three_digits(end) for end in (min(known), max(known)))
         unit = f" {field.unit}" if field.unit else ""
         named.append(f"{name} {low if low == high else f'{low} to {high}'}{unit}")
     return f"Conditions: {', '.join(named)}." if named else ""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ds_orchestrator.evaluation.chart import COLOURS, LEFT, WIDTH, Chart, Picture, write
 from ds_orchestrator.siblings.outcomes import ROAD_FEATURES, Outcomes
+from ds_sim.conditions.text import three_digits
 
 _PANEL, _ROW, _HEAD, _FOOT = 230, 30, 64, 40
 _FAILS, _DRIVES = COLOURS[1], (205, 222, 235)
@@ -68,7 +69,7 @@ def _axis(image: Picture, values: NDArray[np.float64], feature: str, edges: NDAr
     for column in np.unique(np.round(np.linspace(0, len(values) - 1, 9)).astype(int)):
         middle = int(edges[column] + edges[column + 1]) // 2
         cv2.line(image, (middle, bottom - 2), (middle, bottom + 3), (90, 90, 90), 1)
-        text = f"{values[column]:.3g}"
+        text = three_digits(values[column])
         write(image, text, (min(middle - 4 * len(text), WIDTH - 10 * len(text)), bottom + 17), 0.42)
     write(image, _with_unit(feature), (LEFT, image.shape[0] - 6), 0.45)
 

@@ -430,6 +430,7 @@ def under(made: RoadOutcomes, name: str, values: list[float]) -> RoadOutcomes:
     ("name", "hard", "easy", "said"),
     [
         ("visibility", 40.0, 90.0, "visibility 47 m or less"),
+        ("visibility", 3000.0, 4000.0, "visibility 3010 m or less"),
         ("line_cover", 0.5, 0.2, "line_cover 0.5 or more"),
         ("camera_pitch", -0.1, 0.02, "camera_pitch -0.093 rad or less"),
         ("camera_pitch", 0.1, -0.02, "camera_pitch 0.1 rad or more"),
