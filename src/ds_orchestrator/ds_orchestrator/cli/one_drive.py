@@ -230,7 +230,10 @@ def _recorder(executor: GraphExecutor, request: DriveRequest) -> Iterator[ImageR
     facts = facts_of(sim, RunRecord(road=request.road, seed=request.seed, conditions=request.conditions), request.level)
     with ImageRecorder(folder, request.namespace, facts, executor.context) as recorder:
         if not recorder.wait_for_simulator():
-            raise GraphError(f"{request.namespace} publishes no camera/image_raw to record: choose --level telemetry")
+            raise GraphError(
+                f"{request.namespace} publishes no camera/image_raw to record, or does not answer get_info: choose "
+                "--level telemetry"
+            )
         yield recorder
 
 
