@@ -31,7 +31,7 @@ pytestmark = pytest.mark.graph
 KIND = "sensor_msgs/msg/CompressedImage"
 
 
-def in_child(work: Callable[[], None], moment: Callable[[], bool]) -> None:
+def in_child(work: Callable[[], object], moment: Callable[[], bool]) -> None:
     """Fork, and kill the child with SIGKILL when its moment has come or it is done."""
     child = multiprocessing.get_context("fork").Process(target=work)
     child.start()

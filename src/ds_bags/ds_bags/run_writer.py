@@ -79,8 +79,8 @@ def write_bag(
     level: Level = "telemetry",
     observations: Iterable[Observation] | None = None,
     translate: Translation | None = None,
-) -> None:
-    """Write the bag of one run; stamps count from the start of the run.
+) -> int:
+    """Write the bag of one run, and return the number of its camera images; stamps count from the start of the run.
 
     A run record holds no images. A level with images re-simulates the recorded commands in this process, which yields
     the same images bit by bit and does not slow down the run itself.
@@ -105,12 +105,13 @@ def write_bag(
         observations = run.observations if level == "telemetry" else resimulate(simulator, run)
     try:
         shutil.rmtree(hidden, ignore_errors=True)
-        _write(hidden / folder.name, namespace, simulator, run, about, level, observations, translate)
+        written = _write(hidden / folder.name, namespace, simulator, run, about, level, observations, translate)
         shutil.rmtree(folder, ignore_errors=True)
         (hidden / folder.name).rename(folder)
         hidden.rmdir()
     except OSError as error:
         raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
+    return written
 
 
 class RunWriter:
@@ -220,7 +221,7 @@ def _write(
     level: Level,
     observations: Iterable[Observation],
     translate: Translation | None,
-) -> None:
+) -> int:
     facts = facts_of(simulator, run, level) | dict(about)
     writer = Rosbag2Writer(path, facts)
     try:
@@ -233,3 +234,4 @@ def _write(
     except BaseException:
         writer.abort()
         raise
+    return messages.images

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +23,7 @@ from sensor_msgs.msg import Image
 from ds_bags.message_factory import typestore
 from ds_bags.reader import STATE, BagReader, stamp_of
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_bags.telemetry import frame_times
 from ds_bags.verification import IMAGE
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation
@@ -93,9 +94,9 @@ class ImageRecorder:
         finally:
             self._node.destroy_client(client)
 
-    def wait_for_images(self, count: int, limit: float = 3.0) -> bool:
-        """Wait until `count` images have arrived; return False after `limit` seconds."""
-        return self._until(lambda: self.images >= count, limit)
+    def wait_for_images(self, count: int, limit: float = 3.0) -> None:
+        """Wait until `count` images have arrived, or for `limit` seconds."""
+        self._until(lambda: self.images >= count, limit)
 
     def _until(self, done: Any, limit: float) -> bool:
         deadline = time.monotonic() + limit
@@ -138,13 +139,14 @@ class ImageRecorder:
 
 def with_images(run: RunRecord, folder: Path) -> Iterator[Observation]:
     """Yield the observations of a run with the images of an `ImageRecorder`, empty where one did not arrive."""
+    times = frame_times(run).tolist()
     with BagReader(folder) as bag:
-        start = _start_of(run, bag)
+        start = _start_of(run, times, bag)
         recorded: Iterator[Any] = (bag.message(c, raw) for c, _, raw in bag.messages(bag.of_type(IMAGE)))
-        images = (image for image in recorded if start is not None and image.encoding == "rgb8")
+        images = iter(()) if start is None else (image for image in recorded if image.encoding == "rgb8")
         image = next(images, None)
-        for observation in run.observations:
-            wanted = (start or 0) + _nanoseconds(observation.time)
+        for observation, when in zip(run.observations, times, strict=True):
+            wanted = (start or 0) + when
             while image is not None and stamp_of(image) < wanted - ROUNDING:
                 image = next(images, None)
             pixels = np.empty((0, 0, 3), np.uint8)
@@ -153,16 +155,12 @@ def with_images(run: RunRecord, folder: Path) -> Iterator[Observation]:
             yield replace(observation, image=pixels)
 
 
-def _start_of(run: RunRecord, bag: BagReader) -> int | None:
+def _start_of(run: RunRecord, frames: Sequence[int], bag: BagReader) -> int | None:
     """Find the stamp of a run's start, ns: a node's stamps do not begin at 0, and any state may be missing."""
-    times = {observation.step: _nanoseconds(observation.time) for observation in run.observations}
+    times = {observation.step: when for observation, when in zip(run.observations, frames, strict=True)}
     start: int | None = None
     for connection, _, raw in bag.messages(bag.of_type(STATE)):
         state = bag.message(connection, raw)
         if state.road_id == run.road.road_id and state.step in times:
             start = stamp_of(state) - times[state.step]  # the last one: another client's run may have come before
     return start
-
-
-def _nanoseconds(seconds: float) -> int:
-    return round(seconds * 1e9)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from ds_orchestrator.graph.executor import GraphExecutor
     from ds_road import Road
     from ds_sim.session import RunRecord
-    from ds_sim.simulator import Observation
 
 FailOn = Literal["error", "failure"]
 COMMAND_TIMEOUT = 10.0
@@ -256,15 +255,8 @@ def _keep_bag(request: DriveRequest, run: RunRecord, whose: str, *, seen: bool) 
         return
     from ds_bags.ros.image_recorder import with_images
 
-    arrived = 0
-
-    def counted() -> Iterator[Observation]:
-        nonlocal arrived
-        for observation in with_images(run, image_spool_path(bag)):
-            arrived += observation.image.size > 0
-            yield observation
-
-    write_bag(bag, request.namespace, request.sim, run, about, request.level, counted(), translate)
+    images = with_images(run, image_spool_path(bag))
+    arrived = write_bag(bag, request.namespace, request.sim, run, about, request.level, images, translate)
     if arrived < len(run.observations):
         say(f"only {arrived} of {len(run.observations)} images arrived: the bag lacks the others")
     shutil.rmtree(image_spool_path(bag).parent)
