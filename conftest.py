@@ -1,10 +1,16 @@
-"""Settings of all tests: threads per process, and the order of files for parallel workers."""
+"""Settings of all tests: threads per process, the order of files for parallel workers, and the browser."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # Workers run in parallel and start further processes: one thread each for linear algebra. NumPy and PyTorch read this
 # when they are imported.
@@ -18,6 +24,24 @@ LONGEST_FIRST = (
     "tests/conformance/test_simulators.py",
 )
 """Files that take longest, so that no worker starts one when the other workers have finished."""
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Headless Chromium: where it is missing, CI fails, and a user's tests are skipped."""
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    try:
+        from playwright.sync_api import sync_playwright
+    except ModuleNotFoundError:
+        program = None
+    if program is None:
+        missing = "no Chromium, or no playwright: apt install chromium, then `make test`"
+        pytest.fail(missing) if os.environ.get("CI") else pytest.skip(missing)
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        yield started
+        started.close()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

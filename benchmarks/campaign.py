@@ -43,11 +43,9 @@ def processor_time() -> float:
 def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> None:
     """Drive one campaign and print its measures as JSON; runs in a process of its own."""
     from ds_orchestrator.campaign.config import parse_config
+    from ds_orchestrator.campaign.executor import SilentListener
     from ds_orchestrator.campaign.runner import Campaign
-    from ds_orchestrator.engines.cluster import ClusterOptions
     from ds_orchestrator.engines.start import running_engine
-    from ds_orchestrator.graph.process_specs import namespaces_of
-    from ds_orchestrator.run import SilentListener
     from ds_orchestrator.store.store import Store
 
     tests = max(2, round(drives / 12))  # two runs on each of two siblings, each test on three simulators
@@ -59,13 +57,11 @@ def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> 
     }
     config = parse_config(raw, "benchmark")
     (folder / "bags").mkdir()
-    spaces = namespaces_of(config.siblings, config.twin)
     with closing(Store(folder / "campaign.sqlite", config=config.identity())) as store:
         started = time.perf_counter()
-        cluster = ClusterOptions()
-        with running_engine(config, spaces, logs=folder / "logs", attach=False, cluster=cluster, say=print) as executor:
+        with running_engine(config.drive_settings(), logs=folder / "logs", say=print) as started_engine:
             ready = time.perf_counter()
-            Campaign(config, folder, store, executor, SilentListener(), spaces).run()
+            Campaign(config, folder, store, started_engine, SilentListener()).run()
             ended, processor = time.perf_counter(), processor_time()
         executions = store.executions()
     measures = {

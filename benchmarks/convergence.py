@@ -1,7 +1,7 @@
 """Influence of the physics' substep: fitness of the autopilot with the nominal substep and with finer ones.
 
 `python -m benchmarks.convergence [--roads 20] [--finer 2] [--sims bullet,softbody,panda,donkey]` prints one row per
-simulator, as Markdown for docs/simulators.md. Every road is driven twice, in this process, without camera and ROS.
+simulator, as Markdown. Every road is driven twice, in this process, without camera or ROS.
 `--training` drives the paper's training set (4.2.2: 25 roads in both directions) instead and counts completed drives.
 """
 

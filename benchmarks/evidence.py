@@ -1,6 +1,7 @@
-"""Prints the results of tests/evidence as the Markdown tables of docs/simulators.md: `python -m benchmarks.evidence`.
+"""Prints the results of tests/evidence as Markdown tables: `python -m benchmarks.evidence`.
 
-Runs the tests with pytest and prints every comparison with an oracle per vehicle; the exit status is that of pytest.
+Runs the tests with pytest and prints every comparison with an oracle per vehicle (docs/data/simulator_oracles.csv);
+the exit status is that of pytest.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ from ds_driver.control.autopilot import Autopilot
 from ds_road import Road
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.oracle import Oracle
+from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Outcome
-from ds_sim.vehicle import Vehicle
 from ds_sim_bullet import simulator as bullet
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle

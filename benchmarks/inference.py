@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.closed_loop.simulation import Drive, drive_all, make_driver
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import drive_all, make_driver
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.crops import simulator_crop
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.backends import with_backend
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import BuiltInPilot
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.preprocessing import Crop
@@ -103,8 +104,8 @@ def outcomes(name: str, roads: list[Road], console: Console) -> None:
     ways = [way for road in roads for way in (road, road.reversed())]
     runs: dict[str, list[RunRecord]] = {}
     for backend in BACKENDS:
-        named = with_backend(name, backend)
-        drives = [Drive(s, named, road, seed) for s in SIMULATORS for seed, road in enumerate(ways)]
+        named = str(DriverName.parse(name).on(backend))
+        drives = [DriveRequest(s, named, road, seed) for s in SIMULATORS for seed, road in enumerate(ways)]
         runs[backend] = list(drive_all(drives))
     table = Table(f"{name}, {len(runs['torch'])} drives", "outcomes", "differ from PyTorch", "difference in fitness, m")
     for backend, found in runs.items():

@@ -77,7 +77,7 @@ class Session:
             else ["run", str(config), "--out", str(self.folder)]
         )
         # Background jobs of a shell ignore SIGINT, and child processes inherit that.
-        command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_orchestrator.cli.main"]
+        command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_cli.main"]
         command += ["campaign", *what, "--workers", str(self.workers)]
         path = os.pathsep.join(filter(None, (str(Path.cwd()), os.environ.get("PYTHONPATH"))))
         environment = os.environ | {_MARK: str(self.folder), "PYTHONPATH": path}

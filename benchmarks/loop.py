@@ -23,7 +23,7 @@ from rich.table import Table
 
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.preprocessing import Crop
-from ds_orchestrator.graph.executor import GraphExecutor
+from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road, generate
 from ds_sim.registry import make_simulator
@@ -57,7 +57,7 @@ def timed(drive: Callable[[], int]) -> Total:
     return frames, processor_time() - cpu, time.perf_counter() - wall
 
 
-def drive_through(graph: GraphExecutor, name: str, road: Road) -> int:
+def drive_through(graph: GraphClient, name: str, road: Road) -> int:
     """Drive a road through a graph; returns the number of frames."""
     return graph.execute(name, road, 0).steps
 

@@ -25,8 +25,9 @@ from scipy import stats
 from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.proportion import proportion_confint
 
-from ds_driver.closed_loop.simulation import Drive, drive_all
-from ds_driver.networks.backends import with_backend
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import drive_all
+from ds_driver.networks.driver_name import DriverName
 from ds_road import Road, generate
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import Outcome
@@ -67,14 +68,14 @@ def drive_missing(path: Path, count: int, workers: int | None) -> None:
     """Drive what the file lacks, road by road, and append it."""
     done, names = read(path), list(SIMULATORS)
     keys: list[Key] = []
-    drives: list[Drive] = []
+    drives: list[DriveRequest] = []
     for index, road in enumerate(roads(count)):
         for network in NETWORKS:
             for backend in (SINGLE, HALF):
                 if (index, network, backend) not in done:
                     name = names[index % len(names)]
                     keys.append((index, network, backend))
-                    drives.append(Drive(name, with_backend(network, backend), road, SEED + index))
+                    drives.append(DriveRequest(name, str(DriverName.parse(network).on(backend)), road, SEED + index))
     with path.open("a") as file:
         for (index, network, backend), job, run in zip(keys, drives, drive_all(drives, workers=workers), strict=True):
             record = {

@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.table import Table
 from tests.engines.dask_processes import DaskProcesses
 
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.engines.dask_engine import MOST_THREADS, running_dask
 from ds_road import generate
@@ -41,19 +43,21 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         cluster = DaskProcesses(Path(name))
         workers = [cluster.worker() for _ in range(arguments.workers)]
-        options = ClusterOptions(scheduler=cluster.address)
+        settings = DriveSettings(
+            siblings=(QUICK,), driver="autopilot", cluster=ClusterOptions(scheduler=cluster.address)
+        )
         try:
             with (
-                running_dask(
-                    "autopilot", [QUICK], workers=1, command_timeout=10.0, folder=Path(name), options=options, say=print
-                ) as executor,
+                running_dask(settings, folder=Path(name), say=print) as engine,
                 ThreadPoolExecutor(MOST_THREADS) as pool,
             ):
                 part = arguments.drives // 10
                 for tenth in range(10):
                     started = time.perf_counter()
                     seeds = range(tenth * part, (tenth + 1) * part)
-                    runs = list(pool.map(lambda seed: executor.execute(QUICK, road, seed), seeds))
+                    runs = list(
+                        pool.map(lambda seed: engine.drive(DriveRequest(QUICK, "autopilot", road, seed)), seeds)
+                    )
                     assert all(run.outcome.is_verdict for run in runs)
                     rate = part / (time.perf_counter() - started)
                     sizes = (megabytes(pid) for pid in (cluster.scheduler.pid, psutil.Process().pid, workers[0].pid))

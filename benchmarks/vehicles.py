@@ -18,8 +18,8 @@ from benchmarks.headless import drive as drive_road
 from tests.evidence.subjects import SUBJECTS, drive, settled, started, times
 
 from ds_road import Road
+from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
-from ds_sim.vehicle import Vehicle
 
 COLOURS: dict[str, Rgb] = {
     "bullet": (0, 90, 181),

@@ -4,5 +4,5 @@ set -e
 root=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")
 [[ ! -f /opt/ros/jazzy/setup.bash ]] || . /opt/ros/jazzy/setup.bash
 . "$root/.venv/env.sh"
-[[ ${1:-} != ds ]] || set -- python -m ds_orchestrator.cli.main "${@:2}"
+[[ ${1:-} != ds ]] || set -- python -m ds_cli.main "${@:2}"
 exec "$@"

@@ -6,7 +6,7 @@ import io
 import subprocess
 from contextlib import redirect_stderr, redirect_stdout
 
-from ds_orchestrator.cli import application
+from ds_cli import application
 
 
 def ds(*arguments: object) -> subprocess.CompletedProcess[str]:

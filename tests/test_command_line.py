@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ds_analysis.common.table import Column, Table
+from ds_cli import application, evaluations, main
+from ds_cli.options import SHIPPED_SIMULATORS
+from ds_cli.output import duration
+from ds_cli.twin import FitProgress
+from ds_cli.verbs import VERBS, overview
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_orchestrator.campaign import runner
+from ds_orchestrator.campaign import executor
 from ds_orchestrator.campaign.config import parse_config
-from ds_orchestrator.cli import application, evaluations, main
-from ds_orchestrator.cli.options import SHIPPED_SIMULATORS
-from ds_orchestrator.cli.output import duration
-from ds_orchestrator.cli.twin import FitProgress
-from ds_orchestrator.cli.verbs import VERBS, overview
-from ds_orchestrator.evaluation.table import Column, Table
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import Road, generate, read_roads, write_roads
@@ -32,7 +32,7 @@ from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.simulator import Outcome
 
-DS = [sys.executable, "-m", "ds_orchestrator.cli.main"]
+DS = [sys.executable, "-m", "ds_cli.main"]
 REPOSITORY = Path(__file__).resolve().parents[1]
 BICYCLE = "examples.bicycle:BicycleSimulator"
 
@@ -72,7 +72,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
                     test_id=test.test_id, simulator=simulator, message="", fitness=-0.1 if failed else 0.5,
                     outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED, max_lateral_position=1.0 + number,
                     steps=0, simulated_seconds=0.0, trajectory_sha256=digest,
-                    trajectory=np.zeros((0, 5)),
+                    drive=NO_DRIVE,
                 )
             )  # fmt: skip
     store.close()
@@ -83,9 +83,9 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_help_version_and_completion_need_the_standard_library_alone(arguments: tuple[str, ...]) -> None:
     command = [sys.executable, "-I", "-S", "-c", f"""
 import sys
-sys.path.insert(0, {str(REPOSITORY / "src/ds_orchestrator")!r})
+sys.path.insert(0, {str(REPOSITORY / "src/ds_cli")!r})
 sys.argv = {["ds", *arguments]!r}
-from ds_orchestrator.cli.main import main
+from ds_cli.main import main
 main()"""]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == (0 if arguments else 2) and done.stderr == "" and done.stdout
@@ -109,7 +109,7 @@ def test_the_overview_says_of_every_verb_what_its_own_help_says() -> None:
 def test_a_help_text_imports_nothing_heavy() -> None:
     script = """
 import sys
-from ds_orchestrator.cli.application import run
+from ds_cli.application import run
 for verb in {verbs!r}:
     run([verb, "--help"])
 heavy = {{"numpy", "torch", "scipy", "shapely", "rclpy", "cv2", "pyarrow", "plotly", "onnx"}} & set(sys.modules)
@@ -270,7 +270,7 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("--levels 5 is not possible: expected 4, 8, 16", ("sensitivity", "--sims", "donkey", "--levels", "5")),
         ("expected two or three different features", ("maps", "out", "--axes", "curvature,curvature")),
         ("unknown feature 'length'", ("maps", "out", "--axes", "length,curvature")),
-        ("no test in", ("maps", campaign, "--axes", "curvature,measured_line_contrast")),
+        ("no test in", ("maps", campaign, "--axes", "curvature,visible_contrast")),
         (
             "not among",
             ("siblings", "compare", "--sims", "donkey,softbody", "--twin", "bullet", "--driver", "autopilot"),
@@ -301,7 +301,7 @@ def test_a_drive_under_conditions_is_that_of_the_library(tmp_path: Path) -> None
     driver = make_driver("autopilot", simulator.spec)
     run = drive_road(simulator, driver, read_roads(road)[0], 5, parse_conditions(text))
     simulator.close()
-    assert document["trajectory_sha256"] == runner.trajectory_sha256(run)
+    assert document["trajectory_sha256"] == executor.trajectory_sha256(run)
 
 
 @pytest.mark.graph

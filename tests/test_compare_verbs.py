@@ -6,42 +6,46 @@ import io
 import json
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 import typer
-from tests.campaign.executors import MadeUpExecutor
+from tests.campaign.engines import MadeUpEngine
 from tests.command_line import ds
 
+from ds_analysis.comparison.criteria import Criteria
+from ds_cli.campaign.run import judged
+from ds_cli.output import Result, end
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
-from ds_orchestrator.campaign.folder import locked, store_of
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.executor import SilentListener
+from ds_orchestrator.campaign.folder import store_of
 from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.template import SIZES, template
-from ds_orchestrator.cli.campaign.run import judged
-from ds_orchestrator.cli.output import Result, end
-from ds_orchestrator.comparison import given_tests
-from ds_orchestrator.comparison.criteria import Criteria
-from ds_orchestrator.run import SilentListener
+from ds_orchestrator.engines import drive_tests as given_tests
+from ds_orchestrator.store.folder_files import locked
+from ds_orchestrator.store.model import DriveArrays
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
-from ds_road import Road
-from ds_sim.conditions import DEFAULT, Conditions
 from ds_sim.session import RunRecord
 
 
-class OfDriver(MadeUpExecutor):
+class OfDriver(MadeUpEngine):
     """Drives that depend on the driver: that of the campaigns, and one that another seed tells apart."""
 
     def __init__(self, driver: str, *, runs: int = 10_000) -> None:
         super().__init__(runs=runs)
         self.offset = 0 if driver == "autopilot" else 1
 
-    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
-        run = super().execute(simulator, road, seed + self.offset, conditions)
-        return RunRecord(**{**vars(run), "seed": seed})
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        run = super().drive(replace(request, seed=request.seed + self.offset))
+        return RunRecord(**{**vars(run), "seed": request.seed})
 
 
 @pytest.fixture
@@ -50,14 +54,13 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
     started: list[OfDriver] = []
 
     @contextmanager
-    def running(config: CampaignConfig, *_: object, **__: object) -> Iterator[OfDriver]:
-        started.append(OfDriver(config.driver))
+    def running(settings: DriveSettings, *_: object, **__: object) -> Iterator[OfDriver]:
+        started.append(OfDriver(settings.driver))
         yield started[-1]
 
     monkeypatch.setattr(given_tests, "running_engine", running)
     monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", running)
-    monkeypatch.setattr(given_tests, "check_driver", lambda *_: None)
-    monkeypatch.setattr("ds_orchestrator.graph.process_specs.check_driver", lambda *_: None)
+    monkeypatch.setattr("ds_orchestrator.engines.preflight.check_driver", lambda *_: None)
     monkeypatch.setattr(
         "ds_driver.networks.network_driver.driver_sha256", lambda name: name.encode().hex().ljust(64, "0")
     )
@@ -73,8 +76,7 @@ def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path
     folder.mkdir()
     with locked(folder):
         store = store_of(folder, config)
-        spaces = {name: f"/{name}" for name in config.simulators}
-        Campaign(config, folder, store, OfDriver(driver), SilentListener(), spaces).run()
+        Campaign(config, folder, store, OfDriver(driver), SilentListener()).run()
         if driver != "autopilot":
             store.note("sha256 of the driver's weights", driver.encode().hex().ljust(64, "0"))
         store.close()
@@ -107,8 +109,8 @@ def test_a_stopped_comparison_goes_on(tmp_path: Path, engine: list[OfDriver], mo
     old, out = campaign(tmp_path / "old"), tmp_path / "out"
 
     @contextmanager
-    def stopping(config: CampaignConfig, *_: object, **__: object) -> Iterator[OfDriver]:
-        engine.append(OfDriver(config.driver, runs=10))
+    def stopping(settings: DriveSettings, *_: object, **__: object) -> Iterator[OfDriver]:
+        engine.append(OfDriver(settings.driver, runs=10))
         yield engine[-1]
 
     with monkeypatch.context() as patch:
@@ -152,7 +154,7 @@ def test_a_reference_that_drives_differently_than_before_is_refused(tmp_path: Pa
         first = execution.trajectory.copy()
         first[:, 0] += 1.0
         digest = trajectory_sha256(first)
-        store.add_execution(type(execution)(**{**vars(execution), "trajectory": first, "trajectory_sha256": digest}))
+        store.add_execution(replace(execution, drive=DriveArrays(first, execution.steering), trajectory_sha256=digest))
     store.close()
     done = ds("campaign", "compare", old, "other", "--out", tmp_path / "out")
     assert (

@@ -13,7 +13,7 @@ import pytest
 from pydantic import BaseModel
 from tests.python_api_page import short_script
 
-from ds_orchestrator.campaign import CampaignConfig
+from ds_orchestrator.campaign.config import CampaignConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -29,21 +29,19 @@ def test_the_python_api_runs_as_written(tmp_path: Path) -> None:
     assert (tmp_path / "campaign/report.html").is_file() and "twin_donkey" in done.stdout
 
 
-def keys(model: type[BaseModel], prefix: str = "") -> dict[str, Any]:
-    """List every key of a configuration with its default, sections flattened."""
+def keys(model: BaseModel, prefix: str = "") -> dict[str, Any]:
+    """List every key of a configuration with its value as a file would have it, sections flattened."""
     found: dict[str, Any] = {}
-    for name, field in model.model_fields.items():
-        default = field.get_default(call_default_factory=True)
-        if isinstance(default, BaseModel):
-            found |= keys(type(default), f"{prefix}{name}.")
-        else:
-            found[prefix + name] = default
+    written = model.model_dump(mode="json")
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        found |= keys(value, f"{prefix}{name}.") if isinstance(value, BaseModel) else {prefix + name: written[name]}
     return found
 
 
 def test_the_configuration_page_has_every_key_with_its_default() -> None:
     rows = re.findall(r"^\| `([a-z0-9_.]+)` \| `(.*?)` \|", (DOCS / "configuration.md").read_text(), re.MULTILINE)
-    assert {key: json.loads(default) for key, default in rows} == keys(CampaignConfig)
+    assert {key: json.loads(default) for key, default in rows} == keys(CampaignConfig())
 
 
 def test_the_lines_of_the_troubleshooting_page_are_lines_of_the_code() -> None:

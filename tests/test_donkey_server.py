@@ -32,8 +32,14 @@ from ds_driver import drive_road, make_driver
 from ds_road import Road, generate, road_to_json
 from ds_sim import Command, make_simulator
 from ds_sim.donkey_protocol.conversation import Conversation, ServedTests
-from ds_sim.donkey_protocol.framing import LARGEST_MESSAGE, MessageSplitter, ProtocolError
-from ds_sim.donkey_protocol.messages import ImageFormat, command_of, image_format_of
+from ds_sim.donkey_protocol.messages import (
+    LARGEST_MESSAGE,
+    ImageFormat,
+    MessageSplitter,
+    ProtocolError,
+    command_of,
+    image_format_of,
+)
 from ds_sim.donkey_protocol.server import GREETING_DELAY, DonkeyServer
 from ds_sim.simulator import Outcome
 
@@ -292,8 +298,34 @@ def test_one_client_too_many_is_refused_and_a_silent_one_makes_room() -> None:
         assert Client(port).load()["msg_type"] == "telemetry"
 
 
+def test_a_client_that_drips_bytes_is_disconnected_like_a_silent_one() -> None:
+    with served(most_clients=1, patience=1.0) as (port, _):
+        slow = Client(port)
+        began = time.monotonic()
+        with suppress(ConnectionError):
+            for byte in b'{"msg_type": "control", "note": "' + b"x" * 200:
+                slow.socket.sendall(bytes([byte]))
+                time.sleep(0.1)
+        assert time.monotonic() - began < 15
+        assert Client(port).load()["msg_type"] == "telemetry"
+
+
+def test_slow_clients_give_their_places_to_a_new_one() -> None:
+    with served(most_clients=2, yields_after=1.0) as (port, lines):
+        slow, busy = Client(port), Client(port)
+        busy.load()
+        for _ in range(12):
+            time.sleep(0.1)
+            slow.socket.sendall(b" ")
+            busy.control(0.0, 0.1)
+        assert Client(port).load()["msg_type"] == "telemetry"
+        assert slow.read() == {"msg_type": "error", "message": "a new client takes the place"}
+        assert busy.control(0.0, 0.1)["msg_type"] == "telemetry"
+    assert not any("failed" in line for line in lines)
+
+
 def serve(*arguments: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "ds_orchestrator.cli.main", "serve", "donkey", *arguments]
+    command = [sys.executable, "-m", "ds_cli.main", "serve", "donkey", *arguments]
     paths = os.pathsep.join(p for p in sys.path if p)
     environment = {**os.environ, "PYTHONPATH": paths}
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)

@@ -6,6 +6,8 @@ import ast
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROS_MODULES = {
@@ -14,6 +16,18 @@ ROS_MODULES = {
 }  # fmt: skip
 ROS_FOLDERS = {"ros", "graph"}
 """Folders of a package whose modules may import ROS."""
+FLOORS = (
+    {"ds_road"},
+    {"ds_sim"},
+    {"ds_bags", "ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody"},
+    {"ds_driver", "ds_twin_donkey"},
+    {"ds_orchestrator"},  # searches, drives, remembers, maps
+    {"ds_analysis"},  # reads, never drives
+    {"ds_report"},  # shows
+    {"ds_studies"},  # drives because an analysis asks for it
+    {"ds_cli"},
+)
+"""Packages from the ground up; each imports only from floors below its own."""
 
 
 def imports(path: Path) -> set[str]:
@@ -36,6 +50,44 @@ def test_only_the_folders_named_ros_and_graph_import_ros() -> None:
     assert len(files) > 140 and any("/" in name.partition("/")[2] for name in files)
     importing = {name for name, path in files.items() if imports(path) & ROS_MODULES}
     assert importing and all(ROS_FOLDERS & set(Path(name).parts[1:-1]) for name in importing), importing
+
+
+def imported_modules(tree: ast.AST) -> Iterator[str]:
+    """List what a module imports, also within functions, but not for type checkers alone."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        yield from imported_modules(node)
+
+
+def test_packages_import_only_from_floors_below() -> None:
+    floor_of = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+    packages = {path.parent.name for path in Path("src").glob("*/setup.py")}
+    assert packages == set(floor_of)
+    for name, path in modules().items():
+        package = name.partition("/")[0]
+        above = {one for one in imports(path) & packages - {package} if floor_of[one] >= floor_of[package]}
+        assert not above, f"{name} imports {above}"
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    names = {name.removesuffix(".py").replace("/", "."): path for name, path in modules().items()}
+    names = {name: path for name, path in names.items() if not name.endswith("__init__")}
+    TopologicalSorter(
+        {name: set(imported_modules(ast.parse(path.read_text()))) & names.keys() for name, path in names.items()}
+    ).prepare()
+
+
+def test_no_package_holds_more_than_a_fifth() -> None:
+    lines = Counter[str]()
+    for name, path in modules().items():
+        lines[name.partition("/")[0]] += len(path.read_text().splitlines())
+    assert lines.most_common(1)[0][1] <= sum(lines.values()) / 5, lines
 
 
 def test_no_folder_of_modules_is_crowded() -> None:
@@ -62,11 +114,11 @@ class Forbid:
             raise ImportError('ROS is forbidden here: ' + name)
 sys.meta_path.insert(0, Forbid())
 import ds_road, ds_sim.road_simulator, ds_driver.training.trainer, ds_driver.closed_loop.success_rate
-import ds_orchestrator.campaign.runner, ds_orchestrator.run
-import ds_orchestrator.report.html_report, ds_orchestrator.report.build, ds_orchestrator.cli.application
+import ds_orchestrator.campaign.runner, ds_studies.whole_campaign
+import ds_report.html_report, ds_report.build, ds_cli.application
 from ds_sim.registry import SIMULATORS, make_simulator
 for name in SIMULATORS: make_simulator(name)
-app = ds_orchestrator.cli.application.make_app()
+app = ds_cli.application.make_app()
 for verb in app.list_commands(None): app.get_command(None, verb)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)

@@ -14,11 +14,11 @@ from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WIDE, WITHIN, made_
 from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
 from scipy.stats import bernoulli, beta, norm
 
-from ds_orchestrator.prediction.outcome_table import table_of_outcomes
-from ds_orchestrator.siblings.outcomes import Outcomes
+from ds_analysis.prediction.outcome_table import table_of_outcomes
+from ds_analysis.siblings.outcomes import Outcomes
 from ds_road import generate
-from ds_sim.conditions import DEFAULT
-from ds_sim.registry import make_simulator
+from ds_sim.conditions.model import DEFAULT
+from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_twin_donkey.parameter_file import read_parameters
@@ -33,7 +33,7 @@ def test_twins_are_those_of_their_seed_and_lie_in_their_ranges(tmp_path: Path) -
             assert (low <= twin.values[name] <= high) == (name != twin.outside)
         assert bool(twin.outside) == (twin.number % EVERY == 0)
     simulator = twins[3].simulator(tmp_path / "twins")
-    parameters, _ = read_parameters(Path(simulator.partition("@")[2]))
+    parameters, _ = read_parameters(Path(SimulatorName.parse(simulator).file))
     assert parameters == twins[3].parameters and parameters.max_steering_angle < np.radians(23.1)
     made = make_simulator(simulator)
     assert made.spec.extra["car"]
@@ -45,7 +45,7 @@ def test_wide_twins_fill_their_ranges_and_can_be_made(tmp_path: Path) -> None:
     for name, (low, high) in WIDE.items():
         shares = [(twin.values[name] - low) / (high - low) for twin in twins]
         assert 0.0 <= min(shares) < 0.2 and 0.8 < max(shares) <= 1.0
-    parameters, _ = read_parameters(Path(twins[0].simulator(tmp_path).partition("@")[2]))
+    parameters, _ = read_parameters(Path(SimulatorName.parse(twins[0].simulator(tmp_path)).file))
     assert parameters == twins[0].parameters and parameters.steering_trim == twins[0].values["steering_trim"]
     assert {twin.name for twin in twins}.isdisjoint(made_twin(number, SEED).name for number in range(1, 21))
 

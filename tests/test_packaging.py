@@ -34,6 +34,7 @@ def test_setup_installs_type_information_under_the_project_version(
 ) -> None:
     distribution = distribution_of(package, monkeypatch)
     assert distribution.get_version() == VERSION
+    assert distribution.extras_require == {"test": ["pytest"]}  # colcon runs pytest for these, else unittest
     command = distribution.get_command_obj("build_py")
     command.ensure_finalized()
     installed = {(Path(folder) / name).as_posix() for _, folder, _, names in command.data_files for name in names}

@@ -7,13 +7,16 @@ import multiprocessing
 import shutil
 import sys
 import time
+import venv
+import zipfile
 from collections.abc import Callable
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import pytest
+import yaml
 
-from setup_tool import machine, ros, steps, wheels, workspace
+from setup_tool import machine, ros, steps, workspace
 from setup_tool.console import CommandFailedError, Console, SetupError
 from setup_tool.machine import Need, Python
 from setup_tool.stamps import UNFINISHED, Stamps, digest, one_at_a_time
@@ -65,6 +68,43 @@ def test_the_command_for_a_user_who_is_not_root_uses_sudo(monkeypatch: pytest.Mo
 def test_a_python_that_is_named_but_not_there_is_refused() -> None:
     with pytest.raises(SetupError, match=r"Python 3\.11 or 3\.12 is needed, found none"):
         machine.find_python("/no/such/python")
+
+
+def test_ci_runs_on_every_supported_python() -> None:
+    workflow = yaml.safe_load((REPOSITORY / ".github/workflows/ci.yml").read_text())
+    versions = workflow["jobs"]["test"]["strategy"]["matrix"]["python"]
+    assert sorted(versions) == sorted(f"{major}.{minor}" for major, minor in machine.PYTHON_VERSIONS)
+    assert any(step.get("run") == "bash .ci/run" for step in workflow["jobs"]["test"]["steps"])
+
+
+def make_wheel(folder: Path, name: str) -> None:
+    files = {
+        f"{name}.py": "",
+        f"{name}-1.0.dist-info/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n",
+        f"{name}-1.0.dist-info/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    with zipfile.ZipFile(folder / f"{name}-1.0-py3-none-any.whl", "w") as wheel:
+        for path, text in files.items():
+            wheel.writestr(path, text)
+        record = "".join(f"{path},,\n" for path in (*files, f"{name}-1.0.dist-info/RECORD"))
+        wheel.writestr(f"{name}-1.0.dist-info/RECORD", record)
+
+
+def test_pip_installs_where_uv_finds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """uv is offline; pip has a folder of wheels, which uv is not told of. What neither has ends in one line."""
+    (tmp_path / "wheels").mkdir()
+    make_wheel(tmp_path / "wheels", "only_here")
+    for name, value in (("UV_OFFLINE", "1"), ("PIP_NO_INDEX", "1"), ("PIP_FIND_LINKS", str(tmp_path / "wheels"))):
+        monkeypatch.setenv(name, value)
+    venv.create(tmp_path / ".venv", with_pip=True)
+    (tmp_path / ".venv/bin/uv").symlink_to(Path(sys.executable).with_name("uv"))
+    with one_at_a_time(tmp_path, lambda: None) as lock:
+        setup = steps.Setup(tmp_path, Console(tmp_path / ".venv/setup.log", lock), wanted_python="")
+        setup._install("only_here==1.0")
+        with pytest.raises(CommandFailedError, match="is the network there"):
+            setup._install("nowhere==1.0")
+    assert list(tmp_path.glob(".venv/lib/python3.*/site-packages/only_here.py"))
+    assert "uv pip install" in (tmp_path / ".venv/setup.log").read_text()
 
 
 def test_the_digest_sees_content_names_and_order(tmp_path: Path) -> None:
@@ -185,10 +225,10 @@ def test_cmake_paths_of_the_builder_become_those_of_this_machine(tmp_path: Path)
         f'INTERFACE_INCLUDE_DIRECTORIES "{builder}/include/python3.11;'
         f'{builder}/lib/python3.11/site-packages/numpy/_core/include"'
     )
-    assert wheels.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
+    assert ros.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
     expected = 'INTERFACE_INCLUDE_DIRECTORIES "/usr/include/python3.11;/venv/numpy/include"'
     assert export.read_text() == expected
-    assert not wheels.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
+    assert not ros.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
 
 
 @pytest.mark.parametrize(

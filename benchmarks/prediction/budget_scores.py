@@ -13,17 +13,17 @@ import numpy as np
 from benchmarks.prediction.drive_learners import learned
 from numpy.typing import NDArray
 
+from ds_analysis.prediction.coverage import forecast_cells
+from ds_analysis.prediction.margins import margin
+from ds_analysis.prediction.outcome_table import OutcomeTable
+from ds_analysis.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN
+from ds_analysis.prediction.real.selection import candidates_of, choose
+from ds_analysis.prediction.real.worth import LEAST_GAIN, next_gain
+from ds_analysis.prediction.span import span_of
+from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
+from ds_analysis.prediction.undriven import undriven_probabilities
+from ds_analysis.prediction.verdicts import called
 from ds_orchestrator.maps.merge_operators import OPERATORS
-from ds_orchestrator.prediction.coverage import forecast_cells
-from ds_orchestrator.prediction.margins import margin
-from ds_orchestrator.prediction.outcome_table import OutcomeTable
-from ds_orchestrator.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN
-from ds_orchestrator.prediction.real.selection import candidates_of, choose
-from ds_orchestrator.prediction.real.worth import LEAST_GAIN, next_gain
-from ds_orchestrator.prediction.span import span_of
-from ds_orchestrator.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
-from ds_orchestrator.prediction.undriven import undriven_probabilities
-from ds_orchestrator.prediction.verdicts import called
 
 Array = NDArray[np.float64]
 Errors = dict[str, Array]

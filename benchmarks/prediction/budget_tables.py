@@ -9,10 +9,10 @@ import numpy as np
 from benchmarks.prediction.budget_scores import BUDGETS, RULES, SEED, Array, Case, Scored
 from benchmarks.prediction.drive_learners import LEARNERS
 
-from ds_orchestrator.evaluation.table import Column, Table
-from ds_orchestrator.prediction.coverage import share_held
-from ds_orchestrator.prediction.predictors import HIERARCHICAL
-from ds_orchestrator.prediction.span import ODDS
+from ds_analysis.common.table import Column, Table
+from ds_analysis.prediction.coverage import share_held
+from ds_analysis.prediction.predictors import HIERARCHICAL
+from ds_analysis.prediction.span import ODDS
 
 AIM = 4
 """Budget at which the aim is judged."""

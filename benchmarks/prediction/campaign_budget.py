@@ -17,12 +17,12 @@ from benchmarks.prediction.budget_scores import BUDGETS, Case, Scored, score
 from benchmarks.prediction.budget_tables import tables_of
 from rich.console import Console
 
+from ds_analysis.common.table import write_tables
+from ds_analysis.prediction.outcome_table import table_of_campaign
+from ds_analysis.prediction.sources import as_population
+from ds_cli.output import countdown, say
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.folder import open_store
-from ds_orchestrator.cli.output import countdown, say
-from ds_orchestrator.evaluation.table import write_tables
-from ds_orchestrator.prediction.outcome_table import table_of_campaign
-from ds_orchestrator.prediction.sources import as_population
 
 
 def cases_of(folder: Path) -> list[Case]:
@@ -32,7 +32,7 @@ def cases_of(folder: Path) -> list[Case]:
         CampaignError: the folder holds no campaign.
         OutcomeTableError: no test has a verdict yet.
     """
-    with closing(open_store(folder, read_only=True)) as store:
+    with closing(open_store(folder)) as store:
         data = read_campaign(store)
     whole = as_population(table_of_campaign(data))
     table = whole.select(whole.on_siblings)

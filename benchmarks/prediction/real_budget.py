@@ -15,10 +15,10 @@ once as it is, and once with the outcomes of the driven tests filled in, as any 
 Intervals are 95 % of 2,000 resamples of twins and of roads at the same time (the pigeonhole bootstrap: Owen, Ann. Appl.
 Stat. 2007), as all twins drive the same roads; twins that share a maker are still more alike than cars are.
 
-With `--conditions` each road has its own line contrast and visibility, drawn from the ranges of
-`benchmarks.conditions.objectives`: a network that completes every road can fail there. Tests that the gates exclude on
-one of a case's simulators are left out of it. The gates' own runs are kept, too, and serve every network. Fixed before
-the first drive: twins, roads, conditions, networks, siblings, budgets, rules, scores.
+With `--conditions` each road has its own line contrast and visibility, from `CONDITIONS`: a network that completes
+every road can fail there. Tests that the gates exclude on one of a case's simulators are left out of it. The gates' own
+runs are kept, too, and serve every network. Fixed before the first drive: twins, roads, conditions, networks, siblings,
+budgets, rules, scores.
 """
 
 from __future__ import annotations
@@ -30,27 +30,28 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from benchmarks.conditions.objectives import CONDITIONS
 from benchmarks.prediction.budget_scores import BUDGETS, SEED, Case, Scored, score
 from benchmarks.prediction.budget_tables import tables_of
 from benchmarks.prediction.made_twins import CAMERA, MadeTwin, made_twin
 from rich.console import Console
 
-from ds_driver.closed_loop.simulation import AUTOPILOT, Drive
+from ds_analysis.common.table import write_tables
+from ds_analysis.prediction.outcome_table import OutcomeTable, table_of_outcomes
+from ds_analysis.siblings.outcomes import Outcomes
+from ds_cli.output import countdown, say
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_driver.closed_loop.success_rate import unseen_roads
-from ds_orchestrator.cli.output import countdown, say
-from ds_orchestrator.evaluation.table import write_tables
-from ds_orchestrator.prediction.outcome_table import OutcomeTable, table_of_outcomes
 from ds_orchestrator.search.condition_space import ConditionSpace, SearchedCondition
-from ds_orchestrator.siblings.kept_drives import drive_kept, read_kept
-from ds_orchestrator.siblings.outcomes import Outcomes
 from ds_road import Road
-from ds_sim.conditions import DEFAULT, Conditions
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import gate_of
 from ds_sim.session import RunRecord
+from ds_studies.kept_drives import drive_kept, read_kept
 
 SIMULATORS = ("bullet", "softbody", "panda", "donkey")
 NETWORKS = ("dave2_short", "epoch", "dave2_b")
+CONDITIONS = {"line_contrast": {"low": 0.05, "high": 1.0}, "visibility": {"low": 20.0, "high": 200.0}}
+"""Drawn beside roads; chosen: what the visibility of a lane depends on most directly."""
 
 
 Runs = dict[str, list[RunRecord | None]]
@@ -108,7 +109,11 @@ def drive(
         twin.name: (twin.simulator(out / "twins"), {key: twin.values[key] for key in CAMERA}) for twin in twins
     }
     drives = [
-        (name, k, Drive(simulator, driver, test.road, test.seed, replace(test.conditions, **camera), probed=gated))
+        (
+            name,
+            k,
+            DriveRequest(simulator, driver, test.road, test.seed, replace(test.conditions, **camera), probed=gated),
+        )
         for name, (simulator, camera) in simulators.items()
         for k, test in enumerate(tests)
         if valid is None or valid[name][k]

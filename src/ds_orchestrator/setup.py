@@ -1,33 +1,15 @@
-import tomllib
+import sys
 from pathlib import Path
 
-from setuptools import find_packages, setup
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+from package_setup import setup_package
 
-PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"  # one version for all packages
-PACKAGE = "ds_orchestrator"
-
-setup(
-    name=PACKAGE,
-    version=tomllib.loads(PROJECT.read_text())["project"]["version"],
-    description="Search, campaign, store, bags, feature maps, evaluation, report and command line.",
-    license="Apache-2.0",
-    maintainer="Digital Siblings maintainers",
-    maintainer_email="maintainers@digital-siblings.invalid",
-    packages=find_packages(exclude=["test"]),
-    package_data={"": ["py.typed", "*.pyi"], f"{PACKAGE}.report": ["templates/*"], f"{PACKAGE}.watch": ["templates/*"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
-        (f"share/{PACKAGE}", ["package.xml"]),
+# `ros2 run ds_orchestrator campaign` is a verb of the command line, which lies above this package.
+setup_package(
+    scripts=[
+        "campaign = ds_cli.ros.executables:campaign",
+        "drive = ds_cli.ros.executables:drive",
+        "demo = ds_cli.ros.executables:demo",
+        "watch = ds_cli.ros.executables:watch",
     ],
-    zip_safe=False,
-    extras_require={"test": ["pytest"]},
-    entry_points={
-        "console_scripts": [
-            "ds = ds_orchestrator.cli.main:main",
-            "campaign = ds_orchestrator.ros.executables:campaign",
-            "drive = ds_orchestrator.ros.executables:drive",
-            "demo = ds_orchestrator.ros.executables:demo",
-            "watch = ds_orchestrator.ros.executables:watch",
-        ],
-    },
 )

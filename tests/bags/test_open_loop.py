@@ -17,14 +17,14 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.stats import wasserstein_distance
 
+from ds_analysis.paper.open_loop import evaluate_recording
+from ds_analysis.paper.steering_error_stats import EDGES, density, distances, pooled_errors, summarise
 from ds_bags.donkey_tub import TubError, read_tub
 from ds_bags.layout import BagError
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.preprocessing import Crop, ImageError
-from ds_orchestrator.evaluation.open_loop import evaluate_recording
-from ds_orchestrator.evaluation.steering_error_stats import EDGES, density, distances, pooled_errors, summarise
 from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import resimulate
@@ -217,7 +217,7 @@ def test_density_and_distance_against_scipy(tub: Path) -> None:
 @pytest.mark.graph
 def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_path: Path) -> None:
     command = [
-        sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "drive", str(bags / "compressed"), str(tub),
+        sys.executable, "-m", "ds_cli.main", "bag", "drive", str(bags / "compressed"), str(tub),
         "--driver", "dave2", "--out", str(tmp_path / "out"), "--json",
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
@@ -245,7 +245,7 @@ def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_p
     )  # fmt: skip
     try:
         command = [
-            sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "drive", str(bags / "raw"), "--attach",
+            sys.executable, "-m", "ds_cli.main", "bag", "drive", str(bags / "raw"), "--attach",
             "--limit", "12", "--out", str(tmp_path), "--json",
         ]  # fmt: skip
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)

@@ -16,7 +16,7 @@ from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
 from ds_orchestrator.campaign.bag_groups import groups_of
 from ds_orchestrator.campaign.config import parse_config
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road.features import minimum_radius
@@ -54,7 +54,7 @@ def test_a_campaign_s_bags_are_grouped_by_its_own_features_or_by_run(run: RunRec
                 Execution(
                     test_id=name, simulator=simulator, outcome=Outcome.COMPLETED, message="", fitness=1.0,
                     max_lateral_position=0.5, steps=0, simulated_seconds=0.0,
-                    trajectory_sha256=trajectory_sha256(np.zeros((0, 5))), trajectory=np.zeros((0, 5)), bag=bag,
+                    trajectory_sha256=trajectory_sha256(np.zeros((0, 5))), drive=NO_DRIVE, bag=bag,
                 )
             )  # fmt: skip
     store.close()

@@ -19,7 +19,7 @@ from ds_bags.player import PAUSE, QUIT, STEP, Controls, Playback, play
 from ds_bags.reader import BagReader
 from ds_orchestrator.graph.ros_domain import RosDomain
 
-DS = [sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "replay"]
+DS = [sys.executable, "-m", "ds_cli.main", "bag", "replay"]
 MS = 1_000_000
 MESSAGES: list[tuple[Any, int, bytes]] = [
     ("a", 1000 * MS, b"1"), ("b", 1000 * MS, b"2"), ("a", 1050 * MS, b"3"), ("b", 1200 * MS, b"4"),

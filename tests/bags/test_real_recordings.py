@@ -10,10 +10,10 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from ds_analysis.prediction.real.recordings import is_recording, read_recording
+from ds_analysis.prediction.real.records import RecordError
 from ds_bags.run_writer import write_bag
 from ds_driver import drive_road, make_driver
-from ds_orchestrator.prediction.real.recordings import is_recording, read_recording
-from ds_orchestrator.prediction.real.records import RecordError
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord

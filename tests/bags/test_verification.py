@@ -34,7 +34,7 @@ def test_the_step_and_the_distance_of_a_changed_command_are_reported(run: RunRec
     write_bag(tmp_path / "bag", "/twin", "donkey", replace(run, commands=commands), {})
     found = verify_bag(tmp_path / "bag")
     assert found.step is not None and 21 <= found.step <= 23 and "m away" in found.difference
-    command = [sys.executable, "-m", "ds_orchestrator.cli.main", "bag", "redrive", str(tmp_path / "bag"), "--json"]
+    command = [sys.executable, "-m", "ds_cli.main", "bag", "redrive", str(tmp_path / "bag"), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1 and f"at step {found.step}, " in done.stderr
     document = json.loads(done.stdout)

@@ -14,24 +14,25 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.campaign.executors import LocalExecutor, MadeUpExecutor
+from tests.campaign.engines import EngineHere, MadeUpEngine
 
+from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
-from ds_orchestrator.campaign.folder import LockError, locked
-from ds_orchestrator.campaign.runner import Campaign, CampaignError, Executor, Stopped
+from ds_orchestrator.campaign.engine import Engine, Watch
+from ds_orchestrator.campaign.executor import CampaignError, SilentListener, Stopped
+from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.evaluation.campaign_evaluation import maps_of
-from ds_orchestrator.graph.worker_pool import WorkerPool
+from ds_orchestrator.graph.graph_engine import GraphEngine
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.maps.feature_map import to_json
 from ds_orchestrator.maps.map_id import MapId
-from ds_orchestrator.run import SilentListener
+from ds_orchestrator.store.folder_files import LockError, locked
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_road import Road
-from ds_sim.conditions import DEFAULT, Conditions
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import label_of
 from ds_sim.session import RunRecord
@@ -42,13 +43,12 @@ CONFIG = CampaignConfig(
     siblings=DONKEYS, twin=None, driver="autopilot", seed=7, record="none", retries=1,
     search=SearchConfig(population=2, iterations=2, runs=1, min_angle=40, max_angle=90),
 )  # fmt: skip
-SPACES = {DONKEYS[0]: "/ds1", DONKEYS[1]: "/ds2"}
 
 
-def run(folder: Path, executor: Executor, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
+def run(folder: Path, engine: Engine, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
     folder.mkdir(exist_ok=True)
     store = Store(folder / "campaign.sqlite", config=config.identity())
-    campaign = Campaign(config, folder, store, executor, SilentListener(), SPACES)
+    campaign = Campaign(config, folder, store, engine, SilentListener())
     with suppress(Stopped):
         campaign.run()
     return campaign, store
@@ -59,7 +59,7 @@ def maps_text(store: Store) -> str:
 
 
 def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
-    executor = LocalExecutor()
+    executor = EngineHere()
     campaign, store = run(tmp_path / "a", executor)
     assert len(executor.roads) == len(store.executions()) == CONFIG.executions_at_most == 16
     assert len(set(executor.roads)) == 16
@@ -71,8 +71,8 @@ def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stop_after", [1, 5, pytest.param(11, marks=pytest.mark.long)])
 def test_a_stopped_campaign_goes_on_and_ends_the_same(tmp_path: Path, stop_after: int) -> None:
-    _, undisturbed = run(tmp_path / "whole", LocalExecutor())
-    first, second = LocalExecutor(runs=stop_after), LocalExecutor()
+    _, undisturbed = run(tmp_path / "whole", EngineHere())
+    first, second = EngineHere(runs=stop_after), EngineHere()
     run(tmp_path / "parts", first)[1].close()
     _, store = run(tmp_path / "parts", second)
     assert maps_text(store) == maps_text(undisturbed)
@@ -93,7 +93,7 @@ def test_what_is_finished_survives_a_kill(tmp_path: Path, count: int) -> None:
 
     def work() -> None:
         store = Store(tmp_path / "campaign.sqlite", config=CONFIG.identity())
-        Campaign(CONFIG, tmp_path, store, MadeUpExecutor(), Killer(), SPACES).run()
+        Campaign(CONFIG, tmp_path, store, MadeUpEngine(), Killer()).run()
 
     child = multiprocessing.get_context("fork").Process(target=work)
     child.start()
@@ -101,20 +101,20 @@ def test_what_is_finished_survives_a_kill(tmp_path: Path, count: int) -> None:
     assert child.exitcode == -signal.SIGKILL
     kept = len(Store(tmp_path / "campaign.sqlite").executions())
     assert kept >= count  # another simulator's thread may have stored a run that the listener had not heard of
-    rest = MadeUpExecutor()
+    rest = MadeUpEngine()
     _, store = run(tmp_path, rest)
     assert len(rest.roads) == CONFIG.executions_at_most - kept == 16 - kept
-    _, undisturbed = run(tmp_path / "whole", MadeUpExecutor())
+    _, undisturbed = run(tmp_path / "whole", MadeUpEngine())
     assert maps_text(store) == maps_text(undisturbed)
 
 
 def test_errors_are_retried_and_never_enter_a_map(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
-    campaign, store = run(tmp_path / "a", LocalExecutor(errors=3), config)
+    campaign, store = run(tmp_path / "a", EngineHere(errors=3), config)
     assert campaign.failed_executions == 1 and len(store.executions()) == 3
     assert [error[3] for error in store.errors()] == ["DRIVER_SILENT"] * 3
     # A later session repeats only executions that ended in an error.
-    again = LocalExecutor()
+    again = EngineHere()
     campaign, store = run(tmp_path / "a", again, config)
     assert campaign.failed_executions == 0 and len(store.executions()) == 4
 
@@ -122,10 +122,10 @@ def test_errors_are_retried_and_never_enter_a_map(tmp_path: Path) -> None:
 def test_a_search_that_continued_without_an_outcome_does_so_again(tmp_path: Path) -> None:
     """The second test has no outcome at first; once it has one, the following roads stay the same."""
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
-    _, store = run(tmp_path / "a", LocalExecutor(errors=2, errors_after=1), config)
+    _, store = run(tmp_path / "a", EngineHere(errors=2, errors_after=1), config)
     roads = [test.road.road_id for test in store.tests()]
     assert len(store.executions()) == 3 and len(store.given_up()) == 1
-    again = LocalExecutor()
+    again = EngineHere()
     _, store = run(tmp_path / "a", again, config)
     assert again.roads == [(DONKEYS[1], roads[1])]
     assert [test.road.road_id for test in store.tests()] == roads
@@ -145,20 +145,20 @@ def test_a_simulator_without_any_outcome_stops_the_campaign_and_spoils_nothing(t
             "search": SearchConfig(population=3, iterations=5, min_angle=40, max_angle=90, runs=1),
         }
     )
-    _, whole = run(tmp_path / "whole", LocalExecutor(), config)
+    _, whole = run(tmp_path / "whole", EngineHere(), config)
     with pytest.raises(CampaignError, match=r"donkey gave no outcome for 5 tests in a row .*no command within 1 s"):
-        run(tmp_path / "parts", LocalExecutor(errors=1000, errors_after=2), config)
+        run(tmp_path / "parts", EngineHere(errors=1000, errors_after=2), config)
     store = Store(tmp_path / "parts" / "campaign.sqlite")
     assert len(store.tests()) == 3 and store.given_up() == set() and len(store.errors()) == 10
     store.close()
-    _, store = run(tmp_path / "parts", LocalExecutor(), config)
+    _, store = run(tmp_path / "parts", EngineHere(), config)
     assert maps_text(store) == maps_text(whole)
     assert [t.road.road_id for t in store.tests()] == [t.road.road_id for t in whole.tests()]
 
 
 def test_a_cancelled_run_is_repeated(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
-    executor = LocalExecutor(errors=1)
+    executor = EngineHere(errors=1)
     executor.error = Outcome.CANCELLED
     campaign, store = run(tmp_path / "a", executor, config)
     assert campaign.failed_executions == 0 and len(store.executions()) == 4
@@ -167,16 +167,16 @@ def test_a_cancelled_run_is_repeated(tmp_path: Path) -> None:
 
 def test_a_test_whose_road_has_changed_is_refused(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
-    run(tmp_path / "a", LocalExecutor(runs=2), config)[1].close()
+    run(tmp_path / "a", EngineHere(runs=2), config)[1].close()
     db = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
     db.execute("UPDATE tests SET road_id='another' WHERE number=1")
     db.commit()
     with pytest.raises(StoreError, match="test donkey-0-0001 has another road than"):
-        run(tmp_path / "a", LocalExecutor(), config)
+        run(tmp_path / "a", EngineHere(), config)
 
 
 def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> None:
-    class Broken(LocalExecutor):
+    class Broken(EngineHere):
         def __init__(self) -> None:
             super().__init__()
             self.stopped = threading.Event()
@@ -184,11 +184,11 @@ def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> Non
         def stop(self) -> None:
             self.stopped.set()
 
-        def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
-            if simulator == DONKEYS[1]:
+        def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+            if request.simulator == DONKEYS[1]:
                 raise OSError("no space left")
             assert self.stopped.wait(20.0), "the active run was not stopped"
-            return RunRecord(road=road, seed=seed, outcome=Outcome.CANCELLED)
+            return request.ended(Outcome.CANCELLED, "stopped")
 
     with pytest.raises(OSError, match="no space left"):
         run(tmp_path / "a", Broken())
@@ -288,9 +288,9 @@ def test_the_shipped_configurations_are_what_they_say() -> None:
 def test_a_campaign_in_the_left_lane_drives_the_same_roads_there_and_resumes(tmp_path: Path) -> None:
     left = CONFIG.model_copy(update={"lane": "left"})
     assert '"lane"' not in CONFIG.identity() and '"lane":"left"' in left.identity()
-    _, right_store = run(tmp_path / "right", MadeUpExecutor(), CONFIG)
-    run(tmp_path / "left", MadeUpExecutor(runs=3), left)[1].close()
-    _, store = run(tmp_path / "left", MadeUpExecutor(), left)
+    _, right_store = run(tmp_path / "right", MadeUpEngine(), CONFIG)
+    run(tmp_path / "left", MadeUpEngine(runs=3), left)[1].close()
+    _, store = run(tmp_path / "left", MadeUpEngine(), left)
     tests = store.tests()
     assert {test.road.lane for test in tests} == {"left"} and len(tests) == len(right_store.tests())
     # The first roads depend on no outcome.
@@ -309,8 +309,8 @@ def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> 
     one = CONFIG.model_copy(update={"search": search})
     many = one.model_copy(update={"workers": 3})
     assert one.identity() == many.identity()
-    _, first = run(tmp_path / "one", MadeUpExecutor(), one)
-    pool = WorkerPool([MadeUpExecutor(), MadeUpExecutor(), MadeUpExecutor()], many.simulators)
+    _, first = run(tmp_path / "one", MadeUpEngine(), one)
+    pool = GraphEngine([MadeUpEngine(), MadeUpEngine(), MadeUpEngine()], many.simulators, MadeUpEngine)
     _, second = run(tmp_path / "many", pool, many)
     assert maps_text(first) == maps_text(second) and len(first.executions()) == 32
     assert [t.road.road_id for t in first.tests()] == [t.road.road_id for t in second.tests()]
@@ -318,7 +318,7 @@ def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> 
     assert hashes[0] == hashes[1]
     # A campaign that started with one worker resumes with three.
     first.close()
-    _, again = run(tmp_path / "one", MadeUpExecutor(runs=0), many)
+    _, again = run(tmp_path / "one", MadeUpEngine(runs=0), many)
     assert maps_text(again) == maps_text(second)
 
 
@@ -331,23 +331,26 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
             self.stopped = False
             self.runs = 0
 
-        def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
+        def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
             assert self.busy.acquire(blocking=False), "two runs at once on one simulator of one worker"
             together.wait(timeout=20.0)
             self.runs += 1
             self.busy.release()
-            return RunRecord(road=road, seed=seed)
+            return request.ended(Outcome.COMPLETED, "")
 
         def stop(self) -> None:
             self.stopped = True
 
     together = threading.Barrier(2)
     workers = [Counting(), Counting()]
-    pool = WorkerPool(workers, ["donkey"])
+    probing = MadeUpEngine()
+    pool = GraphEngine(workers, ["donkey"], lambda: probing)
     road = Road([(125.0, 25.0 * i) for i in range(9)])
     with ThreadPoolExecutor(2) as threads:
-        list(threads.map(lambda seed: pool.execute("donkey", road, seed), range(6)))
+        list(threads.map(lambda seed: pool.drive(DriveRequest("donkey", "dave2", road, seed)), range(6)))
     assert sum(w.runs for w in workers) == 6
+    pool.drive(DriveRequest("donkey", AUTOPILOT, road, 6, probed=True))
+    assert sum(w.runs for w in workers) == 6 and len(probing.roads) == 1
     pool.stop()
     assert all(w.stopped for w in workers)
 
@@ -359,16 +362,16 @@ def test_every_search_goes_on_where_it_was_stopped(tmp_path: Path, method: str) 
     config = CONFIG.model_copy(
         update={"siblings": [DONKEYS[1]], "search": search, "features": ["turns_count", "steering_deviation:2"]}
     )
-    _, whole = run(tmp_path / "whole", MadeUpExecutor(), config)
-    run(tmp_path / "parts", MadeUpExecutor(runs=3), config)[1].close()
-    _, parts = run(tmp_path / "parts", MadeUpExecutor(), config)
+    _, whole = run(tmp_path / "whole", MadeUpEngine(), config)
+    run(tmp_path / "parts", MadeUpEngine(runs=3), config)[1].close()
+    _, parts = run(tmp_path / "parts", MadeUpEngine(), config)
     assert maps_text(parts) == maps_text(whole)
     assert parts.searches() == whole.searches() and parts.searches()[0][:3] == (DONKEYS[1], 0, method)
 
 
 def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_alone(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"maxitwo_compatible": True})
-    executor = MadeUpExecutor()
+    executor = MadeUpEngine()
     _, store = run(tmp_path / "a", executor, config)
     tests = store.tests()
     assert len(tests) == 2 * (2 + 2 + 1)
@@ -383,14 +386,14 @@ def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_a
     elites = elites_of(tests, store.executions(), cells)
     migrated = {e.test_id for e in store.executions() if not e.test_id.startswith(label_of(e.simulator) + "-")}
     assert migrated == elites and 0 < len(elites) <= len(tests)
-    first = MadeUpExecutor(runs=0)
+    first = MadeUpEngine(runs=0)
     run(tmp_path / "a", first, config)
     assert first.roads == []
 
 
 def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[0]], "twin": "donkey"})
-    _, store = run(tmp_path / "a", MadeUpExecutor(runs=2), config)
+    _, store = run(tmp_path / "a", MadeUpEngine(runs=2), config)
     begun = {stage.name: stage for stage in stages_of(read_campaign(store))}
     search = begun[f"search {DONKEYS[0]}, run 0"]
     assert (search.done, search.expected, search.state) == (2, 4, "begun")
@@ -398,7 +401,7 @@ def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     assert (twin.done, twin.expected, twin.state) == (0, None, "to do")
     assert [begun[name].state for name in ("maps", "evaluation", "report")] == ["to do"] * 3
     store.close()
-    _, store = run(tmp_path / "a", MadeUpExecutor(), config)
+    _, store = run(tmp_path / "a", MadeUpEngine(), config)
     results = {stage.name: stage for stage in stages_of(read_campaign(store))}
     assert (results[twin.name].done, results[twin.name].expected, results[twin.name].state) == (4, 4, "done")
     assert results[search.name].failures == sum(

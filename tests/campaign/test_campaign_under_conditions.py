@@ -10,17 +10,18 @@ import pytest
 
 from ds_bags.reader import BagReader, read_run
 from ds_bags.verification import verify_bag
-from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
-from ds_orchestrator import run
+from ds_cli.campaign.run import stored_config
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import parse_config
+from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.campaign.folder import ENGINE, open_store
 from ds_orchestrator.campaign.road_selection import roads_of
-from ds_orchestrator.campaign.runner import trajectory_sha256
-from ds_orchestrator.cli.campaign.run import stored_config
 from ds_sim.conditions.text import format_conditions, parse_conditions
-from ds_sim.gates import GateState, gate_of
+from ds_sim.gates.gate import GateState, gate_of
 from ds_sim.registry import make_simulator
+from ds_studies import whole_campaign as run
 
 TEXT = "line_contrast=0.1,visibility=80,steering_lag=0.05"
 CONFIG = parse_config(

@@ -11,32 +11,35 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.campaign.executors import MadeUpExecutor
-from tests.campaign.test_campaign import CONFIG, DONKEYS, SPACES, maps_text
+from tests.campaign.engines import MadeUpEngine
+from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
 
+from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.exclusions import excluded_table
+from ds_cli.campaign.run import status
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, parse_config
+from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.executor import SilentListener, Stopped
 from ds_orchestrator.campaign.folder import store_of
 from ds_orchestrator.campaign.road_selection import roads_of
-from ds_orchestrator.campaign.runner import Campaign, Stopped
+from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.cli.campaign.run import status
-from ds_orchestrator.evaluation.campaign_evaluation import maps_of
-from ds_orchestrator.evaluation.exclusions import excluded_table
-from ds_orchestrator.run import SilentListener, run_campaign
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
-from ds_road import Road
-from ds_sim.conditions import Conditions, parse_conditions
-from ds_sim.gates import GateState
+from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.text import parse_conditions
+from ds_sim.gates.gate import GateState
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
+from ds_studies.whole_campaign import run_campaign
 
-FOGGY = CONFIG.model_copy(update={"conditions": "visibility=60"})
+FOGGY = CONFIG.model_copy(update={"conditions": parse_conditions("visibility=60")})
 SEEN, UNSEEN = 0.5, 0.01
 
 
-class GatedExecutor(MadeUpExecutor):
+class GatedEngine(MadeUpEngine):
     """Made-up drives, and an autopilot whose runs end as the seed has it: one in three invalid by each gate."""
 
     def __init__(self, *, gate_errors: int = 0, **options: Any) -> None:
@@ -45,35 +48,35 @@ class GatedExecutor(MadeUpExecutor):
         self.conditions: set[Conditions] = set()
         self._gate_errors = gate_errors
 
-    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = Conditions()) -> RunRecord:  # noqa: B008
-        self.conditions.add(conditions)
-        return super().execute(simulator, road, seed, conditions)
-
-    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
-        self.gated.append((simulator, road.road_id))
-        run = MadeUpExecutor().execute(simulator, road, seed, conditions)
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        if not request.probed:
+            self.conditions.add(request.conditions)
+            return super().drive(request)
+        assert request.driver == AUTOPILOT
+        self.gated.append((request.simulator, request.road.road_id))
+        run = MadeUpEngine().drive(request)
         if self._gate_errors:
             self._gate_errors -= 1
             return replace(run, outcome=Outcome.SIM_ERROR, message="no luck")
-        kind = (seed + len(simulator)) % 3
+        kind = (request.seed + len(request.simulator)) % 3
         return replace(
             run,
             outcome=Outcome.OUT_OF_BOUNDS if kind == 0 else Outcome.COMPLETED,
-            line_contrasts=[UNSEEN if kind == 1 else SEEN],
+            visible_contrasts=[UNSEEN if kind == 1 else SEEN],
         )
 
 
-def run(folder: Path, executor: GatedExecutor, config: Any = FOGGY) -> tuple[Campaign, Store]:
+def run(folder: Path, engine: GatedEngine, config: Any = FOGGY) -> tuple[Campaign, Store]:
     folder.mkdir(exist_ok=True)
     store = store_of(folder, config)
-    campaign = Campaign(config, folder, store, executor, SilentListener(), SPACES, executor)
+    campaign = Campaign(config, folder, store, engine, SilentListener())
     with suppress(Stopped):
         campaign.run()
     return campaign, store
 
 
 def test_only_valid_tests_are_driven_and_the_others_enter_no_map(tmp_path: Path) -> None:
-    executor = GatedExecutor()
+    executor = GatedEngine()
     campaign, store = run(tmp_path / "a", executor)
     data = read_campaign(store)
     assert len(data.gates) == len(executor.gated) == len(set(executor.gated)) == 16
@@ -96,7 +99,7 @@ def test_only_valid_tests_are_driven_and_the_others_enter_no_map(tmp_path: Path)
 
 
 def test_excluded_tests_are_shown_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _, store = run(tmp_path / "a", GatedExecutor())
+    _, store = run(tmp_path / "a", GatedEngine())
     data = read_campaign(store)
     excluded = {key: gate.state.value for key, gate in data.gates.items() if not gate.is_valid}
     counts = {name: Counter(state for (_, n), state in excluded.items() if n == name) for name in DONKEYS}
@@ -118,8 +121,8 @@ def test_excluded_tests_are_shown_apart(tmp_path: Path, capsys: pytest.CaptureFi
 
 @pytest.mark.parametrize("stop_after", [0, 2])
 def test_a_stopped_campaign_goes_on_and_gates_nothing_twice(tmp_path: Path, stop_after: int) -> None:
-    _, undisturbed = run(tmp_path / "whole", GatedExecutor())
-    first, second = GatedExecutor(runs=stop_after), GatedExecutor()
+    _, undisturbed = run(tmp_path / "whole", GatedEngine())
+    first, second = GatedEngine(runs=stop_after), GatedEngine()
     run(tmp_path / "parts", first)[1].close()
     _, store = run(tmp_path / "parts", second)
     assert maps_text(store) == maps_text(undisturbed) and store.gates() == undisturbed.gates()
@@ -128,20 +131,19 @@ def test_a_stopped_campaign_goes_on_and_gates_nothing_twice(tmp_path: Path, stop
 
 def test_an_error_of_the_autopilot_is_repeated_and_excludes_nothing(tmp_path: Path) -> None:
     config = FOGGY.model_copy(update={"siblings": [DONKEYS[1]]})
-    executor = GatedExecutor(gate_errors=1)
+    executor = GatedEngine(gate_errors=1)
     _, store = run(tmp_path / "a", executor, config)
     assert [error[3:] for error in store.errors()] == [("SIM_ERROR", "autopilot: no luck")]
-    _, undisturbed = run(tmp_path / "b", GatedExecutor(), config)
+    _, undisturbed = run(tmp_path / "b", GatedEngine(), config)
     assert store.gates() == undisturbed.gates()
 
 
 def test_a_simulator_that_refuses_a_condition_excludes_the_test_there(tmp_path: Path) -> None:
-    class Refusing(GatedExecutor):
-        def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
-            run = RunRecord(
-                road=road, seed=seed, outcome=Outcome.SIM_ERROR, message="cannot", reason=Reason.NOT_APPLICABLE
-            )
-            return run if simulator == DONKEYS[0] else super().gate(simulator, road, seed, conditions)
+    class Refusing(GatedEngine):
+        def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+            if request.probed and request.simulator == DONKEYS[0]:
+                return request.ended(Outcome.SIM_ERROR, "cannot", Reason.NOT_APPLICABLE)
+            return super().drive(request)
 
     _, store = run(tmp_path / "a", Refusing())
     of_first = {gate.state for (_, name), gate in store.gates().items() if name == DONKEYS[0]}
@@ -149,19 +151,8 @@ def test_a_simulator_that_refuses_a_condition_excludes_the_test_there(tmp_path: 
     assert {e.simulator for e in store.executions()} <= {DONKEYS[1]}
 
 
-def test_without_conditions_the_store_is_that_of_before(tmp_path: Path) -> None:
-    executor = GatedExecutor()
-    _, store = run(tmp_path / "a", executor, CONFIG)
-    assert not executor.gated and not store.gates() and "conditions" not in CONFIG.identity()
-    store.close()
-    database = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
-    assert database.execute("PRAGMA user_version").fetchone() == (2,)
-    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type='table'")}
-    assert not {"gates", "conditions"} & tables
-
-
 def test_every_test_is_gated_where_that_is_asked_for(tmp_path: Path) -> None:
-    executor = GatedExecutor()
+    executor = GatedEngine()
     _, store = run(tmp_path / "a", executor, CONFIG.model_copy(update={"gates": "all"}))
     assert len(store.gates()) == 16 and executor.conditions == {Conditions()}
 
@@ -169,16 +160,16 @@ def test_every_test_is_gated_where_that_is_asked_for(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ("UPDATE conditions SET conditions='fog=1'", "unknown condition 'fog'"),
+        ("UPDATE tests SET conditions='fog=1'", "unknown condition 'fog'"),
         ("UPDATE gates SET state='fine'", "state is 'fine'"),
         ("UPDATE gates SET outcome='SIM_ERROR'", "outcome is 'SIM_ERROR'"),
         ("UPDATE gates SET simulator='nonsense' WHERE simulator='donkey'", "gates of 'nonsense'"),
         ("UPDATE gates SET state='infeasible' WHERE state='valid'", "where its gate excludes it"),
-        ("INSERT INTO conditions VALUES ('donkey-0-9999', 'friction=0.5')", "conditions of 'donkey-0-9999'"),
+        ("UPDATE gates SET test_id='donkey-0-9999' WHERE rowid=1", "gate of 'donkey-0-9999'"),
     ],
 )
 def test_damaged_rows_get_one_line(tmp_path: Path, change: str, named: str) -> None:
-    run(tmp_path / "a", GatedExecutor())[1].close()
+    run(tmp_path / "a", GatedEngine())[1].close()
     database = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
     database.execute(change)
     database.commit()
@@ -199,7 +190,9 @@ def test_bad_conditions_are_refused_in_one_line(text: object, named: str) -> Non
 
 def test_conditions_that_a_simulator_cannot_realise_are_refused_before_anything_starts(tmp_path: Path) -> None:
     quick = "tests.engines.quick_simulator:QuickSimulator"
-    config = CONFIG.model_copy(update={"siblings": [quick], "conditions": "friction=0.5", "engine": "local"})
+    config = CONFIG.model_copy(
+        update={"siblings": [quick], "conditions": parse_conditions("friction=0.5"), "engine": "local"}
+    )
     with pytest.raises(ConfigError, match="quick cannot realise friction"):
         run_campaign(config, tmp_path / "a")
     assert not (tmp_path / "a").exists()
@@ -207,5 +200,5 @@ def test_conditions_that_a_simulator_cannot_realise_are_refused_before_anything_
 
 def test_conditions_have_one_text(tmp_path: Path) -> None:
     config = parse_config({"conditions": "visibility = 60.0, camera_pitch=0deg"}, "test.yaml")
-    assert config.conditions == "visibility=60" and config.fixed_conditions == parse_conditions("visibility=60")
+    assert config.conditions == parse_conditions("visibility=60")
     assert parse_config({"conditions": "none"}, "test.yaml").identity() == parse_config({}, "test.yaml").identity()

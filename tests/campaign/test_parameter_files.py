@@ -8,17 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
-from ds_orchestrator.campaign.runner import Campaign, Stopped
-from ds_orchestrator.report.build import write_all
-from ds_orchestrator.run import SilentListener, run_campaign
+from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.executor import SilentListener, Stopped
+from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.store.store import Store
-from ds_road import Road
-from ds_sim.conditions import DEFAULT, Conditions
+from ds_report.build import write_all
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Outcome
+from ds_studies.whole_campaign import run_campaign
 
 CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}\n"
 
@@ -58,10 +59,10 @@ class ShortDrives:
 
     def stop(self) -> None: ...
 
-    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
-        made = make_simulator(simulator)
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        made = make_simulator(request.simulator)
         session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(road, seed, conditions)
+        observation = session.start(request.road, request.seed, request.conditions)
         while session.driving and observation is not None and observation.step < 20:
             observation = session.advance(
                 pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
@@ -81,7 +82,7 @@ def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     assert config.twin
     (out / "bags").mkdir(parents=True)
     store = Store(out / "campaign.sqlite", config=config.identity())
-    Campaign(config, out, store, ShortDrives(), SilentListener(), {"donkey": "/ds1", config.twin: "/twin"}).run()
+    Campaign(config, out, store, ShortDrives(), SilentListener()).run()
     bags = [out / execution.bag for execution in store.executions()]
     assert len(bags) == len(set(bags)) == len(store.tests()) * 2
     assert all(bag.parent == out / "bags" and (bag / "metadata.yaml").is_file() for bag in bags)

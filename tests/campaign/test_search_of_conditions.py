@@ -1,4 +1,4 @@
-"""Campaigns whose search varies conditions, or looks for something else than the paper's; made-up drives."""
+"""Campaigns whose search varies conditions; made-up drives."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
-from tests.campaign.test_gates import GatedExecutor, run
+from tests.campaign.test_campaign import CONFIG, maps_text
+from tests.campaign.test_gates import GatedEngine, run
 
+from ds_analysis.paper.campaign_evaluation import maps_of
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
-from ds_orchestrator.engines.cluster import ClusterOptions
-from ds_orchestrator.engines.start import check_engine
-from ds_orchestrator.evaluation.campaign_evaluation import maps_of
 
 SEARCHED = {"line_contrast": {"low": 0.1, "high": 0.9}, "visibility": {"low": 20.0, "high": 200.0, "step": 0.5}}
 
@@ -24,17 +22,16 @@ def config_of(**search: Any) -> CampaignConfig:
     return parse_config({**raw, "engine": "local", "search": {**raw["search"], **search}}, "here")
 
 
-@pytest.mark.parametrize("objective", ["lateral_distance", "disagreement"])
-def test_a_stopped_search_of_conditions_goes_on_and_ends_the_same(tmp_path: Path, objective: str) -> None:
-    config = config_of(population=3, iterations=4, objective=objective)
+def test_a_stopped_search_of_conditions_goes_on_and_ends_the_same(tmp_path: Path) -> None:
+    config = config_of(population=3, iterations=4)
     raw = json.loads(config.identity())
     del raw["features"]
     raw["search"]["conditions"] = SEARCHED
     config = parse_config({**raw, "engine": "local"}, "here")
     assert config.features == ["lane_curvature", "line_contrast"]
-    executor = GatedExecutor()
+    executor = GatedEngine()
     _, undisturbed = run(tmp_path / "whole", executor, config)
-    first, second = GatedExecutor(runs=5), GatedExecutor()
+    first, second = GatedEngine(runs=5), GatedEngine()
     run(tmp_path / "parts", first, config)[1].close()
     _, store = run(tmp_path / "parts", second, config)
     assert maps_text(store) == maps_text(undisturbed)
@@ -64,11 +61,11 @@ def test_maps_of_the_usual_conditions_are_drawn_beside_those_of_the_paper() -> N
 
 def test_a_search_by_measured_contrast_fills_its_cells(tmp_path: Path) -> None:
     raw = json.loads(config_of(population=3, iterations=2).identity())
-    raw["features"] = ["turns_count", "measured_line_contrast"]
+    raw["features"] = ["turns_count", "visible_contrast"]
     raw["search"]["conditions"] = SEARCHED
     config = parse_config({**raw, "engine": "local"}, "here")
-    data = read_campaign(run(tmp_path, GatedExecutor(), config)[1])
-    own = {test.test_id: data.gates[test.test_id, test.sibling].line_contrast for test in data.tests}
+    data = read_campaign(run(tmp_path, GatedEngine(), config)[1])
+    own = {test.test_id: data.gates[test.test_id, test.sibling].visible_contrast for test in data.tests}
     cells = {
         i: cell[1] for i, cell in data.cells.items() if (i, next(t.sibling for t in data.tests if t.test_id == i))
         in {(e.test_id, e.simulator) for e in data.executions}
@@ -80,7 +77,6 @@ def test_a_search_without_conditions_has_the_text_of_earlier_versions() -> None:
     assert set(json.loads(CONFIG.identity())["search"]) == {
         "method", "population", "iterations", "runs", "min_angle", "max_angle", "extent",
     }  # fmt: skip
-    assert "objective" in json.loads(config_of(objective="boundary").identity())["search"]
 
 
 @pytest.mark.parametrize(
@@ -90,10 +86,7 @@ def test_a_search_without_conditions_has_the_text_of_earlier_versions() -> None:
         ({"search": {"conditions": {"visibility": {"low": 5.0, "high": 50.0}}}}, "expected a finite range within 20"),
         ({"search": {"conditions": SEARCHED}, "conditions": "visibility=40"}, "visibility is fixed and searched"),
         ({"features": ["curvature", "visibility"]}, "visibility is not searched"),
-        ({"features": ["curvature", "measured_line_contrast"]}, "is measured by the gates, expected conditions"),
-        ({"search": {"objective": "fame"}}, "expected one of lateral_distance, boundary, disagreement"),
-        ({"search": {"objective": "boundary"}, "migration": "elites"}, "migration: all, not migration of elites"),
-        ({"search": {"objective": "boundary"}, "siblings": [DONKEYS[0]]}, "not one sibling"),
+        ({"features": ["curvature", "visible_contrast"]}, "is measured by the gates, expected conditions"),
         ({"search": {"conditions": {"visibility": {"low": 20.0}}}}, "search.conditions.visibility.high"),
     ],
 )
@@ -101,9 +94,3 @@ def test_a_search_that_cannot_be_is_refused(raw: dict[str, Any], problem: str) -
     with pytest.raises(ConfigError, match=problem) as refused:
         parse_config(raw, "here")
     assert "\n" not in str(refused.value)
-
-
-def test_nodes_drive_one_simulator_each_and_not_whole_objectives() -> None:
-    config = config_of(objective="boundary").model_copy(update={"engine": "graph"})
-    with pytest.raises(ConfigError, match="expected engine: local or dask"):
-        check_engine(config, ClusterOptions(), attach=False)

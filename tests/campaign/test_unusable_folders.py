@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from tests.campaign.executors import MadeUpExecutor
+from tests.campaign.engines import MadeUpEngine
 from tests.campaign.test_campaign import maps_text, run
 
+from ds_cli import main as cli
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, read_config
-from ds_orchestrator.campaign.folder import locked
-from ds_orchestrator.cli import main as cli
 from ds_orchestrator.graph import signals as stopping
+from ds_orchestrator.store.folder_files import locked
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 
@@ -78,7 +78,7 @@ def config(tmp_path: Path) -> Path:
 @pytest.fixture
 def campaign(tmp_path: Path, config: Path) -> Path:
     """A campaign that was stopped after two of four tests."""
-    run(tmp_path / "out", MadeUpExecutor(runs=2), read_config(config))[1].close()
+    run(tmp_path / "out", MadeUpEngine(runs=2), read_config(config))[1].close()
     return tmp_path / "out"
 
 
@@ -112,8 +112,10 @@ def folder_instead(folder: Path) -> None:
 
 
 SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
-    "older": (lambda f: change(f, "PRAGMA user_version=1"), "an older version of ds (schema 1, expected 2 or 3)"),
-    "newer": (lambda f: change(f, "PRAGMA user_version=99"), "a newer version of ds (schema 99, expected 2 or 3)"),
+    "another version": (
+        lambda f: change(f, "PRAGMA user_version=99"),
+        "was written by another version of ds (schema 99, expected 4)",
+    ),
     "foreign": (foreign, "is not a campaign's store"),
     "a table is missing": (lambda f: change(f, "DROP TABLE given_up"), "is not a campaign's store"),
     "no database": (lambda f: (f / "campaign.sqlite").write_bytes(b"something else " * 1000), "is damaged"),
@@ -134,16 +136,23 @@ def test_a_store_that_cannot_be_used_is_left_as_it_is(campaign: Path, config: Pa
         assert content(campaign) == before
 
 
-def test_damage_within_a_run_is_named(campaign: Path, ds: Ds) -> None:
+def test_damage_within_a_run_is_named(tmp_path: Path, campaign: Path, ds: Ds) -> None:
     change(campaign, "UPDATE executions SET trajectory=x'ffff' WHERE test_id='donkey-0-0001'")
     before = content(campaign)
-    for verb in (("campaign", "status"), ("maps",), ("report",)):
-        status, said = ds(*verb, campaign)
+    for verb in (("report", campaign), ("campaign", "export", campaign, "--frames", "--out", tmp_path)):
+        status, said = ds(*verb)
         assert (
             status == 2
             and "is damaged (the run of donkey-0-0001 on donkey cannot be read: trajectory is damaged)" in said
         )
         assert content(campaign) == before
+
+
+def test_only_verbs_that_need_trajectories_decode_them(campaign: Path, ds: Ds) -> None:
+    change(campaign, "UPDATE executions SET trajectory=x'ffff', steering=x'ffff'")
+    for verb in (("campaign", "status"), ("campaign", "roads"), ("maps",)):
+        status, said = ds(*verb, campaign)
+        assert status == 0, said
 
 
 def test_another_configuration_is_refused_key_by_key(campaign: Path, config: Path, ds: Ds) -> None:
@@ -196,17 +205,17 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(
     """The disk is full for the store, or for a bag; with more space the campaign ends like an undisturbed one."""
     settings = SearchConfig(population=half, iterations=half, runs=1, min_angle=40, max_angle=90)
     config = CampaignConfig(siblings=["donkey"], twin=None, driver="autopilot", seed=7, record=record, search=settings)  # type: ignore[arg-type]
-    _, whole = run(tmp_path / "whole", MadeUpExecutor(), config)
+    _, whole = run(tmp_path / "whole", MadeUpEngine(), config)
     small = mount(tmp_path / "small", "-t", "tmpfs", "-o", f"size={size}", "tmpfs")
     with pytest.raises(ValueError, match="disk is full: make room|No space left on device.: check the disk"):
-        run(small, MadeUpExecutor(), config)
+        run(small, MadeUpEngine(), config)
     copy = tmp_path / "copy"
     shutil.copytree(small, copy)
     store = Store(copy / "campaign.sqlite")
     kept = {(e.test_id, e.simulator): e.trajectory_sha256 for e in store.executions()}
     store.close()
     assert 0 < len(kept) < 2 * half
-    rest = MadeUpExecutor()
+    rest = MadeUpEngine()
     _, store = run(copy, rest, config)
     assert len(rest.roads) == 2 * half - len(kept)
     assert maps_text(store) == maps_text(whole)

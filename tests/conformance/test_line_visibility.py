@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import Road
 from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.gates import GateState, LineContrast, LineProbe, gate_of
+from ds_sim.gates.gate import GateState, gate_of
+from ds_sim.gates.visible_contrast import ContrastProbe, VisibleContrast
 from ds_sim.registry import make_simulator, spec_of
 from ds_sim.session import NO_IMAGE, RunRecord, Session
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
@@ -42,7 +44,7 @@ def contrast(name: str, conditions: Conditions = DEFAULT, line_width: float = 0.
     state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
     image = scene.still(state, np.random.default_rng(1))
     spec = replace(spec, camera=camera, look=look)
-    return LineContrast(STRAIGHT, spec, conditions).of(image, state, arc_length=35.0)
+    return VisibleContrast(STRAIGHT, spec, conditions).of(image, state, arc_length=35.0)
 
 
 @pytest.mark.parametrize("name", ["bullet", "softbody", "donkey"])
@@ -88,7 +90,7 @@ def test_lines_are_found_wherever_the_camera_is_mounted(name: str, mount: dict[s
 def test_where_no_paint_is_none_is_seen(name: str) -> None:
     """With grain, grass and noise as they are, on most of the road."""
     spec, conditions = spec_of(name), Conditions(line_contrast=0.0)
-    scene, measured = PaintedScene(spec.camera, spec.look), LineContrast(STRAIGHT, spec, conditions)
+    scene, measured = PaintedScene(spec.camera, spec.look), VisibleContrast(STRAIGHT, spec, conditions)
     rng = np.random.default_rng(1)
     scene.load(STRAIGHT, rng, conditions)
     found = []
@@ -101,7 +103,7 @@ def test_where_no_paint_is_none_is_seen(name: str) -> None:
 def test_a_picture_without_lines_has_no_contrast() -> None:
     spec = spec_of("bullet")
     state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
-    measured = LineContrast(STRAIGHT, spec)
+    measured = VisibleContrast(STRAIGHT, spec)
     for level in (0, 97, 255):
         assert measured.of(np.full((160, 320, 3), level, np.uint8), state, 35.0) == 0.0
     backwards = replace(state, yaw=-math.pi / 2)
@@ -119,11 +121,11 @@ def test_noise_gives_no_line_contrast(name: str) -> None:
         seen = session.start(STRAIGHT, 3, Conditions(line_contrast=0.02, sensor_noise=noise))
         assert session.run is not None and seen is not None
         images.append(seen.image)
-        probe = LineProbe(session.run, simulator)
+        probe = ContrastProbe(session.run, simulator)
         while seen is not None and seen.step <= 20:
             probe.see(seen)
             seen = session.advance(drive(seen))
-        found.append(session.run.line_contrasts)
+        found.append(session.run.visible_contrasts)
     simulator.close()
     assert not np.array_equal(images[0], images[1])
     assert len(found[0]) == 3 and found[0] == found[1]
@@ -146,7 +148,7 @@ def test_a_still_is_what_a_camera_without_noise_shows() -> None:
 def a_run(contrasts: list[float], outcome: Outcome = Outcome.COMPLETED) -> RunRecord:
     """A run of 1 m a frame, with one contrast in ten frames."""
     vehicle = VehicleState(x=0.0, y=0.0, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
-    run = RunRecord(road=STRAIGHT, seed=1, outcome=outcome, line_contrasts=contrasts)
+    run = RunRecord(road=STRAIGHT, seed=1, outcome=outcome, visible_contrasts=contrasts)
     run.observations = [
         Observation(
             image=NO_IMAGE, step=k, time=k / 20, vehicle=vehicle, outcome=Outcome.RUNNING,

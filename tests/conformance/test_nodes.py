@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_orchestrator.campaign.runner import trajectory_sha256
+from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord

@@ -7,17 +7,19 @@ import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.engines.dask_processes import DaskProcesses, drive_workers, wait_until
 
-from ds_driver.closed_loop.drive_task import DriveTask
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
+from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.engines import membership
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect
-from ds_orchestrator.engines.dask_engine import DaskExecutor, running_dask
+from ds_orchestrator.engines.dask_engine import DaskEngine, running_dask
 from ds_road import generate
 from ds_sim.run_codec import encode_run
 from ds_sim.session import RunRecord
@@ -41,15 +43,13 @@ class Lines(list[str]):
 
 
 def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str = SLOW):  # type: ignore[no-untyped-def]
-    return running_dask(
-        "autopilot",
-        [simulator],
-        workers=1,
+    settings = DriveSettings(
+        siblings=(simulator,),
+        driver="autopilot",
         command_timeout=20.0,
-        folder=folder,
-        options=ClusterOptions(scheduler=cluster.address),
-        say=lines.append,
+        cluster=ClusterOptions(scheduler=cluster.address),
     )
+    return running_dask(settings, folder=folder, say=lines.append)
 
 
 def expected(folder: Path, count: int) -> list[bytes]:
@@ -57,7 +57,9 @@ def expected(folder: Path, count: int) -> list[bytes]:
     process = WorkerProcess("autopilot", command_timeout=20.0, log=folder / "here.log")
     try:
         with ThreadPoolExecutor(8) as pool:
-            runs = pool.map(lambda seed: process.drive(DriveTask(QUICK, ROADS[seed % 3], seed)), range(count))
+            runs = pool.map(
+                lambda seed: process.drive(DriveRequest(QUICK, "autopilot", ROADS[seed % 3], seed)), range(count)
+            )
             return [encode_run(run) for run in runs]
     finally:
         process.close()
@@ -66,10 +68,11 @@ def expected(folder: Path, count: int) -> list[bytes]:
 class Drives:
     """Drives in the background, at most 16 at a time."""
 
-    def __init__(self, executor: DaskExecutor, simulator: str, count: int) -> None:
+    def __init__(self, engine: DaskEngine, simulator: str, count: int) -> None:
         self._pool = ThreadPoolExecutor(16)
         self._futures: list[Future[RunRecord]] = [
-            self._pool.submit(executor.execute, simulator, ROADS[seed % 3], seed) for seed in range(count)
+            self._pool.submit(engine.drive, DriveRequest(simulator, "autopilot", ROADS[seed % 3], seed))
+            for seed in range(count)
         ]
 
     @property
@@ -88,22 +91,22 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
     other = tmp_path / "other_version.py"
     other.write_text(
         "from ds_orchestrator.engines import fingerprint\n"
-        "from ds_sim.software_versions import versions\n"
+        "from ds_sim.installation import versions\n"
         "fingerprint.versions = lambda: versions() | {'numpy': '1.0.0'}\n"
     )
     lines = Lines()
     first = cluster.worker()
-    with running(cluster, tmp_path, lines) as executor:
-        drives = Drives(executor, SLOW, 48)
+    with running(cluster, tmp_path, lines) as engine:
+        drives = Drives(engine, SLOW, 48)
         wait_until(lambda: drives.done > 0)
         late = cluster.worker()
         cluster.worker("--preload", str(other))
         wait_until(lambda: "numpy 1.0.0 there" in lines)
-        wait_until(lambda: len(executor.workers) == 2)
+        wait_until(lambda: len(engine.workers) == 2)
         first.kill()
         wait_until(lambda: "is gone: others take over" in lines)
         assert drives.encoded() == reference
-        assert len(executor.workers) == 1 and late.poll() is None
+        assert len(engine.workers) == 1 and late.poll() is None
     assert len([line for line in lines if "refused" in line]) == 1
     wait_until(lambda: not drive_workers_of(cluster), 20.0)
 
@@ -118,8 +121,8 @@ def drive_workers_of(cluster: DaskProcesses) -> set[int]:
 def test_a_scheduler_that_is_restarted_loses_nothing(cluster: DaskProcesses, tmp_path: Path) -> None:
     lines = Lines()
     cluster.worker()
-    with running(cluster, tmp_path, lines) as executor:
-        drives = Drives(executor, SLOW, 24)
+    with running(cluster, tmp_path, lines) as engine:
+        drives = Drives(engine, SLOW, 24)
         wait_until(lambda: drives.done > 2)
         cluster.scheduler.kill()
         wait_until(lambda: "does not answer: waiting" in lines)
@@ -133,8 +136,8 @@ def test_a_scheduler_that_is_restarted_loses_nothing(cluster: DaskProcesses, tmp
 def test_ten_kills_at_seeded_moments_change_no_byte(cluster: DaskProcesses, tmp_path: Path) -> None:
     lines, rng = Lines(), np.random.default_rng(13)
     workers = [cluster.worker(), cluster.worker()]
-    with running(cluster, tmp_path, lines) as executor:
-        drives = Drives(executor, SLOW, 400)
+    with running(cluster, tmp_path, lines) as engine:
+        drives = Drives(engine, SLOW, 400)
         for _ in range(10):
             time.sleep(float(rng.uniform(0.5, 4.0)))
             workers.pop(int(rng.integers(len(workers)))).kill()
@@ -149,8 +152,8 @@ def test_a_worker_that_hangs_is_given_up(
     monkeypatch.setattr(membership, "SILENCE", 5.0)
     lines = Lines()
     first = cluster.worker()
-    with running(cluster, tmp_path, lines) as executor:
-        drives = Drives(executor, SLOW, 24)
+    with running(cluster, tmp_path, lines) as engine:
+        drives = Drives(engine, SLOW, 24)
         wait_until(lambda: drives.done > 0)
         first.send_signal(signal.SIGSTOP)
         cluster.worker()
@@ -172,11 +175,9 @@ def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses,
 @pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_an_own_cluster_of_any_size_gives_the_same_bytes(tmp_path: Path, count: int) -> None:
-    with running_dask(
-        "autopilot", [QUICK], workers=count, command_timeout=20.0, folder=tmp_path / "own", options=ClusterOptions(),
-        say=print,
-    ) as executor:  # fmt: skip
-        assert Drives(executor, QUICK, 60).encoded() == expected(tmp_path, 60)
+    settings = DriveSettings(siblings=(QUICK,), driver="autopilot", workers=count, command_timeout=20.0)
+    with running_dask(settings, folder=tmp_path / "own", say=print) as engine:
+        assert Drives(engine, QUICK, 60).encoded() == expected(tmp_path, 60)
 
 
 def certificate(folder: Path, name: str) -> tuple[Path, Path]:
@@ -198,12 +199,12 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
     try:
         cluster.worker()
         right = ClusterOptions(scheduler=cluster.address, tls_ca=cert, tls_cert=cert, tls_key=key)
-        arguments = {"workers": 1, "command_timeout": 20.0, "folder": tmp_path, "say": print}
-        with running_dask("autopilot", [QUICK], options=right, **arguments) as executor:  # type: ignore[arg-type]
-            assert len(Drives(executor, QUICK, 5).encoded()) == 5
+        settings = DriveSettings(siblings=(QUICK,), driver="autopilot", command_timeout=20.0, cluster=right)
+        with running_dask(settings, folder=tmp_path, say=print) as engine:
+            assert len(Drives(engine, QUICK, 5).encoded()) == 5
         other = ClusterOptions(scheduler=cluster.address, tls_ca=wrong, tls_cert=wrong, tls_key=wrong_key)
         refused = pytest.raises(ClusterError, match="refuses this TLS connection")
-        with refused, running_dask("autopilot", [QUICK], options=other, **arguments):  # type: ignore[arg-type]
+        with refused, running_dask(replace(settings, cluster=other), folder=tmp_path, say=print):
             pass
     finally:
         cluster.close()

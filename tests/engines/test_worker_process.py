@@ -9,17 +9,16 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from ds_driver.closed_loop import worker_process
-from ds_driver.closed_loop.drive_task import DriveTask
-from ds_driver.closed_loop.simulation import AUTOPILOT, drive_road, make_driver
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
 from ds_road import Road, generate
-from ds_sim.conditions import Conditions
+from ds_sim.conditions.model import Conditions
 from ds_sim.registry import make_simulator
 from ds_sim.run_codec import encode_run
 from ds_sim.session import RunRecord
@@ -51,9 +50,9 @@ def worker(tmp_path: Path) -> Iterator[Processes]:
         one.close()
 
 
-def drive_all(process: WorkerProcess, drives: Sequence[tuple[Any, ...]]) -> list[RunRecord]:
+def drive_all(process: WorkerProcess, drives: Sequence[DriveRequest]) -> list[RunRecord]:
     with ThreadPoolExecutor(len(drives)) as pool:
-        return list(pool.map(lambda one: process.drive(DriveTask(*one)), drives))
+        return list(pool.map(process.drive, drives))
 
 
 @pytest.mark.parametrize(
@@ -67,28 +66,28 @@ def drive_all(process: WorkerProcess, drives: Sequence[tuple[Any, ...]]) -> list
     ],
 )
 def test_interleaved_drives_are_the_same_bytes_as_single_ones(worker: Processes, driver: str) -> None:
-    drives = [(name, SHORT, seed) for seed in (5, 6) for name in ("bullet", "softbody", "donkey")]
-    gate = ("donkey", SHORT, 5, Conditions(visibility=100.0), True)
+    drives = [DriveRequest(name, driver, SHORT, seed) for seed in (5, 6) for name in ("bullet", "softbody", "donkey")]
+    gate = DriveRequest("donkey", AUTOPILOT, SHORT, 5, Conditions(visibility=100.0), probed=True)
     *runs, gated = drive_all(worker(driver), [*drives, gate])
-    for (name, road, seed), run in zip(drives, runs, strict=True):
-        simulator = make_simulator(name)
-        alone = drive_road(simulator, make_driver(driver, simulator.spec), road, seed)
+    for one, run in zip(drives, runs, strict=True):
+        simulator = make_simulator(one.simulator)
+        alone = drive_road(simulator, make_driver(driver, simulator.spec), one.road, one.seed)
         simulator.close()
         assert run.outcome.is_verdict and run.steps > 20
-        assert encode_run(run) == encode_run(alone), f"{driver} on {name}"
+        assert encode_run(run) == encode_run(alone), f"{driver} on {one.simulator}"
     simulator = make_simulator("donkey")
     pilot = make_driver(AUTOPILOT, simulator.spec)
     alone = drive_road(simulator, pilot, SHORT, 5, Conditions(visibility=100.0), probed=True)
     simulator.close()
-    assert gated.line_contrasts and encode_run(gated) == encode_run(alone)
+    assert gated.visible_contrasts and encode_run(gated) == encode_run(alone)
 
 
 def test_a_killed_process_loses_nothing(worker: Processes) -> None:
     process = worker()
-    drives = [(f"{QUICK}:SlowSimulator", ROAD, seed) for seed in range(6)]
+    drives = [DriveRequest(f"{QUICK}:SlowSimulator", AUTOPILOT, ROAD, seed) for seed in range(6)]
     undisturbed = [encode_run(run) for run in drive_all(process, drives)]
     with ThreadPoolExecutor(len(drives)) as pool:
-        futures = [pool.submit(process.drive, DriveTask(*one)) for one in drives]
+        futures = [pool.submit(process.drive, one) for one in drives]
         for pause in (0.1, 0.3):
             time.sleep(pause)
             pid = process.pid
@@ -102,18 +101,18 @@ def test_a_killed_process_loses_nothing(worker: Processes) -> None:
 
 def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(worker: Processes) -> None:
     process = worker()
-    crash = process.drive(DriveTask(f"{QUICK}:CrashingSimulator", ROAD, 1))
+    crash = process.drive(DriveRequest(f"{QUICK}:CrashingSimulator", AUTOPILOT, ROAD, 1))
     assert crash.outcome is Outcome.SIM_ERROR and "signal 11" in crash.message and "\n" not in crash.message
-    assert process.drive(DriveTask(f"{QUICK}:QuickSimulator", ROAD, 1)).outcome.is_verdict
+    assert process.drive(DriveRequest(f"{QUICK}:QuickSimulator", AUTOPILOT, ROAD, 1)).outcome.is_verdict
 
 
 def test_a_simulator_that_cannot_be_made_is_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(DriveTask(f"{QUICK}:RaisingSimulator", ROAD, 1))
+    run = worker().drive(DriveRequest(f"{QUICK}:RaisingSimulator", AUTOPILOT, ROAD, 1))
     assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "RuntimeError: no licence")
 
 
 def test_numbers_that_are_not_finite_are_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(DriveTask(f"{QUICK}:DivergingSimulator", ROAD, 1))
+    run = worker().drive(DriveRequest(f"{QUICK}:DivergingSimulator", AUTOPILOT, ROAD, 1))
     assert run.outcome is Outcome.SIM_ERROR and "finite" in run.message and "\n" not in run.message
 
 
@@ -121,14 +120,15 @@ def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
     worker: Processes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_process, "FRAME_TIME", 2.0)
-    slow = [(f"{QUICK}:SlowSimulator", ROAD, seed) for seed in range(3)]
-    runs = drive_all(worker(), [(f"{QUICK}:HangingSimulator", ROAD, 1), *slow])
+    slow = [DriveRequest(f"{QUICK}:SlowSimulator", AUTOPILOT, ROAD, seed) for seed in range(3)]
+    runs = drive_all(worker(), [DriveRequest(f"{QUICK}:HangingSimulator", AUTOPILOT, ROAD, 1), *slow])
     assert runs[0].outcome is Outcome.SIM_ERROR and "more than 2 s" in runs[0].message
     assert all(run.outcome.is_verdict for run in runs[1:])
 
 
 def test_a_driver_that_hangs_is_silent(worker: Processes) -> None:
-    run = worker(f"{QUICK}:HangingDriver", timeout=2.0).drive(DriveTask(f"{QUICK}:QuickSimulator", ROAD, 1))
+    hanging = f"{QUICK}:HangingDriver"
+    run = worker(hanging, timeout=2.0).drive(DriveRequest(f"{QUICK}:QuickSimulator", hanging, ROAD, 1))
     assert (run.outcome, run.message) == (Outcome.DRIVER_SILENT, "no command within 2 s")
 
 
@@ -142,7 +142,7 @@ def test_stop_ends_every_drive_at_once(worker: Processes) -> None:
     process.start()
     found: list[RunRecord] = []
     thread = threading.Thread(
-        target=lambda: found.append(process.drive(DriveTask(f"{QUICK}:HangingSimulator", ROAD, 1)))
+        target=lambda: found.append(process.drive(DriveRequest(f"{QUICK}:HangingSimulator", AUTOPILOT, ROAD, 1)))
     )
     thread.start()
     time.sleep(0.5)

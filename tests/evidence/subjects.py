@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.evidence.bicycle import GRAVITY, Axle, SingleTrack
 
+from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
-from ds_sim.vehicle import Vehicle
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle

@@ -1,6 +1,6 @@
 """Tests that results do not depend on the substep: halving it changes the autopilot's fitness by less than 2 cm.
 
-`python -m benchmarks.convergence` drives more roads; its table is in docs/simulators.md.
+`python -m benchmarks.convergence` drives more roads; its numbers are in docs/simulators.md.
 """
 
 from __future__ import annotations

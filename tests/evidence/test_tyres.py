@@ -12,8 +12,8 @@ from tests.evidence.bicycle import GRAVITY
 from tests.evidence.conftest import Compare
 from tests.evidence.subjects import settled
 
+from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME, Command
-from ds_sim.vehicle import Vehicle
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle

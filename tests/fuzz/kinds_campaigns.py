@@ -15,6 +15,8 @@ import numpy as np
 from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_json, replace_with_no_file
 from tests.fuzz.harness import Kind
 
+from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.exclusions import excluded_table, exclusion_lines
 from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.pilot import DriverError
@@ -22,14 +24,12 @@ from ds_driver.networks.weights import WeightsError, load_weights
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, read_config
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.evaluation.campaign_evaluation import maps_of
-from ds_orchestrator.evaluation.exclusions import excluded_table, exclusion_lines
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_road import RoadError
 from ds_road.files import read_roads
-from ds_sim.camera.jpeg import encode
-from ds_sim.gates import Gate, GateState
+from ds_sim.camera.encodings import jpeg
+from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
 from ds_twin_donkey.parameter_file import ParameterFileError, read_parameters
 
@@ -80,16 +80,18 @@ def _write_store(folder: Path) -> Path:
     _text("config.yaml", _CONFIG)(folder)
     config = read_config(folder / "config.yaml")
     (folder / "config.yaml").unlink()
-    store = Store(folder / "campaign.sqlite", config=config.identity(), conditions=True)
+    store = Store(folder / "campaign.sqlite", config=config.identity())
     store.note("version numpy", "2")
     store.add_seconds("search", 12.5)
     for test, executions in make_tests(config, 3):
-        store.add_test(replace(test, conditions=config.fixed_conditions))
+        store.add_test(replace(test, conditions=config.conditions))
         for execution in executions[1:]:
             store.add_execution(execution)
             store.add_gate(test.test_id, execution.simulator, Gate(state=GateState.VALID, outcome=Outcome.COMPLETED))
         if executions:
-            gate = Gate(state=GateState.INFEASIBLE, message="too far", outcome=Outcome.OUT_OF_BOUNDS, line_contrast=0.7)
+            gate = Gate(
+                state=GateState.INFEASIBLE, message="too far", outcome=Outcome.OUT_OF_BOUNDS, visible_contrast=0.7
+            )
             store.add_gate(test.test_id, executions[0].simulator, gate)
     store.add_search("bullet", 0, "deephyperion", 3)
     store.set_result("maps", 3)
@@ -225,9 +227,9 @@ def _read_network(folder: Path) -> object:
 
 
 def _write_data(folder: Path) -> Path:
-    jpeg = encode(np.zeros((160, 320, 3), np.uint8))
+    image = jpeg(np.zeros((160, 320, 3), np.uint8))
     rows: list[dict[str, object]] = [
-        {"image": jpeg, "steering": 0.1 * k, "throttle": 0.5, "speed": 3.0, "lateral_position": 0.1, "step": k,
+        {"image": image, "steering": 0.1 * k, "throttle": 0.5, "speed": 3.0, "lateral_position": 0.1, "step": k,
          "simulator": "donkey", "road_id": "0123456789ab", "direction": "forward"}
         for k in range(4)
     ]  # fmt: skip

@@ -9,9 +9,9 @@ from tests.fuzz.damage import damaged_file
 from tests.fuzz.harness import Kind
 
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.suite.run_suite import config_of_suite
-from ds_orchestrator.suite.suite_file import Suite, read_suite, road_sha256, write_suite
 from ds_road import generate
+from ds_studies.suite.run_suite import settings_of_suite
+from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, write_suite
 
 
 def _write(folder: Path) -> Path:
@@ -34,7 +34,7 @@ def _write(folder: Path) -> Path:
 def _read(path: Path) -> object:
     """Read a suite as `ds suite run` does before it drives."""
     suite = read_suite(path)
-    return config_of_suite(suite, "autopilot"), [suite.road_of(test).points for test in suite.tests]
+    return settings_of_suite(suite, "autopilot"), [suite.road_of(test).points for test in suite.tests]
 
 
 KINDS = [Kind(name="suite", write=_write, damage=damaged_file, read=_read, errors=(ConfigError,))]

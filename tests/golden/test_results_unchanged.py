@@ -24,9 +24,9 @@ from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.preprocessing import Crop
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.maps.campaign_maps import build_maps
-from ds_orchestrator.report.build import write_json
 from ds_orchestrator.search.algorithms import SEARCHES
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_report.build import write_json
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import Session
@@ -69,7 +69,7 @@ def demo_executions() -> list[Execution]:
             steps=steps,
             simulated_seconds=steps / 20,
             trajectory_sha256="",
-            trajectory=np.empty((0, 5)),
+            drive=NO_DRIVE,
         )
         for test_id, simulator, outcome, fitness, max_lateral_position, steps in DEMO["executions"]
     ]

@@ -20,7 +20,7 @@ SPACE = {"donkey": "/ds1"}
 @pytest.fixture
 def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey, and the adapter with the parameters of the test."""
-    from ds_orchestrator.graph.executor import GraphExecutor
+    from ds_orchestrator.graph.client import GraphClient
     from ds_orchestrator.graph.ros_domain import RosDomain
     from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
@@ -36,7 +36,7 @@ def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None
         name="driver", module="ds_driver.ros.cmd_vel_adapter_node", namespace="/ds1", parameters=parameters
     )
     supervisor = Supervisor([simulator, adapter], domain=domain.number, logs=logs)
-    executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
+    executor = GraphClient(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
     join(executor)
     yield executor
     executor.close()

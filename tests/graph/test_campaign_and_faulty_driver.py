@@ -30,11 +30,11 @@ def test_a_campaign_outlives_its_driver(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, outcome: str, message: str
 ) -> None:
     """The driver fails once, during a run; the test is repeated, and the error enters no map."""
-    from ds_orchestrator.cli.campaign.run import status
+    from ds_cli.campaign.run import status
     from ds_orchestrator.graph import session as running
     from ds_orchestrator.graph.process_specs import simulator_processes
     from ds_orchestrator.graph.supervisor import ProcessSpec
-    from ds_orchestrator.run import run_campaign
+    from ds_studies.whole_campaign import run_campaign
 
     faulty = ProcessSpec(
         name="driver",

@@ -59,10 +59,11 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
     from sensor_msgs.msg import Image
 
     from ds_driver.closed_loop.simulation import drive_road, make_driver
-    from ds_orchestrator.campaign.runner import trajectory_sha256
+    from ds_orchestrator.campaign.executor import trajectory_sha256
     from ds_orchestrator.graph.session import running_graph
     from ds_sim.registry import make_simulator
     from ds_sim.ros.conversions import pixels_of
+    from ds_sim.ros.node_thread import NodeThread
 
     simulator = make_simulator("donkey")
     here = drive_road(simulator, make_driver("dave2_short", simulator.spec), STRAIGHT, 1)
@@ -75,7 +76,7 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
         node = Node("viewer", context=executor.context)
         images: list[Any] = []
         node.create_subscription(Image, "/ds1/camera/image_raw", images.append, 1000)
-        executor._executor.add_node(node)
+        viewer = NodeThread(node)
         deadline = time.monotonic() + 20.0
         while node.count_publishers("/ds1/camera/image_raw") == 0 and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -83,7 +84,7 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
         seen = executor.execute("donkey", STRAIGHT, 1)
         while len(images) < len(seen.observations) and time.monotonic() < deadline:
             time.sleep(0.05)
-        executor._executor.remove_node(node)
+        assert viewer.end()
         node.destroy_node()
     assert trajectory_sha256(unseen) == trajectory_sha256(seen) == trajectory_sha256(here)
     assert len(images) >= len(seen.observations) and top > 0
@@ -110,7 +111,7 @@ def test_a_hanging_driver_stops_neither_reset_nor_watchdog_and_is_replaced(order
     deadline = time.monotonic() + 60.0
     while order.exists() and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert executor._ask(executor._simulators["donkey"].reset, Trigger.Request()).success
+    assert executor._thread.ask(executor._simulators["donkey"].reset, Trigger.Request(), BUSY).success
     drive.join(LIMIT + BUSY)
     assert (runs[0].outcome, runs[0].reason, runs[0].steps) == (Outcome.CANCELLED, Reason.RESET, 20)
     silent = executor.execute("donkey", STRAIGHT, 1)  # it still hangs

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_orchestrator.campaign.runner import trajectory_sha256 as digest
+from ds_orchestrator.campaign.executor import trajectory_sha256 as digest
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_road import Road
-from ds_sim.conditions import DEFAULT, Conditions
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome, Reason
 

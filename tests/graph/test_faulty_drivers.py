@@ -26,7 +26,7 @@ class Bench:
     """A simulator and a faulty driver that follows orders; processes that end are restarted."""
 
     def __init__(self, folder: Path) -> None:
-        from ds_orchestrator.graph.executor import GraphExecutor
+        from ds_orchestrator.graph.client import GraphClient
         from ds_orchestrator.graph.process_specs import simulator_processes
         from ds_orchestrator.graph.ros_domain import RosDomain
         from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
@@ -43,7 +43,7 @@ class Bench:
         self.supervisor = Supervisor(
             [*simulator_processes(SPACE, LIMIT), driver], domain=self._domain.number, logs=folder / "logs"
         )
-        self.executor = GraphExecutor(SPACE, domain=self._domain.number, command_timeout=LIMIT)
+        self.executor = GraphClient(SPACE, domain=self._domain.number, command_timeout=LIMIT)
         self.executor.wait_until_ready(120.0)
         self.drive_until_completed()
 
@@ -107,7 +107,7 @@ def test_only_the_first_answer_to_a_frame_counts(bench: Bench) -> None:
 
 
 def test_a_late_answer_within_the_limit_changes_nothing(bench: Bench) -> None:
-    from ds_orchestrator.campaign.runner import trajectory_sha256
+    from ds_orchestrator.campaign.executor import trajectory_sha256
 
     bench.order("none")
     prompt, _ = bench.drive()

@@ -129,13 +129,13 @@ def test_a_node_ends_in_the_midst_of_a_run(
     start: Start, domain: int, number: signal.Signals, simulator: str, logs: Path
 ) -> None:
     """A healthy one at full speed, and one that hangs in its physics."""
-    from ds_orchestrator.graph.executor import GraphExecutor
+    from ds_orchestrator.graph.client import GraphClient
 
     process = start("ds_sim/simulator", domain, "-p", f"simulator:={simulator}", "-r", "__ns:=/a/b")
     driver = start("ds_driver/autopilot", domain, "-r", "__ns:=/a/b")
     read_until(process, "is ready")
     read_until(driver, "drives")
-    executor = GraphExecutor({"donkey": "/a/b"}, domain=domain, command_timeout=20.0)
+    executor = GraphClient({"donkey": "/a/b"}, domain=domain, command_timeout=20.0)
     try:
         executor.wait_until_ready(30.0)
         import threading

@@ -46,14 +46,14 @@ def graph(shared_graph: Any, join: Callable[..., None]) -> Any:
 @pytest.fixture
 def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey without a driver; yields (executor, ROS domain)."""
-    from ds_orchestrator.graph.executor import GraphExecutor
+    from ds_orchestrator.graph.client import GraphClient
     from ds_orchestrator.graph.process_specs import simulator_processes
     from ds_orchestrator.graph.ros_domain import RosDomain
     from ds_orchestrator.graph.supervisor import Supervisor
 
     domain = RosDomain()
     supervisor = Supervisor(simulator_processes(SPACE, 10.0), domain=domain.number, logs=logs)
-    executor = GraphExecutor(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
+    executor = GraphClient(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
     join(executor)
     yield executor, domain.number
     executor.close()
@@ -93,7 +93,7 @@ def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any) -> No
     from rclpy.action import ActionClient
     from rclpy.node import Node
 
-    from ds_orchestrator.graph import executor
+    from ds_orchestrator.graph import client as graph_client
 
     node = Node("somebody")
     client = ActionClient(node, DriveRoad, "/ds1/drive_road")
@@ -104,11 +104,11 @@ def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any) -> No
     assert sent.result() is not None and sent.result().accepted
     said: list[str] = []
     graph._report = said.append
-    limit, executor.BUSY_TIME = executor.BUSY_TIME, 1.0
+    limit, graph_client.BUSY_TIME = graph_client.BUSY_TIME, 1.0
     try:
         run = graph.execute("donkey", ROAD, 5)
     finally:
-        executor.BUSY_TIME = limit
+        graph_client.BUSY_TIME = limit
     assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.BUSY, 0)
     assert ROAD.road_id in run.message and "/somebody" in run.message
     assert said == ["/ds1 drives for /somebody: waiting 1 s at most"]
@@ -118,7 +118,7 @@ def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any) -> No
 
 
 def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
-    from ds_orchestrator.graph.executor import GraphError
+    from ds_orchestrator.graph.client import GraphError
 
     graph.check_simulators()
     graph._namespaces["bullet"] = "/ds1"

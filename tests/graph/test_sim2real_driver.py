@@ -28,9 +28,10 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
     from rclpy.node import Node
     from sensor_msgs.msg import Image
 
-    from ds_orchestrator.campaign.runner import trajectory_sha256
+    from ds_orchestrator.campaign.executor import trajectory_sha256
     from ds_orchestrator.graph.session import running_graph
     from ds_sim.ros.conversions import pixels_of
+    from ds_sim.ros.node_thread import NodeThread
 
     shape, window = GeneratorShape(filters=2, blocks=1, rows=32, columns=64), Window(60, 160, 0, 320)
     torch.manual_seed(1)
@@ -48,7 +49,7 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
         images: list[Any] = []
         topic = "/ds1/sim2real/image_raw"
         node.create_subscription(Image, topic, images.append, 1000)
-        executor._executor.add_node(node)
+        viewer = NodeThread(node)
         deadline = time.monotonic() + 20.0
         while node.count_publishers(topic) == 0 and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -57,7 +58,7 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
         deadline = time.monotonic() + 10.0
         while len(images) < len(there.commands) and time.monotonic() < deadline:
             time.sleep(0.05)
-        executor._executor.remove_node(node)
+        assert viewer.end()
         node.destroy_node()
     assert trajectory_sha256(there) == trajectory_sha256(here) and len(here.commands) > 20
     assert len(images) >= len(there.commands)

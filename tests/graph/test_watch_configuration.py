@@ -19,7 +19,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from ds_orchestrator.graph.process_specs import namespaces_of
+from ds_orchestrator.campaign.drive_settings import namespaces_of
 from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_sim.frames import ROAD_FRAME, base_frame, camera_frame
 from ds_sim.registry import spec_of

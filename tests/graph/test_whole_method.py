@@ -12,7 +12,7 @@ import pytest
 
 pytestmark = pytest.mark.graph
 
-DS = [sys.executable, "-m", "ds_orchestrator.cli.main"]
+DS = [sys.executable, "-m", "ds_cli.main"]
 WHOLE = """
 siblings: [bullet, softbody]
 twin: donkey

@@ -65,8 +65,8 @@ import ds_sim
 assert ds_sim.__file__.startswith({str(tmp_path)!r})
 from ds_bags.message_factory import typestore
 from ds_driver.networks.network_driver import NetworkDriver
-from ds_orchestrator.cli.campaign.run import shipped_config
-from ds_orchestrator.cli import main
+from ds_cli.campaign.run import shipped_config
+from ds_cli import main
 print(sorted(name for name in typestore().types if name.startswith("ds_interfaces")))
 print(shipped_config("paper").simulators, NetworkDriver("dave2").spec if hasattr(NetworkDriver, "spec") else "dave2")
 for verb in (["--version"], ["doctor"], ["drive", "--sim", "bullet"], ["train", "--data", ".", "--out", "x"]):

@@ -18,6 +18,17 @@ def describe(path: Path) -> dict[str, Any]:
 
     Raises:
         ds_bags.layout.BagError: the bag cannot be read.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from ds_bags import describe, write_bag
+        >>> from ds_road import Road
+        >>> from ds_sim import Session, make_simulator
+        >>> session = Session(make_simulator("softbody"))
+        >>> frame = session.start(Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1)
+        >>> images = write_bag(Path("first_frame"), "/ds2", "softbody", session.run, about={})
+        >>> describe(Path("first_frame"))["facts"]["simulator"]
+        'softbody'
     """
     with BagReader(path) as bag:
         return {

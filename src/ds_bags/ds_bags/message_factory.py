@@ -188,13 +188,13 @@ class MessageFactory:
 
     def compressed_image(self, seen: Observation, nanoseconds: int) -> Any:
         """The image as JPEG, of the quality of our training data."""
-        from ds_sim.camera.jpeg import encode
+        from ds_sim.camera.encodings import jpeg
 
         return self._make(
             "sensor_msgs/CompressedImage",
             header=self._header(nanoseconds, self.camera_frame),
             format="rgb8; jpeg compressed bgr8",  # as image_transport has it: the source, the codec, what OpenCV gives
-            data=np.frombuffer(encode(seen.image), np.uint8),
+            data=np.frombuffer(jpeg(seen.image), np.uint8),
         )
 
     def road_markers(self, road: Road, look: Look, nanoseconds: int) -> Any:

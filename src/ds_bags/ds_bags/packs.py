@@ -50,6 +50,18 @@ def pack(bags: Sequence[Path], folder: Path, about: Mapping[str, str]) -> Pack:
 
     Raises:
         BagError: a bag cannot be read, two have the same name, there are too many bags, or the folder exists.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from ds_bags import pack, unpack, write_bag
+        >>> from ds_road import Road
+        >>> from ds_sim import Session, make_simulator
+        >>> session = Session(make_simulator("softbody"))
+        >>> frame = session.start(Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1)
+        >>> images = write_bag(Path("one"), "/ds2", "softbody", session.run, about={})
+        >>> packed = pack([Path("one")], Path("all"), about={"campaign": "mine"})
+        >>> [bag.name for bag in unpack(Path("all"), Path("again"))]
+        ['one']
     """
     names = [bag_name(bag.name) for bag in bags]
     prefixes = [topic_prefix(name) for name in names]

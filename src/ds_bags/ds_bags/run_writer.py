@@ -18,11 +18,11 @@ from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.telemetry import frame_times, serialise_frames
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
+from ds_sim.installation import versions
 from ds_sim.registry import spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, SimulatorSpec
-from ds_sim.software_versions import versions
 
 _TOPICS = {
     "road": ("ds_interfaces/msg/Road", 1, True),
@@ -98,6 +98,22 @@ def write_bag(
     Raises:
         BagError: the folder cannot be written.
         ds_sim.resimulation.ResimulationError: re-simulation differs from the recorded run, so there are no images.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from ds_bags import BagReader, read_run, write_bag
+        >>> from ds_driver import drive_road, make_driver
+        >>> from ds_road import Road
+        >>> from ds_sim import make_simulator
+        >>> simulator = make_simulator("softbody")
+        >>> road = Road([(125, 0), (125, 25), (125, 50), (125, 75)])
+        >>> run = drive_road(simulator, make_driver("autopilot", simulator.spec), road, seed=1)
+        >>> write_bag(Path("straight"), "/ds2", "softbody", run, about={"driver": "autopilot"})
+        0
+        >>> with BagReader(Path("straight")) as bag:
+        ...     recorded = read_run(bag)
+        >>> recorded.run.outcome.name, recorded.run.commands == run.commands
+        ('COMPLETED', True)
     """
     # The files inside are named after the bag, so the partial bag has the same name, one level deeper.
     hidden = partial_path(folder)

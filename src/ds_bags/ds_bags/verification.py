@@ -101,9 +101,9 @@ def _image_difference(bag: BagReader, observation: Observation, recorded: Any) -
     """
     try:
         if hasattr(recorded, "format"):
-            from ds_sim.camera.jpeg import encode
+            from ds_sim.camera.encodings import jpeg
 
-            return "" if encode(observation.image) == recorded.data.tobytes() else "where the JPEG image differs"
+            return "" if jpeg(observation.image) == recorded.data.tobytes() else "where the JPEG image differs"
         shape = (recorded.height, recorded.width, 3)
         if shape != observation.image.shape or recorded.encoding != "rgb8":
             size = f"{printable(recorded.width)} x {printable(recorded.height)} px"

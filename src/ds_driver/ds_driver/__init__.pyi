@@ -1,25 +1,69 @@
-from .closed_loop.simulation import AUTOPILOT, drive_road, make_driver
+from .closed_loop.drive_request import AUTOPILOT
+from .closed_loop.simulation import drive_road, make_driver
 from .closed_loop.success_rate import success_rates
-from .control.autopilot import Autopilot
+from .control.autopilot import Autopilot, throttle
+from .control.speed_controller import SpeedController
+from .control.stamp_matching import StampMatcher
 from .data.collection import CollectionPlan, collect
+from .data.dataset import DatasetError, Sample, read_samples
+from .data.recordings import Reading, RecordedFrame, Recording, open_recording
+from .networks.architectures import UnknownNetworkError
+from .networks.backends import BackendError
 from .networks.network_driver import NetworkDriver, load_pilot
 from .networks.pilot import DriverError, Frame, Pilot, Prediction
-from .training.trainer import TrainingPlan, train
+from .networks.preprocessing import Crop, ImageError, prepare
+from .networks.torch_networks import make_network
+from .networks.weights import WeightsError, shipped_networks
+from .sim2real.generator_file import StoredGenerator, load_generator
+from .sim2real.preparation import Sources, prepare_domains, read_sources
+from .sim2real.settings import PRESETS, Sim2RealSettings
+from .sim2real.translator import Translator
+from .sim2real.window import Sim2RealError, Window
+from .training.trainer import TrainingError, TrainingPlan, train
 
 __all__ = [
     "AUTOPILOT",
     "Autopilot",
+    "BackendError",
     "CollectionPlan",
+    "Crop",
+    "DatasetError",
     "DriverError",
     "Frame",
+    "ImageError",
     "NetworkDriver",
+    "PRESETS",
     "Pilot",
     "Prediction",
+    "Reading",
+    "RecordedFrame",
+    "Recording",
+    "Sample",
+    "Sim2RealError",
+    "Sim2RealSettings",
+    "Sources",
+    "SpeedController",
+    "StampMatcher",
+    "StoredGenerator",
+    "TrainingError",
     "TrainingPlan",
+    "Translator",
+    "UnknownNetworkError",
+    "WeightsError",
+    "Window",
     "collect",
     "drive_road",
+    "load_generator",
     "load_pilot",
     "make_driver",
+    "make_network",
+    "open_recording",
+    "prepare",
+    "prepare_domains",
+    "read_samples",
+    "read_sources",
+    "shipped_networks",
     "success_rates",
+    "throttle",
     "train",
 ]

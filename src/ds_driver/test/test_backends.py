@@ -9,13 +9,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import openvino
 import pytest
 import torch
 
 from ds_driver.networks import openvino_backend
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.backends import BackendError, split_backend, with_backend
+from ds_driver.networks.backends import BackendError
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.onnx_backend import onnx_runner
 from ds_driver.networks.onnx_export import to_onnx
@@ -24,6 +24,7 @@ from ds_driver.networks.torch_networks import load_network, make_network, save_w
 from ds_driver.networks.weights import load_weights, weights_sha256
 from ds_sim.installation import install_command
 
+openvino = pytest.importorskip("openvino")  # an extra for users
 FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.uint8)
 needs_bf16 = pytest.mark.skipif(
     "BF16" not in openvino_backend.cpu_capabilities(openvino.Core()), reason="processor without bfloat16"
@@ -98,11 +99,10 @@ def test_a_backend_gives_the_same_bits_in_another_process() -> None:
     ],
 )
 def test_a_name_carries_backend_and_device(backend: str, device: str, named: str) -> None:
-    assert with_backend("dave2", backend, device) == named
-    expected = ("dave2", backend, device)
-    assert split_backend(named) == expected
-    assert with_backend("dave2@openvino", "onnx") == "dave2@onnx"
-    assert split_backend("/a@b/w.safetensors") == ("/a@b/w.safetensors", "auto", "cpu")
+    name = DriverName.parse("dave2").on(backend, device)
+    assert str(name) == named and DriverName.parse(named) == name == DriverName("dave2", "", backend, device)
+    assert str(DriverName.parse("dave2@openvino").on("onnx")) == "dave2@onnx"
+    assert DriverName.parse("/a@b/w.safetensors") == DriverName("/a@b/w.safetensors")
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_name_carries_backend_and_device(backend: str, device: str, named: str
 )
 def test_unknown_backends_and_devices_are_refused(backend: str, device: str, said: str) -> None:
     with pytest.raises(BackendError, match=said):
-        with_backend("dave2", backend, device)
+        DriverName.parse("dave2").on(backend, device)
 
 
 def test_a_missing_gpu_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import openvino
 import pytest
 import torch
 
@@ -17,6 +16,7 @@ from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import load_weights
 
+openvino = pytest.importorskip("openvino")  # an extra for users
 CROPS = (Crop(54, 1), Crop(0, 0), Crop(60, 24))
 
 

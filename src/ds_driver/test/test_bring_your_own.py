@@ -29,7 +29,7 @@ from ds_sim.simulator import Outcome
 # PyTorch deprecates TorchScript, but users still have such files.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 
-GUIDE = Path("docs/bring_your_own_network.md").read_text()
+GUIDE = (Path(__file__).resolve().parents[3] / "docs/bring_your_own_network.md").read_text()
 IMAGE = np.random.default_rng(5).integers(0, 256, (160, 320, 3), dtype=np.uint8)
 
 

@@ -16,9 +16,9 @@ from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, d
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.training.augmentation import augment
 from ds_driver.training.trainer import TrainingError, TrainingPlan, device_of, schedule_of, split, train
-from ds_sim.camera.jpeg import encode
+from ds_sim.camera.encodings import jpeg
 
-JPEG = encode(np.zeros((160, 320, 3), np.uint8))
+JPEG = jpeg(np.zeros((160, 320, 3), np.uint8))
 PLAN = CollectionPlan(roads=2, seed=5, max_angle=60, every=12)
 
 
@@ -56,7 +56,7 @@ def test_a_stopped_collection_resumes_with_the_same_result(data: Path, tmp_path:
 
 def test_jpeg_changes_an_image_little() -> None:
     image = np.tile(np.linspace(0, 255, 320, dtype=np.uint8)[None, :, None], (160, 1, 3))
-    assert np.abs(decode(encode(image)).astype(int) - image).max() <= 6
+    assert np.abs(decode(jpeg(image)).astype(int) - image).max() <= 6
 
 
 def sample(simulator: str, road: int) -> Sample:

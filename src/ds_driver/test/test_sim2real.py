@@ -45,7 +45,7 @@ from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError, Window, prepare
 from ds_driver.whole_files import write_whole
 from ds_road import generate
-from ds_sim.camera.jpeg import encode
+from ds_sim.camera.encodings import jpeg
 from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.registry import make_simulator, spec_of
 from ds_sim.simulator import Command, Observation, VehicleState
@@ -286,14 +286,14 @@ def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
     refused("no photographs, expected at least 20")
-    image = encode(np.zeros((60, 80, 3), np.uint8))
+    image = jpeg(np.zeros((60, 80, 3), np.uint8))
     (tmp_path / "a00.jpg").write_bytes(image)
     refused("one photograph, expected at least 20")
     for i in range(1, 25):
         (tmp_path / f"a{i:02d}.jpg").write_bytes(image)
     found = photographs.read_photographs(tmp_path, limit=22)
     assert found.shape == (22, 60, 80, 3) and [len(part) for part in photographs.split(found)] == [18, 4]
-    (tmp_path / "a07.jpg").write_bytes(encode(np.zeros((60, 90, 3), np.uint8)))
+    (tmp_path / "a07.jpg").write_bytes(jpeg(np.zeros((60, 90, 3), np.uint8)))
     refused("a07.jpg: photographs of 80 x 60 and 90 x 60 px")
     (tmp_path / "a07.jpg").write_bytes(image[:50])
     refused("a07.jpg: an image is damaged")
@@ -401,7 +401,7 @@ def test_roads_are_those_of_no_data_set(tmp_path: Path) -> None:
 def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     data, out = tmp_path / "data", tmp_path / "out"
-    images = [encode(rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)) for _ in range(2)]
+    images = [jpeg(rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)) for _ in range(2)]
     about = {"steering": 0.5, "speed": 1.0, "step": 0, "road_id": "r", "direction": "forward"}
     for name in ("bullet", "softbody"):
         rows = [{"image": image, "simulator": name, **about} for image in images]
@@ -411,7 +411,7 @@ def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Pa
     assert translate(data, out, translator, lambda i, n, line: done.append(line)) == 1 and len(done) == 1
     samples = read_samples(out)
     assert [sample.simulator for sample in samples] == ["bullet"] * 2 and samples[0].steering == 0.5
-    assert samples[0].jpeg == encode(translator.translate(decode(images[0])))
+    assert samples[0].jpeg == jpeg(translator.translate(decode(images[0])))
     assert crops_of(out, ["bullet"]) == {"bullet": Crop()}
     file = drive_path(out, "bullet", "r", "forward")
     content, written = file.read_bytes(), file.stat().st_mtime_ns
@@ -456,7 +456,7 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
             assert frame.image is not None and plain.image is not None
             expected = translator.translate(plain.image)
             if level == "compressed":
-                expected = decode(encode(expected))
+                expected = decode(jpeg(expected))
             assert np.array_equal(frame.image, expected)
         translate(tmp_path / level, tmp_path / level / "again" / out.name, translator, lambda i, n, line: None)
         copies = [file.read_bytes() for file in sorted(tmp_path.rglob(f"{level}_real.mcap"))]
@@ -493,7 +493,7 @@ def test_from_photographs_to_an_assessed_generator(tmp_path: Path) -> None:
     real = tmp_path / "photographs"
     real.mkdir()
     for index, image in enumerate(simulated_frames("softbody", settings, tmp_path / "s.npz", said).images):
-        (real / f"{index:03d}.jpg").write_bytes(encode(image))
+        (real / f"{index:03d}.jpg").write_bytes(jpeg(image))
     out = tmp_path / "out"
     sources = read_sources("bullet", real, out, settings, said)
     data, warnings = prepare_domains(sources, real, out)

@@ -13,18 +13,19 @@ import pytest
 import torch
 
 from ds_bags.run_writer import write_bag
-from ds_driver.closed_loop.drive_task import DriveTask
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.interleaved_drives import InterleavedDrives
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.driver_name import split_generators, with_generators
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import (
     NetworkDriver,
     driver_sha256,
     generators_of,
     load_pilot,
+    translation_of,
 )
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.preprocessing import Crop
@@ -37,13 +38,12 @@ from ds_driver.sim2real.generator_file import load_generator, save_generator
 from ds_driver.sim2real.generator_set import FOLDER
 from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.shape import GeneratorShape
-from ds_driver.sim2real.stage import translation_of
 from ds_driver.sim2real.translation import translate as translate_data
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError, Window
 from ds_driver.training.trainer import TrainingPlan, train
 from ds_road import generate
-from ds_sim.camera.jpeg import encode
+from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Outcome
@@ -119,7 +119,7 @@ def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
     drives = InterleavedDrives(driver)
     runs: dict[int, RunRecord] = {}
     for key, name in enumerate(WINDOWS):
-        drives.begin(key, DriveTask(name, road, 1))
+        drives.begin(key, DriveRequest(name, driver, road, 1))
     while len(drives):
         runs.update(drives.step())
     for key, name in enumerate(WINDOWS):
@@ -188,7 +188,7 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
         for road in ("a", "b"):
             rows: list[dict[str, object]] = [
                 {
-                    "image": encode(np.full((160, 320, 3), rng.integers(0, 256), np.uint8)),
+                    "image": jpeg(np.full((160, 320, 3), rng.integers(0, 256), np.uint8)),
                     "steering": float(rng.uniform(-1, 1)), "speed": 1.0, "step": step, "simulator": name,
                     "road_id": road, "direction": "forward",
                 }
@@ -255,7 +255,7 @@ def test_a_network_that_steers_as_the_human_did_correlates_with_them(
         image = rng.integers(0, 256, (120, 160, 3), dtype=np.uint8)
         image[:, :80] = rng.integers(0, 256)
         steering = round(float(image[0, 0, 0]) / 127.5 - 1.0 + rng.normal(0.0, 0.3), 3)
-        (tub / "images" / f"{index}.jpg").write_bytes(encode(image))
+        (tub / "images" / f"{index}.jpg").write_bytes(jpeg(image))
         seconds = 0.05 * index + 10.0 * (index >= 130)
         rows.append({"_index": index, "_timestamp_ms": 1000 * seconds, "cam/image_array": f"{index}.jpg"})
         rows[-1]["user/angle"] = min(max(steering, -1.0), 1.0)
@@ -285,11 +285,13 @@ def test_a_network_that_steers_as_the_human_did_correlates_with_them(
 
 
 def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:
-    assert split_generators("dave2") == ("dave2", "") and split_generators("dave2+a+b") == ("dave2", "a+b")
-    assert split_generators("a+b/dave2.safetensors") == ("a+b/dave2.safetensors", "")
-    assert split_generators("a+b/n.yaml+c") == ("a+b/n.yaml", "c")
-    assert split_generators("mine:Class+c") == ("mine:Class", "c")
-    assert with_generators("dave2@onnx", "c") == "dave2+c@onnx" and with_generators("dave2@onnx", "") == "dave2@onnx"
+    for network, generators in (
+        ("dave2", ""), ("dave2", "a+b"), ("a+b/dave2.safetensors", ""), ("a+b/n.yaml", "c"), ("mine:Class", "c"),
+    ):  # fmt: skip
+        text = f"{network}+{generators}" if generators else network
+        assert DriverName.parse(text) == DriverName(network, generators) and str(DriverName.parse(text)) == text
+    assert str(DriverName.parse("dave2@onnx").seeing("c")) == "dave2+c@onnx"
+    assert str(DriverName.parse("dave2@onnx").seeing("")) == "dave2@onnx"
     assert received_driver("dave2+c@onnx") == "dave2+c@onnx"
     with pytest.raises(DriverError, match="Python code"):
         received_driver("mine:Class+c")

@@ -1,1 +1,8 @@
-"""Search, campaign, store, bags, feature maps, evaluation, report and command line."""
+"""Search, campaign, store, bags, feature maps, evaluation, report and command line.
+
+Public names are imported when they are first used; `__init__.pyi` lists them.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,13 +16,17 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from ds_road.road import MIN_SPACING, Road, RoadError, Side
+from ds_road.road import MAX_POINTS, MIN_SPACING, Road, RoadError, Side
 
 VERSION = "2020a"
 READABLE = ("2018b", "2020a")
 """Versions whose lanelets are written alike."""
 WIDTH_SPREAD = 0.5
 """m by which the width of an imported lane may vary, as roads have one width here; chosen: an eighth of the usual."""
+MOST_LANELETS = 10_000
+"""Lanelets of a file; chosen: a town's, read within seconds."""
+_NEAR = 0.01
+"""m from a lanelet within which a planning problem starts in it."""
 _DATE = "1970-01-01"
 """Of the file: the schema wants one, and the same road gives the same bytes."""
 _TIME_STEP = "0.05"
@@ -81,9 +85,12 @@ def read_commonroad(root: Element) -> Road:
     version = root.get("commonRoadVersion", "none")
     if version not in READABLE:
         raise RoadError(f"CommonRoad version {version[:20]}, expected {' or '.join(READABLE)}")
-    lanelets = {element.get("id", ""): _read_lanelet(element) for element in root.iter("lanelet") if element.get("id")}
-    if not lanelets:
+    elements = [element for element in root.iter("lanelet") if element.get("id")]
+    if not elements:
         raise RoadError("a CommonRoad file without lanelets: expected at least one")
+    if len(elements) > MOST_LANELETS:
+        raise RoadError(f"{len(elements)} lanelets, expected at most {MOST_LANELETS}: divide the file")
+    lanelets = {element.get("id", ""): _read_lanelet(element) for element in elements}
     chain = _chain(lanelets, _start(root, lanelets))
     left, right = (np.vstack([getattr(lanelet, side) for lanelet in chain]) for side in ("left", "right"))
     widths = np.hypot(*(left - right).T)
@@ -157,18 +164,19 @@ def _start(root: Element, lanelets: dict[str, Lanelet]) -> str:
     if point is not None:
         position = shapely.Point(_coordinates(point))
         for number, lanelet in lanelets.items():
-            if shapely.Polygon(np.vstack((lanelet.left, lanelet.right[::-1]))).buffer(0.01).contains(position):
+            # Not by a buffer around it, which takes minutes and gigabytes where the bounds cross each other.
+            if shapely.Polygon(np.vstack((lanelet.left, lanelet.right[::-1]))).distance(position) < _NEAR:
                 return number
         raise RoadError("the planning problem starts outside of all lanelets")
     return next((number for number, lanelet in lanelets.items() if not lanelet.predecessors), next(iter(lanelets)))
 
 
 def _chain(lanelets: dict[str, Lanelet], first: str) -> list[Lanelet]:
-    numbers = [first]
-    while following := lanelets[numbers[-1]].successors:
+    numbers = {first: None}
+    while following := lanelets[next(reversed(numbers))].successors:
         if following[0] in numbers or following[0] not in lanelets:
             break
-        numbers.append(following[0])
+        numbers[following[0]] = None
     return [lanelets[number] for number in numbers]
 
 
@@ -177,10 +185,10 @@ def _read_lanelet(element: Element) -> Lanelet:
         np.array([_coordinates(point) for point in element.findall(f"{tag}/point")])
         for tag in ("leftBound", "rightBound")
     )
-    if left.shape != right.shape or len(left) < 2:
+    if left.shape != right.shape or not 2 <= len(left) <= MAX_POINTS:
         raise RoadError(
             f"lanelet {element.get('id', '')[:20]} has {len(left)} points on its left and {len(right)} on its right: "
-            "expected as many, at least two"
+            f"expected as many, 2 to {MAX_POINTS}"
         )
     oncoming = [
         (neighbour := element.find(tag)) is not None and neighbour.get("drivingDir") == "opposite"

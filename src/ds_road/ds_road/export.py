@@ -56,6 +56,14 @@ def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path, form: F
 
     Raises:
         RoadError: two roads have the same name, or none was given.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from ds_road import Road
+        >>> from ds_road.export import write_all
+        >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75)])
+        >>> [path.name for path in write_all([road], ["bend"], Path("exported"), "opendrive")]
+        ['bend.xodr']
     """
     if not roads:
         raise RoadError("no road to export: expected at least one")

@@ -9,11 +9,11 @@ object are ignored.
 from __future__ import annotations
 
 import json
-import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ds_road.bounded_file import FileError, read_regular
 from ds_road.road import LANE_WIDTH, Road, RoadError, Side, abbreviated
 
 LARGEST_FILE = 16 * 2**20
@@ -76,7 +76,13 @@ def road_from_fields(
 
 
 def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
-    """Convert a road to JSON for `road_from_json`: a plain list of control points where that suffices."""
+    """Convert a road to JSON for `road_from_json`: a plain list of control points where that suffices.
+
+    Examples:
+        >>> from ds_road import Road, road_to_json
+        >>> road_to_json(Road([(125, 0), (125, 25), (125, 50), (125, 75)], lane="left"))
+        {'control_points': [[125.0, 0.0], [125.0, 25.0], [125.0, 50.0], [125.0, 75.0]], 'lane': 'left'}
+    """
     points = [list(point) for point in road.control_points]
     if not road.sampled and not road.maxitwo_compatible and road.lane_width == LANE_WIDTH and road.lane == "right":
         return points
@@ -118,14 +124,10 @@ def read_raw_roads(path: Path) -> list[Any]:
         RoadError: not a regular file, longer than `LARGEST_FILE`, or not roads as JSON.
         OSError: the file cannot be read.
     """
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise RoadError(f"{path}: not a regular file: expected a file of JSON")
-    with path.open("rb") as file:
-        content = file.read(LARGEST_FILE + 1)
-    if len(content) > LARGEST_FILE:
-        raise RoadError(f"{path}: more than {LARGEST_FILE // 2**20} MiB, the limit for a file of roads: divide it")
     try:
-        return parse_roads(content.decode("utf-8-sig"), str(path))
+        return parse_roads(read_regular(path, LARGEST_FILE).decode("utf-8-sig"), str(path))
+    except FileError as error:
+        raise RoadError(f"{path}: {error}") from None
     except UnicodeDecodeError:
         raise RoadError(f"{path}: not a text file: expected JSON") from None
 
@@ -139,6 +141,12 @@ def read_roads(path_or_text: Path | str) -> list[Road]:
     Raises:
         RoadError: a road is invalid; the message names it, what is wrong with it and what was expected.
         OSError: the file cannot be read.
+
+    Examples:
+        >>> from ds_road import read_roads
+        >>> [road] = read_roads("[[[125, 0], [125, 25], [125, 50], [125, 75]]]")
+        >>> road.lane, round(road.length, 3)
+        ('right', 25.0)
     """
     if isinstance(path_or_text, str) and path_or_text.lstrip().startswith(("[", "{")):
         source, raw_roads = "text", parse_roads(path_or_text, "text")
@@ -164,6 +172,11 @@ def check(raw: Any) -> dict[str, Any]:
     Returns:
         The keys valid, reason, length (m), curvature (1/m), turns_count and turns_count_maxitwo; the last four are
         None if the value is not a road at all.
+
+    Examples:
+        >>> from ds_road import check
+        >>> check([[125, 0], [125, 25], [125, 50]])["reason"]
+        'a road has 3 control points, expected 4 to 1000'
     """
     features = dict.fromkeys(("length", "curvature", "turns_count", "turns_count_maxitwo"))
     try:

@@ -41,6 +41,14 @@ def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX
 
     Raises:
         RoadError: angle or box is out of range, or no valid road was found.
+
+    Examples:
+        >>> import numpy as np
+        >>> from ds_road import generate
+        >>> rng = np.random.default_rng(7)
+        >>> road = generate(rng, max_angle=200)
+        >>> len(road.control_points), bool(road.validity)
+        (9, True)
     """
     if not 1 <= max_angle <= 360:
         raise RoadError(f"maximum angle is {max_angle}, expected 1 to 360 degrees")
@@ -68,6 +76,15 @@ def mutate(road: Road, rng: np.random.Generator, *, extent: int = 6, maxitwo_com
     Raises:
         RoadError: the extent is out of range.
         MutationError: no valid mutant was found.
+
+    Examples:
+        >>> import numpy as np
+        >>> from ds_road import generate, mutate
+        >>> rng = np.random.default_rng(7)
+        >>> road = generate(rng)
+        >>> changed = mutate(road, rng)
+        >>> sum(old != new for old, new in zip(road.control_points, changed.control_points))
+        1
     """
     if extent < 1:
         raise RoadError(f"mutation extent is {extent}, expected at least 1 m")

@@ -20,12 +20,16 @@ LONGEST = 10_000.0
 """m; chosen: far longer than what fits into the box, and sampled at once."""
 
 
-def read_opendrive(root: Element) -> list[tuple[str, Road]]:
+def read_opendrive(root: Element, *, most: int) -> list[tuple[str, Road]]:
     """Roads of a file that lie outside of junctions.
 
     The centre line is the reference line, shifted by the lane offset. Driven is lane -1 in right-hand traffic, lane 1
     in left-hand traffic; its width, which has to be constant, becomes that of both lanes. Height, other lanes, links,
     objects and signals are ignored.
+
+    Args:
+        root: root of the document.
+        most: largest number of roads.
 
     Returns:
         Name and road.
@@ -36,6 +40,8 @@ def read_opendrive(root: Element) -> list[tuple[str, Road]]:
     elements = [element for element in root.iter("road") if element.get("junction", "-1") == "-1"]
     if not elements:
         raise RoadError("an OpenDRIVE file without roads outside of junctions: expected at least one")
+    if len(elements) > most:
+        raise RoadError(f"{len(elements)} roads, expected at most {most}: divide the file")
     roads = []
     for element in elements:
         name = element.get("name") or element.get("id") or "road"
@@ -48,7 +54,7 @@ def read_opendrive(root: Element) -> list[tuple[str, Road]]:
 
 def _road(element: Element) -> Road:
     s, line, headings = _reference_line(element)
-    offsets = _polynomial(element.findall("lanes/laneOffset"), "s", s, 0.0)
+    offsets = _polynomial(_entries(element, "lanes/laneOffset"), "s", s, 0.0)
     line = line + offsets[:, None] * np.stack((-np.sin(headings), np.cos(headings)), axis=1)
     left_hand = element.get("rule", "RHT") == "LHT"
     widths = _lane_widths(element, "1" if left_hand else "-1", s)
@@ -61,17 +67,17 @@ def _reference_line(
     element: Element,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Distances s (n,), points (n, 2) and headings (n,) of samples, joints twice."""
-    pieces = element.findall("planView/geometry")
+    pieces = _entries(element, "planView/geometry")
     if not pieces:
         raise RoadError("it has no planView with geometry")
-    if len(pieces) > MAX_POINTS:
-        raise RoadError(f"its geometry has {len(pieces)} pieces, expected at most {MAX_POINTS}")
     if sum(number(piece, "length") for piece in pieces) > LONGEST:
         raise RoadError(f"it is longer than {LONGEST:g} m")
     own = next((one for one in element.findall("userData") if one.get("code") == STEPS_CODE), None)
     steps = 0 if own is None else int(min(max(number(own, "value"), 1), _MOST_STEPS))
     sampled = [_sample(piece, steps) for piece in pieces]
     s, points, headings = (np.concatenate([part[k] for part in sampled]) for k in range(3))
+    if len(s) > 4 * MAX_POINTS:  # far beyond, even where joints come twice
+        raise RoadError(f"a road has {len(s)} road points, expected 2 to {MAX_POINTS}")
     return s, points, headings
 
 
@@ -124,7 +130,7 @@ def _cubic(shape: Element, length: float, count: int) -> tuple[NDArray[np.float6
 
 
 def _lane_widths(element: Element, lane: str, s: NDArray[np.float64]) -> NDArray[np.float64]:
-    sections = element.findall("lanes/laneSection")
+    sections = _entries(element, "lanes/laneSection")
     starts = [number(section, "s") for section in sections]
     widths = np.full(len(s), np.nan)
     for index, section in enumerate(sections):
@@ -133,18 +139,27 @@ def _lane_widths(element: Element, lane: str, s: NDArray[np.float64]) -> NDArray
             raise RoadError(f"it has no driving lane {lane}")
         end = starts[index + 1] if index + 1 < len(sections) else math.inf
         inside = (s >= starts[index]) & (s <= end)
-        widths[inside] = _polynomial(found.findall("width"), "sOffset", s[inside] - starts[index], math.nan)
+        widths[inside] = _polynomial(_entries(found, "width"), "sOffset", s[inside] - starts[index], math.nan)
     return widths
 
 
 def _polynomial(entries: list[Element], start: str, s: NDArray[np.float64], otherwise: float) -> NDArray[np.float64]:
     """Value of a piecewise cubic whose entries begin at increasing distances."""
+    rows = sorted(([number(entry, key) for key in (start, *"abcd")] for entry in entries), key=lambda row: row[0])
+    table = np.array(rows, np.float64).reshape(-1, 5)
+    row = np.searchsorted(table[:, 0] - 1e-9, s, side="right") - 1
+    inside, used = row >= 0, table[row[row >= 0]]
     values = np.full(len(s), otherwise)
-    for entry in sorted(entries, key=lambda one: number(one, start)):
-        begin = number(entry, start)
-        inside = s >= begin - 1e-9
-        values[inside] = np.polynomial.polynomial.polyval(s[inside] - begin, [number(entry, key) for key in "abcd"])
+    values[inside] = np.polynomial.polynomial.polyval(s[inside] - used[:, 0], used[:, 1:].T, tensor=False)
     return values
+
+
+def _entries(parent: Element, path: str) -> list[Element]:
+    """Elements below a parent, no more than a road may have points."""
+    found = parent.findall(path)
+    if len(found) > MAX_POINTS:
+        raise RoadError(f"it has {len(found)} entries of {path}, expected at most {MAX_POINTS}")
+    return found
 
 
 def number(element: Element, name: str) -> float:

@@ -73,6 +73,11 @@ def draw(
 
     Raises:
         RoadError: the size is out of range, or a trajectory is not an array of finite positions.
+
+    Examples:
+        >>> from ds_road import Road, draw
+        >>> draw(Road([(125, 0), (125, 25), (125, 50), (140, 75)])).shape
+        (716, 400, 3)
     """
     if not SMALLEST <= size <= LARGEST:
         raise RoadError(f"picture size is {size}, expected {SMALLEST} to {LARGEST} pixels")

@@ -49,6 +49,14 @@ class Road:
 
     Raises:
         RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
+
+    Examples:
+        >>> from ds_road import Road
+        >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75), (165, 90)])
+        >>> road.turns_count, round(road.length, 1), bool(road.validity)
+        (1, 54.6, True)
+        >>> road.mirrored().turns_count, road.in_lane("left").lane
+        (1, 'left')
     """
 
     control_points: tuple[tuple[float, float], ...]
@@ -93,6 +101,12 @@ class Road:
 
         Raises:
             RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
+
+        Examples:
+            >>> from ds_road import Road
+            >>> road = Road.from_road_points([(0, 0), (0, 20), (5, 40)], lane_width=3.5)
+            >>> road.sampled, round(road.length, 2)
+            (True, 40.62)
         """
         road = cls.__new__(cls)
         road._set(_parse_points(points, "road point", minimum=2), lane_width, False, True, lane)

@@ -12,11 +12,11 @@ from unittest import mock
 import numpy as np
 import pytest
 import shapely
-from lxml import etree
 
 from ds_road import Road, RoadError, generate, read_roads
 from ds_road.export import opendrive, sbft, write_all
 
+etree = pytest.importorskip("lxml.etree")  # one of the libraries for `make test`
 ROADS = {
     "random": generate(np.random.default_rng(3)),
     "tight": generate(np.random.default_rng(8), max_angle=300),

@@ -14,7 +14,6 @@ from unittest import mock
 import numpy as np
 import pytest
 import shapely
-from lxml import etree
 
 from ds_road import Road, RoadError, generate, read_roads
 from ds_road.commonroad import commonroad
@@ -22,6 +21,7 @@ from ds_road.export import Format, opendrive, sbft, write_all
 from ds_road.importing import import_roads
 from ds_road.opendrive_reading import SPACING
 
+etree = pytest.importorskip("lxml.etree")  # one of the libraries for `make test`
 ROADS = {
     "random": generate(np.random.default_rng(3)),
     "straight": Road([(125.0, 25.0 * i) for i in range(9)]),

@@ -1,8 +1,19 @@
+from .camera.ground import Ground, paint_ground
 from .camera.look import Look
 from .camera.painted_scene import PaintedScene
+from .camera.projection import project
+from .camera.renderer import Camera
+from .camera.sensor import Sensor
 from .camera.spec import CameraSpec
+from .conditions.actuation import COMMAND_CONDITIONS, Actuation
+from .conditions.loading import load
+from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, ConditionsError, NotApplicableError
+from .conditions.text import format_conditions, parse_conditions
+from .gates.gate import Gate, GateState, gate_of
+from .gates.visible_contrast import ContrastProbe, VisibleContrast
 from .lane_tracker import LaneTracker
 from .oracle import Oracle, OracleLimits
+from .parts import Scene, Vehicle
 from .registry import (
     SIMULATORS,
     UnknownSimulatorError,
@@ -14,7 +25,6 @@ from .registry import (
 from .resimulation import ResimulationError, resimulate
 from .road_simulator import RoadSimulator
 from .run_codec import RunCodecError, decode_run, encode_run
-from .scene import Scene
 from .session import RunRecord, Session
 from .simulator import (
     AutopilotGains,
@@ -29,18 +39,31 @@ from .simulator import (
     SimulatorSpec,
     VehicleState,
 )
-from .vehicle import Vehicle
 from .video import write_video
 
 __all__ = [
+    "Actuation",
     "AutopilotGains",
+    "COMMAND_CONDITIONS",
+    "Camera",
     "CameraSpec",
     "Command",
     "CommandError",
+    "Condition",
+    "Conditions",
+    "ConditionsError",
+    "DEFAULT",
     "DrawsRows",
+    "FIELDS",
+    "Gate",
+    "GateState",
+    "Ground",
     "LaneState",
     "LaneTracker",
+    "VisibleContrast",
+    "ContrastProbe",
     "Look",
+    "NotApplicableError",
     "Observation",
     "Oracle",
     "OracleLimits",
@@ -52,6 +75,7 @@ __all__ = [
     "RunRecord",
     "SIMULATORS",
     "Scene",
+    "Sensor",
     "Session",
     "Simulator",
     "SimulatorError",
@@ -62,7 +86,13 @@ __all__ = [
     "VehicleState",
     "decode_run",
     "encode_run",
+    "format_conditions",
+    "gate_of",
+    "load",
     "make_simulator",
+    "paint_ground",
+    "parse_conditions",
+    "project",
     "received_simulator",
     "resimulate",
     "spec_of",

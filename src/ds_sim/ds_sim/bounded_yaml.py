@@ -10,13 +10,14 @@ What comes out is made of the types of JSON: dict, list, str, int, float, bool a
 from __future__ import annotations
 
 import re
-import stat
 from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+
+from ds_road.bounded_file import FileError, read_regular
 
 _Loader: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """The C library's parser is ten times faster; a wheel without it has the other."""
@@ -75,13 +76,10 @@ def read_bounded(path: Path, size: int) -> bytes:
         BoundedYamlError: another kind of file, or a longer one.
         OSError: it cannot be opened.
     """
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise BoundedYamlError("not a regular file: give the path of one")
-    with path.open("rb") as file:
-        content = file.read(size + 1)
-    if len(content) > size:
-        raise BoundedYamlError(f"longer than {size / 2**20:g} MiB, the limit for such a file")
-    return content
+    try:
+        return read_regular(path, size)
+    except FileError as error:
+        raise BoundedYamlError(str(error)) from None
 
 
 def load_yaml(text: str | bytes, *, limits: YamlLimits = DEFAULT_LIMITS, unique_keys: bool = False) -> Any:

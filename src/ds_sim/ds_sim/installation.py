@@ -1,8 +1,10 @@
-"""Where shared files are and how extras are added: in a checkout, in a workspace of ROS, or installed from a wheel."""
+"""Where shared files are, how extras are added, and which library versions are installed."""
 
 from __future__ import annotations
 
 import os
+import platform
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -37,3 +39,25 @@ def install_command(extra: str) -> str:
     if wheel_version() is not None:
         return f"python -m pip install '{WHEEL}[{extra}]'"
     return f".venv/bin/python -m pip install --no-deps -r requirements/{extra}.txt"
+
+
+_DISTRIBUTIONS = (
+    "numpy", "scipy", "scikit-learn", "statsmodels", "opencv-python-headless", "torch", "onnxruntime", "openvino",
+    "pybullet", "pymunk", "panda3d", "numba", "commonroad-vehicle-models", "shapely", "plotly",
+)  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that results depend on, by name, and the machine type."""
+    return dict(_versions())
+
+
+@lru_cache(maxsize=1)  # each look-up parses a distribution's metadata
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found

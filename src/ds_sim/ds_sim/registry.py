@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -21,12 +22,53 @@ MAX_LABEL_LENGTH = 100
 """Chosen: a bag's name contains two labels and some digits, and a file name has at most 255 bytes."""
 
 
+@dataclass(frozen=True)
+class SimulatorName:
+    """A simulator's name, `BASE` or `BASE@FILE`, parsed.
+
+    Attributes:
+        base: key of `SIMULATORS`, or `module:Class`.
+        file: parameter file; "" where the name has none.
+
+    Examples:
+        >>> SimulatorName.parse("donkey@my_car.yaml")
+        SimulatorName(base='donkey', file='my_car.yaml')
+    """
+
+    base: str
+    file: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> SimulatorName:
+        """Parse a name; whether there is such a simulator is seen when it is made."""
+        base, _, file = text.partition("@")
+        return cls(base, file) if file else cls(text)
+
+    def __str__(self) -> str:
+        return f"{self.base}@{self.file}" if self.file else self.base
+
+    @property
+    def is_shipped(self) -> bool:
+        """Whether the simulator's code is part of this project, whatever file it is given."""
+        return self.base in SIMULATORS or self.base in SIMULATORS.values()
+
+    @property
+    def could_exist(self) -> bool:
+        """Whether the name is of a known form; its class may still be missing."""
+        return self.base in SIMULATORS or ":" in self.base
+
+
 def label_of(name: str) -> str:
     """Convert a simulator's name to a label for file names and test ids, at most `MAX_LABEL_LENGTH` ASCII characters.
 
     A name of letters, digits, `_`, `-` and `.` is its own label. In any other name, all other characters become `.`,
     the middle is left out if the name is long, and the first eight digits of its SHA-256 are appended, so that
     different names have different labels.
+
+    Examples:
+        >>> from ds_sim.registry import label_of
+        >>> label_of("bullet"), label_of("donkey@cars/mine.yaml")
+        ('bullet', 'donkey.cars.mine.yaml-3014bbc5')
     """
     label = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else "." for c in name)
     if label == name and len(label) <= MAX_LABEL_LENGTH:
@@ -61,11 +103,17 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
 
     Raises:
         UntrustedSimulatorError: not a string, or neither shipped nor confirmed.
+
+    Examples:
+        >>> from ds_sim import received_simulator
+        >>> received_simulator("panda")
+        'panda'
+        >>> received_simulator("their_lab:Simulator", confirmed=["their_lab:Simulator"])
+        'their_lab:Simulator'
     """
     if not isinstance(name, str):
         raise UntrustedSimulatorError(f"simulator is a {type(name).__name__}, expected one of {', '.join(SIMULATORS)}")
-    shipped = {*SIMULATORS, *SIMULATORS.values()}
-    if name.partition("@")[0] in shipped or name in confirmed:
+    if SimulatorName.parse(name).is_shipped or name in confirmed:
         return name
     shown = repr(name) if len(name) <= MAX_LABEL_LENGTH else f"{name[:MAX_LABEL_LENGTH]!r}..."
     if ":" not in name:
@@ -85,8 +133,15 @@ def make_simulator(name: str) -> Simulator:
     Raises:
         UnknownSimulatorError: no simulator has this name, its class cannot be imported, or it takes no file.
         ValueError: the file cannot be used.
+
+    Examples:
+        >>> from ds_sim import make_simulator
+        >>> simulator = make_simulator("softbody")
+        >>> simulator.spec.name, simulator.spec.camera.width
+        ('softbody', 320)
     """
-    name, at, file = name.partition("@")
+    parsed = SimulatorName.parse(name)
+    name, file = parsed.base, parsed.file
     target = SIMULATORS.get(name, name)
     module, _, attribute = target.partition(":")
     if not attribute:
@@ -95,9 +150,9 @@ def make_simulator(name: str) -> Simulator:
         )
     try:
         kind = getattr(import_module(module), attribute)
-        if at and not hasattr(kind, "from_file"):
+        if file and not hasattr(kind, "from_file"):
             raise UnknownSimulatorError(f"simulator {name!r} takes no parameter file: leave out @{file}")
-        simulator: Simulator = kind.from_file(Path(file)) if at else kind()
+        simulator: Simulator = kind.from_file(Path(file)) if file else kind()
     except (ImportError, AttributeError) as error:
         raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}): check module:Class") from None
     return simulator
@@ -122,7 +177,13 @@ def _kept(name: str) -> Simulator:
 
 @lru_cache
 def spec_of(name: str) -> SimulatorSpec:
-    """Spec of a simulator, cached because some are slow to make; raises as `make_simulator` does."""
+    """Spec of a simulator, cached because some are slow to make; raises as `make_simulator` does.
+
+    Examples:
+        >>> from ds_sim import spec_of
+        >>> spec_of("donkey").camera.width
+        320
+    """
     made = make_simulator(name)
     try:
         return made.spec

@@ -15,7 +15,7 @@ from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.oracle import Oracle, OracleLimits
-from ds_sim.scene import Scene, conditions_of
+from ds_sim.parts import VEHICLE_CONDITIONS, AdjustableVehicle, Scene, Vehicle, conditions_of
 from ds_sim.simulator import (
     FRAME_TIME,
     Command,
@@ -25,7 +25,6 @@ from ds_sim.simulator import (
     SimulatorError,
     SimulatorSpec,
 )
-from ds_sim.vehicle import VEHICLE_CONDITIONS, AdjustableVehicle, Vehicle
 
 
 class RoadSimulator:

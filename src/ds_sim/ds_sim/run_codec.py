@@ -51,6 +51,16 @@ def encode_run(run: RunRecord) -> bytes:
 
     Raises:
         RunCodecError: a number is not finite or does not fit, or the run is longer than `MAX_FRAMES`.
+
+    Examples:
+        >>> from ds_road import Road
+        >>> from ds_sim import Session, decode_run, encode_run, make_simulator
+        >>> road = Road([(125, 0), (125, 25), (125, 50), (125, 75)])
+        >>> session = Session(make_simulator("softbody"))
+        >>> _ = session.start(road, seed=1)
+        >>> run = session.run
+        >>> decode_run(encode_run(run), road, seed=1) == run
+        True
     """
     frames, commands = len(run.observations), len(run.commands)
     try:
@@ -68,7 +78,7 @@ def encode_run(run: RunRecord) -> bytes:
                 message,
             )
         )
-        version = MEASURED_VERSION if run.line_contrasts else VERSION
+        version = MEASURED_VERSION if run.visible_contrasts else VERSION
         head = (_MAGIC, version, run.outcome, run.reason, frames, commands, len(message))
         start = _HEADER.pack(*head, 0)[:-_CHECKSUM_SIZE]
     except RunCodecError:
@@ -135,8 +145,8 @@ def _record(body: bytes, frames: int, commands: int, run: RunRecord, reason: int
     if measured:
         (count,) = _COUNT.unpack_from(body, at)
         contrasts = np.frombuffer(body, "<f8", count, at + _COUNT.size)
-        _check_finite(contrasts[None], ("line_contrast",))
-        run.line_contrasts.extend(contrasts.tolist())
+        _check_finite(contrasts[None], ("visible_contrast",))
+        run.visible_contrasts.extend(contrasts.tolist())
         at += _COUNT.size + contrasts.nbytes
     pose = len(_VEHICLE)
     for step, outcome, (time, *values) in zip(
@@ -155,10 +165,12 @@ def _record(body: bytes, frames: int, commands: int, run: RunRecord, reason: int
 
 def _measured(run: RunRecord) -> bytes:
     """Contrasts of the lines with their number; nothing if they were not measured."""
-    if not run.line_contrasts:
+    if not run.visible_contrasts:
         return b""
-    contrasts = _table(((contrast,) for contrast in run.line_contrasts), ("line_contrast",), len(run.line_contrasts))
-    return _COUNT.pack(len(run.line_contrasts)) + contrasts.tobytes()
+    contrasts = _table(
+        ((contrast,) for contrast in run.visible_contrasts), ("visible_contrast",), len(run.visible_contrasts)
+    )
+    return _COUNT.pack(len(run.visible_contrasts)) + contrasts.tobytes()
 
 
 def _check_counts(frames: int, commands: int, message: int) -> None:

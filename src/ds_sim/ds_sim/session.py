@@ -31,7 +31,7 @@ class RunRecord:
         outcome: how the run ended; RUNNING until then.
         message: one line of explanation where the outcome alone is not enough.
         reason: the same for programs.
-        line_contrasts: contrast of the lines in every tenth frame, if it was measured; see `ds_sim.gates`.
+        visible_contrasts: contrast of the lines in every tenth frame, if it was measured; see `ds_sim.gates`.
     """
 
     road: Road
@@ -42,7 +42,7 @@ class RunRecord:
     outcome: Outcome = Outcome.RUNNING
     message: str = ""
     reason: Reason = Reason.NONE
-    line_contrasts: list[float] = field(default_factory=list)
+    visible_contrasts: list[float] = field(default_factory=list)
 
     @property
     def fitness(self) -> float:
@@ -73,6 +73,16 @@ class Session:
 
     Attributes:
         run: record of the current or last run; None before the first.
+
+    Examples:
+        >>> from ds_road import Road
+        >>> from ds_sim import Command, Session, make_simulator
+        >>> session = Session(make_simulator("softbody"))
+        >>> frame = session.start(Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1)
+        >>> while session.driving:
+        ...     frame = session.advance(Command(steering=1.0, throttle=0.5))
+        >>> session.run.outcome.name, session.run.fitness < 0.0
+        ('OUT_OF_BOUNDS', True)
     """
 
     def __init__(self, simulator: Simulator) -> None:

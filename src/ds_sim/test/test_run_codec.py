@@ -135,16 +135,16 @@ def test_content_that_makes_no_sense_is_refused_by_name(at: int, value: bytes, l
 
 def test_contrasts_of_lines_arrive_and_cost_nothing_where_there_are_none() -> None:
     plain, measured = a_run(), a_run()
-    measured.line_contrasts = [0.5, 0.0, 1 / 3]
+    measured.visible_contrasts = [0.5, 0.0, 1 / 3]
     found = decode_run(encode_run(measured), ROAD, 7)
-    assert found.line_contrasts == measured.line_contrasts and found.message == measured.message
+    assert found.visible_contrasts == measured.visible_contrasts and found.message == measured.message
     assert encode_run(plain) == encode_run(decode_run(encode_run(plain), ROAD, 7))
     assert len(encode_run(measured)) == len(encode_run(plain)) + 4 + 3 * 8
     for damaged in (encode_run(measured)[:-5], encode_run(measured)[:24]):
         with pytest.raises(RunCodecError, match="cut off"):
             decode_run(damaged, ROAD, 7)
-    measured.line_contrasts = [math.nan]
-    with pytest.raises(RunCodecError, match="line_contrast is nan"):
+    measured.visible_contrasts = [math.nan]
+    with pytest.raises(RunCodecError, match="visible_contrast is nan"):
         encode_run(measured)
 
 

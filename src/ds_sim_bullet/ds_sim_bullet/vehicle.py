@@ -1,4 +1,4 @@
-"""Rigid-body car as a `ds_sim.vehicle.Vehicle`: applies the driver's command to the joints, substep by substep."""
+"""Rigid-body car as a `ds_sim.parts.Vehicle`: applies the driver's command to the joints, substep by substep."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class BulletVehicle:
         self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
         parameters = self._nominal.adjusted(friction=friction, payload=payload)
         if parameters != self.parameters:
             self.parameters = parameters

@@ -1,4 +1,4 @@
-"""Soft-body car as a `ds_sim.vehicle.Vehicle`."""
+"""Soft-body car as a `ds_sim.parts.Vehicle`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SoftbodyVehicle:
         return self._parameters
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
         parameters = self._nominal.adjusted(friction=friction, payload=payload)
         if parameters != self._parameters:
             self._parameters, self._plan = parameters, blueprint(parameters)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_sim.camera.png import png
+from ds_sim.camera.encodings import png
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.fit import Fit
 from ds_twin_donkey.logs import CHANNELS

@@ -1,4 +1,4 @@
-"""1:16 car as a `ds_sim.vehicle.Vehicle`: converts between model metres and road metres."""
+"""1:16 car as a `ds_sim.parts.Vehicle`: converts between model metres and road metres."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class DonkeyVehicle:
         return self._model.parameters
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
         parameters = self._nominal.adjusted(friction=friction, payload=payload)
         if parameters != self._model.parameters:
             self._model = CarModel(parameters)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import struct
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +14,6 @@ import numpy as np
 from ds_interfaces.msg import DriveCommand, VehicleState
 from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
@@ -25,13 +23,12 @@ from ds_bags.reader import STATE, BagReader, stamp_of
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.telemetry import frame_times
 from ds_bags.verification import IMAGE
+from ds_sim.ros.node_thread import NodeThread
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation
 
 QUEUE = 600
 """Depth of the subscription queues, messages; as deep as cameras publish (`ds_sim.ros.frame_publisher`)."""
-ANSWER_TIME = 2.0
-"""Time after which a simulator is asked again, s: a node that is being discovered may lose an answer."""
 ROUNDING = 1000
 """Tolerance of stamps, ns: a sum of two floats is rounded; chosen far below the 50 ms between frames."""
 _KINDS: dict[str, tuple[Any, str]] = {
@@ -68,9 +65,9 @@ class ImageRecorder:
                 QoSProfile(depth=QUEUE),
                 raw=True,
             )
-        self._stop = threading.Event()
-        self._spinner = threading.Thread(target=self._spin, name="recorder", daemon=True)
-        self._spinner.start()
+        # After the subscriptions, see wait_for_simulator.
+        self._info = self._node.create_client(GetSimulatorInfo, f"{namespace}/get_info")
+        self._thread = NodeThread(self._node)
 
     def wait_for_simulator(self, limit: float = 10.0) -> bool:
         """Wait until the simulator's publishers reach this recorder; return False after `limit` seconds.
@@ -80,25 +77,16 @@ class ImageRecorder:
         subscriptions has heard of them.
         """
         deadline = time.monotonic() + limit
-        client = self._node.create_client(GetSimulatorInfo, f"{self._namespace}/get_info")
-        try:
-            camera = f"{self._namespace}/camera/image_raw"
-            if not self._until(lambda: self._node.count_publishers(camera) > 0, limit):
-                return False
-            while (left := deadline - time.monotonic()) > 0.0:
-                answer = client.call_async(GetSimulatorInfo.Request())
-                if self._until(answer.done, min(left, ANSWER_TIME)):
-                    return True
-                client.remove_pending_request(answer)
+        camera = f"{self._namespace}/camera/image_raw"
+        if not self._until(lambda: self._node.count_publishers(camera) > 0, limit):
             return False
-        finally:
-            self._node.destroy_client(client)
+        return self._thread.ask(self._info, GetSimulatorInfo.Request(), deadline - time.monotonic()) is not None
 
     def wait_for_images(self, count: int, limit: float = 3.0) -> None:
         """Wait until `count` images have arrived, or for `limit` seconds."""
         self._until(lambda: self.images >= count, limit)
 
-    def _until(self, done: Any, limit: float) -> bool:
+    def _until(self, done: Callable[[], bool], limit: float) -> bool:
         deadline = time.monotonic() + limit
         while not done():
             if time.monotonic() > deadline:
@@ -116,24 +104,14 @@ class ImageRecorder:
         self._writer.write(channel, stamp, bytes(raw))
         self.images += topic == "camera/image_raw"
 
-    def _spin(self) -> None:
-        executor = SingleThreadedExecutor(context=self._node.context)
-        executor.add_node(self._node)
-        try:
-            while not self._stop.is_set():
-                executor.spin_once(timeout_sec=0.05)
-        except ExternalShutdownException:
-            pass
-
     def __enter__(self) -> ImageRecorder:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stop.set()
-        self._spinner.join(2.0)
-        self._node.destroy_node()
+        if self._thread.end():
+            self._node.destroy_node()
         self._writer.close(self._facts)
 
 

@@ -1,8 +1,1 @@
-"""Drives networks in simulation, in this process and without ROS.
-
-Public names are imported on first use; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Drives networks in simulation, in this process and without ROS."""

@@ -1,7 +1,7 @@
 """Process that drives roads for `ds_driver.closed_loop.worker_process.WorkerProcess`, without ROS.
 
 Requests and answers are frames of a `multiprocessing.connection.Connection`: a request is one JSON object (the key and
-a `ds_driver.closed_loop.drive_task.DriveTask`); an answer is the key, eight bytes little-endian, and the run of
+a `ds_driver.closed_loop.drive_request.DriveRequest`); an answer is the key, eight bytes little-endian, and the run of
 `ds_sim.run_codec`. The first answer says whether the driver was loaded. Nothing is pickled.
 """
 
@@ -11,9 +11,8 @@ import json
 import signal
 import sys
 from multiprocessing.connection import Connection
-from typing import Any
 
-from ds_driver.closed_loop.drive_task import DriveTask, task_from_json, task_to_json
+from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
 from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, InterleavedDrives, Phase
 from ds_driver.closed_loop.phase_memory import PhaseMemory
 from ds_sim.conditions.model import NotApplicableError
@@ -24,9 +23,9 @@ from ds_sim.simulator import Outcome, Reason
 KEY_BYTES = 8
 
 
-def request_of(key: int, task: DriveTask) -> bytes:
+def encoded_request(key: int, request: DriveRequest) -> bytes:
     """Encode a request to drive."""
-    return json.dumps({"key": key, **task_to_json(task)}).encode()
+    return json.dumps({"key": key, **request_to_json(request)}).encode()
 
 
 def serve(connection: Connection, memory: PhaseMemory, driver: str) -> None:
@@ -45,20 +44,19 @@ def serve(connection: Connection, memory: PhaseMemory, driver: str) -> None:
                 request = json.loads(connection.recv_bytes())
             except EOFError:
                 return
-            _begin(connection, drives, request)
+            _begin(connection, drives, request["key"], request_from_json(request))
         for key, run in drives.step():
             _answer(connection, key, run)
 
 
-def _begin(connection: Connection, drives: InterleavedDrives, request: dict[str, Any]) -> None:
-    key, task = request["key"], task_from_json(request)
+def _begin(connection: Connection, drives: InterleavedDrives, key: int, request: DriveRequest) -> None:
     try:
-        drives.begin(key, task)
+        drives.begin(key, request)
     except NotApplicableError as error:
-        _answer(connection, key, task.ended(Outcome.SIM_ERROR, str(error), Reason.NOT_APPLICABLE))
+        _answer(connection, key, request.ended(Outcome.SIM_ERROR, str(error), Reason.NOT_APPLICABLE))
     except Exception as error:  # a simulator of a user may raise anything: an error, never a failure of the driver
         message = f"{type(error).__name__}: {error}".splitlines()[0]
-        _answer(connection, key, task.ended(Outcome.SIM_ERROR, message))
+        _answer(connection, key, request.ended(Outcome.SIM_ERROR, message))
 
 
 def _answer(connection: Connection, key: int, run: RunRecord) -> None:

@@ -8,13 +8,13 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from ds_driver.closed_loop.drawn_rows import draw_seen_rows
-from ds_driver.closed_loop.drive_task import DriveTask
-from ds_driver.closed_loop.simulation import AUTOPILOT, Driver, make_driver
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_driver.closed_loop.simulation import Driver, make_driver
 from ds_driver.control.autopilot import ROWS_SEEN
 from ds_driver.networks.pilot import DriverError, Frame
 from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_sim.conditions.model import NotApplicableError
-from ds_sim.gates.line_contrast import LineProbe
+from ds_sim.gates.visible_contrast import ContrastProbe
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, Observation, Outcome, Simulator
@@ -56,6 +56,7 @@ class InterleavedDrives:
 
     def __init__(self, driver: str, note: NotePhase = lambda _phase, _key: None) -> None:
         self._note = note
+        self._driver = driver
         self._network = None if driver == AUTOPILOT else _network(driver)
         self.largest_batch = 1 if self._network is None else self._network.largest_batch
         self._idle: dict[str, list[Simulator]] = {}
@@ -64,40 +65,43 @@ class InterleavedDrives:
     def __len__(self) -> int:
         return len(self._active)
 
-    def begin(self, key: int, task: DriveTask) -> None:
+    def begin(self, key: int, request: DriveRequest) -> None:
         """Begin a drive; `step` yields its record when it has ended, also where the simulator cannot load the road.
 
         Args:
             key: identifies the drive.
-            task: what to drive.
+            request: what to drive, with this driver or the autopilot.
 
         Raises:
+            ValueError: the request is for another driver.
             ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
         """
+        if request.driver not in (AUTOPILOT, self._driver):
+            raise ValueError(f"{request.driver} was not started, expected {self._driver}, or {AUTOPILOT}")
         self._note(Phase.LOADING, key)
-        idle = self._idle.setdefault(task.simulator, [])
-        made = idle.pop() if idle else make_simulator(task.simulator)
+        idle = self._idle.setdefault(request.simulator, [])
+        made = idle.pop() if idle else make_simulator(request.simulator)
         try:
-            self._active[key] = self._started(made, task)
+            self._active[key] = self._started(made, request)
         except NotApplicableError:
             idle.append(made)
             raise
 
-    def _started(self, made: Simulator, task: DriveTask) -> _Drive:
-        network, spec = self._network, made.spec
+    def _started(self, made: Simulator, request: DriveRequest) -> _Drive:
+        network, spec = None if request.driver == AUTOPILOT else self._network, made.spec
         crop = Crop(spec.crop_top, spec.crop_bottom)
         rows: tuple[int, int] | None = ROWS_SEEN
-        if network is not None and not task.gate:
+        if network is not None:
             rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
-        draw_seen_rows(made, rows, probed=task.gate)
+        draw_seen_rows(made, rows, probed=request.probed)
         session = Session(made)
-        autopilot = make_driver(AUTOPILOT, spec) if task.gate or self._network is None else None
-        seen = session.start(task.road, task.seed, task.conditions)
+        autopilot = make_driver(AUTOPILOT, spec) if network is None else None
+        seen = session.start(request.road, request.seed, request.conditions)
         assert session.run is not None
-        probe = LineProbe(session.run, made) if task.gate else None
+        probe = ContrastProbe(session.run, made) if request.probed else None
         if probe is not None:
             probe.see(seen)
-        return _Drive(task.simulator, session, crop, autopilot, seen, probe)
+        return _Drive(request.simulator, session, crop, autopilot, seen, probe)
 
     def step(self) -> list[tuple[int, RunRecord]]:
         """Advance every drive by one frame.
@@ -161,7 +165,7 @@ class _Drive:
     crop: Crop
     autopilot: Driver | None
     seen: Observation | None
-    probe: LineProbe | None
+    probe: ContrastProbe | None
 
     def piloted(self) -> Command:
         assert self.autopilot is not None and self.seen is not None

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
 from ds_driver.closed_loop.drawn_rows import draw_seen_rows
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.preprocessing import Crop
 from ds_driver.process_pool import map_in_processes
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.gates.line_contrast import LineProbe
+from ds_sim.gates.visible_contrast import ContrastProbe
 from ds_sim.registry import simulator_of_process
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
@@ -22,36 +22,14 @@ from ds_sim.simulator import Command, Observation, Outcome, Simulator, Simulator
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
 
-AUTOPILOT = "autopilot"
 Driver = Callable[[Observation], Command]
-
-
-@dataclass(frozen=True)
-class Drive:
-    """One road to drive.
-
-    Attributes:
-        simulator: name known to `ds_sim.registry`.
-        driver: `autopilot`, or any name accepted by `ds_driver.networks.network_driver.NetworkDriver`.
-        road: road to drive.
-        seed: seed of the run.
-        conditions: operating conditions of the run.
-        probed: measure the contrast of the lines; see `ds_sim.gates`.
-    """
-
-    simulator: str
-    driver: str
-    road: Road
-    seed: int
-    conditions: Conditions = DEFAULT
-    probed: bool = False
 
 
 def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
     """Make a driver for one simulator: the autopilot with its gains, or a network with its crop.
 
     Args:
-        driver: name as in `Drive.driver`.
+        driver: name as in `DriveRequest.driver`.
         spec: spec of the simulator.
 
     Raises:
@@ -91,11 +69,21 @@ def drive_road(
 
     Raises:
         ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no run then.
+
+    Examples:
+        >>> from ds_driver import drive_road, make_driver
+        >>> from ds_road import Road
+        >>> from ds_sim import make_simulator
+        >>> simulator = make_simulator("softbody")
+        >>> driver = make_driver("autopilot", simulator.spec)
+        >>> run = drive_road(simulator, driver, Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1)
+        >>> run.outcome.name, run.fitness > 1.0
+        ('COMPLETED', True)
     """
     session = Session(simulator)
     observation = session.start(road, seed, conditions)
     assert session.run is not None
-    probe = LineProbe(session.run, simulator) if probed else None
+    probe = ContrastProbe(session.run, simulator) if probed else None
     while observation is not None:
         if probe is not None:
             probe.see(observation)
@@ -111,7 +99,7 @@ def drive_road(
     return session.run
 
 
-def drive_all(drives: Sequence[Drive], *, workers: int | None = None) -> Iterator[RunRecord]:
+def drive_all(drives: Sequence[DriveRequest], *, workers: int | None = None) -> Iterator[RunRecord]:
     """Drive all roads in worker processes and yield the records in order; they do not depend on `workers`."""
     return map_in_processes(run_drive, drives, workers=workers)
 
@@ -124,7 +112,7 @@ def _network(driver: str) -> NetworkDriver:
     return NetworkDriver(driver)
 
 
-def run_drive(drive: Drive) -> RunRecord:
+def run_drive(drive: DriveRequest) -> RunRecord:
     """Drive in this process, which keeps simulator and network for the next drive; draws what the driver sees."""
     simulator = simulator_of_process(drive.simulator)
     rows: tuple[int, int] | None = ROWS_SEEN

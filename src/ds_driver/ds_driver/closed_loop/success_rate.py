@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ds_driver.closed_loop.simulation import Drive, drive_all
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import drive_all
 from ds_driver.data.collection import DIRECTIONS
 from ds_driver.networks.pilot import DriverError
 from ds_road import Road, generate
@@ -41,7 +42,7 @@ def success_rates(
         DriverError: a drive ended in an error, so that there is no success rate.
     """
     drives = [
-        Drive(name, driver, road if way == "forward" else road.reversed(), seed + i)
+        DriveRequest(name, driver, road if way == "forward" else road.reversed(), seed + i)
         for name in simulators
         for way in DIRECTIONS
         for i, road in enumerate(roads)

@@ -12,8 +12,8 @@ from multiprocessing import Pipe
 from pathlib import Path
 
 from ds_driver.child_process import ChildProcesses, last_line_of, python_environment
-from ds_driver.closed_loop.drive_task import DriveTask
-from ds_driver.closed_loop.drive_worker import KEY_BYTES, request_of
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.drive_worker import KEY_BYTES, encoded_request
 from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, Phase
 from ds_driver.closed_loop.phase_memory import PhaseMemory
 from ds_sim.run_codec import RunCodecError, decode_run
@@ -46,7 +46,7 @@ class WorkerProcess:
     """Drives in a process of its own; may be used from several threads, each of which waits for its drive.
 
     Args:
-        driver: as in `ds_driver.closed_loop.simulation.Drive`.
+        driver: as in `ds_driver.closed_loop.drive_request.DriveRequest`.
         command_timeout: wall-clock time for one answer of the driver, s.
         log: file for what the process prints.
     """
@@ -77,7 +77,7 @@ class WorkerProcess:
         with self._lock:
             return self._running().largest_batch
 
-    def drive(self, task: DriveTask) -> RunRecord:
+    def drive(self, request: DriveRequest) -> RunRecord:
         """Drive a road; errors, `stop` and a process that dies are outcomes too.
 
         Raises:
@@ -87,18 +87,18 @@ class WorkerProcess:
         while True:
             with self._lock:
                 if self._stopped:
-                    return task.ended(Outcome.CANCELLED, "stopped")
+                    return request.ended(Outcome.CANCELLED, "stopped")
                 process = self._running()
                 self._next += 1
-                answer = process.request(self._next, task)
+                answer = process.request(self._next, request)
             try:
                 return answer.result()
             except _Lost as lost:
                 deaths += 1
                 if self._stopped:
-                    return task.ended(Outcome.CANCELLED, "stopped")
+                    return request.ended(Outcome.CANCELLED, "stopped")
                 if deaths >= DEATHS:
-                    return task.ended(Outcome.SIM_ERROR, f"its process ended {deaths} times: {lost}")
+                    return request.ended(Outcome.SIM_ERROR, f"its process ended {deaths} times: {lost}")
 
     def stop(self) -> None:
         """End every drive now, as CANCELLED."""
@@ -150,7 +150,7 @@ class _Process:
         theirs.close()
         self.largest_batch = self._greeting()
         self._lock = threading.Lock()
-        self._drives: dict[int, tuple[DriveTask, Future[RunRecord]]] = {}
+        self._drives: dict[int, tuple[DriveRequest, Future[RunRecord]]] = {}
         self._ended = ""
         self._reader = threading.Thread(target=self._read, name="drives", daemon=True)
         self._reader.start()
@@ -163,16 +163,16 @@ class _Process:
     def alive(self) -> bool:
         return not self._ended and self._child.poll() is None
 
-    def request(self, key: int, task: DriveTask) -> Future[RunRecord]:
+    def request(self, key: int, asked: DriveRequest) -> Future[RunRecord]:
         """Send a drive; its future holds the record, or `_Lost` if the process ends."""
         answer: Future[RunRecord] = Future()
         with self._lock:
             if self._ended:
                 answer.set_exception(_Lost(self._ended))
                 return answer
-            self._drives[key] = (task, answer)
+            self._drives[key] = (asked, answer)
         with suppress(OSError):  # it has ended, which the reader sees too
-            self._connection.send_bytes(request_of(key, task))
+            self._connection.send_bytes(encoded_request(key, asked))
         return answer
 
     def kill(self) -> None:
@@ -237,10 +237,10 @@ class _Process:
 
     def _receive(self, message: bytes) -> None:
         key = int.from_bytes(message[:KEY_BYTES], "little")
-        task, answer = self._take(key)
-        answer.set_result(decode_run(message[KEY_BYTES:], task.road, task.seed, task.conditions))
+        asked, answer = self._take(key)
+        answer.set_result(decode_run(message[KEY_BYTES:], asked.road, asked.seed, asked.conditions))
 
-    def _take(self, key: int) -> tuple[DriveTask, Future[RunRecord]]:
+    def _take(self, key: int) -> tuple[DriveRequest, Future[RunRecord]]:
         with self._lock:
             return self._drives.pop(key)
 
@@ -253,5 +253,5 @@ class _Process:
             what = "load the road" if phase is Phase.LOADING else "advance by one frame"
             outcome, message = Outcome.SIM_ERROR, f"the simulator took more than {limit:g} s to {what}"
         for guilty in list(self._drives) if key == ALL_DRIVES else [key]:
-            task, answer = self._take(guilty)
-            answer.set_result(task.ended(outcome, message))
+            asked, answer = self._take(guilty)
+            answer.set_result(asked.ended(outcome, message))

@@ -1,8 +1,1 @@
-"""Controllers without ROS: autopilot, speed control, conversions of driving commands.
-
-Public names are imported on first use; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Controllers without ROS: autopilot, speed control, conversions of driving commands."""

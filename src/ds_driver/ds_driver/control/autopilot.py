@@ -42,6 +42,14 @@ class Autopilot:
 
     Args:
         gains: gains for the vehicle.
+
+    Examples:
+        >>> from ds_driver import Autopilot
+        >>> from ds_sim import spec_of
+        >>> autopilot = Autopilot(spec_of("bullet").autopilot)
+        >>> command = autopilot.command(lateral_position=0.5, speed=5.0)  # too far to the right
+        >>> command.steering < 0.0
+        True
     """
 
     def __init__(self, gains: AutopilotGains) -> None:

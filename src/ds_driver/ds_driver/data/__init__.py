@@ -1,8 +1,1 @@
-"""Driving data: data sets, their collection in simulation, and recordings of real cars.
-
-Public names are imported when they are first used; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Driving data: data sets, their collection in simulation, and recordings of real cars."""

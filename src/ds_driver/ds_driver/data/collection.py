@@ -13,7 +13,7 @@ from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.dataset import drive_path, keep_plan, write_drive
 from ds_driver.process_pool import map_in_processes
 from ds_road import Road, generate
-from ds_sim.camera.jpeg import encode
+from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import simulator_of_process
 from ds_sim.simulator import Command, Outcome, Simulator
 
@@ -134,7 +134,7 @@ def _drive(
         if observation.step % plan.every == 0:
             rows.append(
                 {
-                    "image": encode(observation.image),
+                    "image": jpeg(observation.image),
                     "steering": label.steering,
                     "throttle": label.throttle,
                     "speed": observation.vehicle.speed,

@@ -10,7 +10,7 @@ from typing import Any
 
 from ds_driver.data.dataset import DatasetError, drive_path, keep_import, write_drive
 from ds_driver.data.recordings import Recording
-from ds_sim.camera.jpeg import encode
+from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import SIMULATORS, label_of
 
 BLOCK = 100
@@ -78,7 +78,7 @@ def import_recordings(
             block = f"{stem}.{len(rows) // BLOCK:04d}"
             rows.append(
                 {
-                    "image": encode(frame.image),
+                    "image": jpeg(frame.image),
                     "steering": frame.steering,
                     "speed": frame.speed,
                     "step": frame.index,

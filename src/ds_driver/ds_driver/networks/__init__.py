@@ -1,8 +1,1 @@
-"""Driving networks: architectures, weights, inference backends, and user-provided networks.
-
-Public names are imported on first use; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Driving networks: architectures, weights, inference backends, and user-provided networks."""

@@ -45,31 +45,6 @@ class Runner:
     largest_batch: int = 1
 
 
-def split_backend(driver: str) -> tuple[str, str, str]:
-    """Split a driver's name into the name without its suffix, the backend, and the device."""
-    name, at, ending = driver.rpartition("@")
-    if at and ending == "cuda":
-        return name, "torch", "cuda"
-    return (name, ending, "cpu") if at and ending in BACKENDS else (driver, "auto", "cpu")
-
-
-def with_backend(driver: str, backend: str = "auto", device: str = "cpu") -> str:
-    """Append the backend or the device to a driver's name.
-
-    Raises:
-        BackendError: the backend or the device is unknown, or they cannot be combined.
-    """
-    if backend not in BACKENDS:
-        raise BackendError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
-    if device not in DEVICES:
-        raise BackendError(f"unknown device {device!r}: expected one of {', '.join(DEVICES)}")
-    if device == "cuda" and backend not in ("auto", "torch"):
-        raise BackendError(f"backend {backend} runs on the CPU only: leave out --device cuda")
-    if device == "cpu" and backend == "auto":
-        return driver
-    return f"{split_backend(driver)[0]}@{'cuda' if device == 'cuda' else backend}"
-
-
 def last_line(error: BaseException) -> str:
     """Return the last line of an exception's message, at most 200 characters."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]

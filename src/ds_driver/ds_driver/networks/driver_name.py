@@ -1,31 +1,99 @@
-"""Splits a driver's name, `NETWORK+GENERATORS@BACKEND`, without loading anything."""
+"""The name of a driver, `NETWORK+GENERATORS@BACKEND`, as a value; parsing loads nothing."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.backends import split_backend
+from ds_driver.networks.backends import BACKENDS, DEVICES, BackendError
 from ds_driver.networks.weights import shipped_networks
 
 DESCRIPTIONS = (".yaml", ".yml")
 """Suffixes of the description of a network file."""
+WEIGHTS = ".safetensors"
+"""Suffix of a file of weights of a built-in architecture."""
 
 
-def split_generators(name: str) -> tuple[str, str]:
-    """Split a driver's name without backend: `dave2+FOLDER` into `dave2` and `FOLDER`, `dave2` into itself and ""."""
+@dataclass(frozen=True)
+class DriverName:
+    """A driver's name, parsed; `str` gives the text back.
+
+    Attributes:
+        network: name of a shipped network, a file of weights, the description of a network file, or `module:Class`.
+        generators: set of generators that translate images for the network; "" where the name has none.
+        backend: one of `ds_driver.networks.backends.BACKENDS`.
+        device: one of `ds_driver.networks.backends.DEVICES`.
+
+    Examples:
+        >>> DriverName.parse("dave2+indoor_track@openvino-bf16")
+        DriverName(network='dave2', generators='indoor_track', backend='openvino-bf16', device='cpu')
+        >>> str(DriverName.parse("my_net.yaml").on("torch", "cuda"))
+        'my_net.yaml@cuda'
+    """
+
+    network: str
+    generators: str = ""
+    backend: str = "auto"
+    device: str = "cpu"
+
+    @classmethod
+    def parse(cls, text: str) -> DriverName:
+        """Parse a name; whether there is such a driver is seen when it is loaded."""
+        name, at, ending = text.rpartition("@")
+        if at and ending == "cuda":
+            return cls(*_split_generators(name), "torch", "cuda")
+        if at and ending in BACKENDS:
+            return cls(*_split_generators(name), ending)
+        return cls(*_split_generators(text))
+
+    def __str__(self) -> str:
+        generators = f"+{self.generators}" if self.generators else ""
+        return f"{self.network}{generators}{self.suffix}"
+
+    @property
+    def suffix(self) -> str:
+        """The end of the name that says what computes; "" for the default."""
+        if self.device == "cuda":
+            return "@cuda"
+        return "" if self.backend == "auto" else f"@{self.backend}"
+
+    @property
+    def file_type(self) -> str:
+        """Suffix of the network's file in lower case; "" if the name is none of a file."""
+        return Path(self.network).suffix.lower()
+
+    @property
+    def is_class(self) -> bool:
+        """Whether the network is a Python class, `module:Class`."""
+        return ":" in self.network and self.file_type not in (WEIGHTS, *DESCRIPTIONS)
+
+    def on(self, backend: str = "auto", device: str = "cpu") -> DriverName:
+        """Choose what computes; the defaults leave the name as it is.
+
+        Raises:
+            BackendError: the backend or the device is unknown, or they cannot be combined.
+        """
+        if backend not in BACKENDS:
+            raise BackendError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
+        if device not in DEVICES:
+            raise BackendError(f"unknown device {device!r}: expected one of {', '.join(DEVICES)}")
+        if device == "cuda" and backend not in ("auto", "torch"):
+            raise BackendError(f"backend {backend} runs on the CPU only: leave out --device cuda")
+        if device == "cuda":
+            return replace(self, backend="torch", device="cuda")
+        return self if backend == "auto" else replace(self, backend=backend, device="cpu")
+
+    def seeing(self, generators: str) -> DriverName:
+        """Let a set of generators translate its images; "" leaves the name as it is."""
+        return replace(self, generators=generators) if generators else self
+
+
+def _split_generators(name: str) -> tuple[str, str]:
     networks = {**NETWORKS, **shipped_networks()}
     for place in (index for index, character in enumerate(name) if character == "+"):
         network = name[:place]
         suffix = Path(network).suffix.lower()
-        if network in networks or suffix in (".safetensors", *DESCRIPTIONS) or (":" in network and place > 1):
+        if network in networks or suffix in (WEIGHTS, *DESCRIPTIONS) or (":" in network and place > 1):
             return network, name[place + 1 :]
     return name, ""
-
-
-def with_generators(driver: str, generators: str) -> str:
-    """Append a set of generators to a driver's name; "" leaves it as it is."""
-    if not generators:
-        return driver
-    name = split_backend(driver)[0]
-    return f"{split_generators(name)[0]}+{generators}{driver[len(name) :]}"

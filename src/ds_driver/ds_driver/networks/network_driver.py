@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,9 +14,9 @@ from numpy.typing import NDArray
 
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.backends import Runner, split_backend
+from ds_driver.networks.backends import Runner
 from ds_driver.networks.described_network import KINDS, DescribedNetworkPilot, file_of, read_description
-from ds_driver.networks.driver_name import DESCRIPTIONS, split_generators
+from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
 from ds_driver.networks.onnx_backend import onnx_runner
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.openvino_backend import openvino_runner
@@ -29,6 +31,7 @@ from ds_driver.networks.weights import (
     weights_sha256,
 )
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
 
 if TYPE_CHECKING:
@@ -174,10 +177,17 @@ class NetworkDriver:
 
 
 def load_pilot(driver: str) -> Pilot:
-    """Load the driver of a name; see `NetworkDriver`."""
-    whole, backend, device = split_backend(driver)
-    name = split_generators(whole)[0]
-    pilot, stage = _load_network(name, backend, device), stage_of(driver)
+    """Load the driver of a name; see `NetworkDriver`.
+
+    Examples:
+        >>> import numpy as np
+        >>> from ds_driver import Crop, Frame, load_pilot
+        >>> pilot = load_pilot("dave2@onnx")
+        >>> frame = Frame(image=np.zeros((160, 320, 3), np.uint8), speed=5.0, crop=Crop(), step=0)
+        >>> abs(pilot.predict(frame).steering) <= 1.0
+        True
+    """
+    pilot, stage = _load_network(DriverName.parse(driver)), stage_of(driver)
     if stage is None:
         return pilot
     from ds_driver.sim2real.stage import TranslatingPilot
@@ -196,8 +206,39 @@ def stage_of(driver: str) -> Sim2RealStage | None:
         return None
     from ds_driver.sim2real.stage import Sim2RealStage
 
-    _, backend, device = split_backend(driver)
-    return Sim2RealStage(generators, BUILT_IN_BACKEND if backend == "auto" else backend, device)
+    name = DriverName.parse(driver)
+    return Sim2RealStage(generators, BUILT_IN_BACKEND if name.backend == "auto" else name.backend, name.device)
+
+
+Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+"""Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
+
+
+def translation_of(driver: str, simulator: str) -> Translation | None:
+    """Return how a driver sees a simulator's images, for recordings and pictures; None if it sees them as they are.
+
+    Args:
+        driver: name of the driver.
+        simulator: name of the simulator in the registry.
+
+    Raises:
+        DriverError: the generators of the driver are missing.
+    """
+    stage = _stage_of(driver)
+    if stage is None:
+        return None
+    name, lock = spec_of(simulator).name, Lock()
+
+    def translated(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        with lock:  # some backends compute one image at a time
+            return stage.translate(image, name)
+
+    return translated
+
+
+@cache
+def _stage_of(driver: str) -> Sim2RealStage | None:
+    return stage_of(driver)
 
 
 def generators_of(driver: str) -> GeneratorSet | None:
@@ -207,49 +248,48 @@ def generators_of(driver: str) -> GeneratorSet | None:
         DriverError: there are no such generators.
         ds_driver.networks.weights.WeightsError: the network's file is missing.
     """
-    name, generators = split_generators(split_backend(driver)[0])
-    trained_with = {} if generators or not _is_weights(name) else generators_in(name)
-    if not generators and not trained_with:
+    name = DriverName.parse(driver)
+    trained_with = {} if name.generators or not _is_weights(name) else generators_in(name.network)
+    if not name.generators and not trained_with:
         return None
     from ds_driver.sim2real.generator_set import NONE, open_set, set_of_network
 
     if trained_with:
-        return set_of_network(name, path_of_weights(name), trained_with)
-    return None if generators == NONE else open_set(generators)
+        return set_of_network(name.network, path_of_weights(name.network), trained_with)
+    return None if name.generators == NONE else open_set(name.generators)
 
 
 def sees_translated(driver: str) -> bool:
     """Return whether a driver sees translated images, also where its files are missing and only its name says so."""
-    name, generators = split_generators(split_backend(driver)[0])
-    if generators:
-        return generators != "none"
+    name = DriverName.parse(driver)
+    if name.generators:
+        return name.generators != "none"
     try:
-        return bool(_is_weights(name) and generators_in(name))
+        return bool(_is_weights(name) and generators_in(name.network))
     except ValueError:
         return False
 
 
-def _is_weights(name: str) -> bool:
-    return name in {**NETWORKS, **shipped_networks()} or Path(name).suffix.lower() == ".safetensors"
+def _is_weights(name: DriverName) -> bool:
+    return name.network in {**NETWORKS, **shipped_networks()} or name.file_type == WEIGHTS
 
 
-def _load_network(name: str, backend: str, device: str) -> Pilot:
-    suffix = Path(name).suffix.lower()
-    if suffix in DESCRIPTIONS:
-        return DescribedNetworkPilot(Path(name), backend, device)
-    if suffix in KINDS:
-        raise DriverError(f"{name} has no description of its input: write a .yaml (docs/bring_your_own_network.md)")
-    if ":" in name and suffix != ".safetensors":
-        if (backend, device) != ("auto", "cpu"):
-            raise DriverError(f"driver {name} is a class, which takes no backend and no device: leave them out")
-        return UserClassPilot(name)
-    names = {**NETWORKS, **shipped_networks()}
-    if name not in names and suffix != ".safetensors":
+def _load_network(name: DriverName) -> Pilot:
+    network = name.network
+    if name.file_type in DESCRIPTIONS:
+        return DescribedNetworkPilot(Path(network), name.backend, name.device)
+    if name.file_type in KINDS:
+        raise DriverError(f"{network} has no description of its input: write a .yaml (docs/bring_your_own_network.md)")
+    if name.is_class:
+        if name.suffix:
+            raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")
+        return UserClassPilot(network)
+    if not _is_weights(name):
         raise UnknownNetworkError(
-            f"unknown driver {name!r}: expected one of {', '.join(names)}, a .safetensors or .yaml file, or "
-            "module:Class"
+            f"unknown driver {network!r}: expected one of {', '.join({**NETWORKS, **shipped_networks()})}, a "
+            ".safetensors or .yaml file, or module:Class"
         )
-    return BuiltInPilot(name, backend, device)
+    return BuiltInPilot(network, name.backend, name.device)
 
 
 def driver_sha256(driver: str) -> str:
@@ -257,18 +297,18 @@ def driver_sha256(driver: str) -> str:
 
     Generators that its name names are part of it; those that a network was trained with are so by their digests in it.
     """
-    name, named = split_generators(split_backend(driver)[0])
-    if named:
+    name = DriverName.parse(driver)
+    if name.generators:
         generators = generators_of(driver)
-        parts_of_both = f"{driver_sha256(name)} {generators.sha256 if generators else named}"
+        parts_of_both = f"{driver_sha256(name.network)} {generators.sha256 if generators else name.generators}"
         return hashlib.sha256(parts_of_both.encode()).hexdigest()
-    if Path(name).suffix.lower() in DESCRIPTIONS:
-        path = Path(name)
+    if name.file_type in DESCRIPTIONS:
+        path = Path(name.network)
         parts = [path, file_of(path, read_description(path))]
-    elif ":" in name and not name.endswith(".safetensors"):
-        parts = [source_of(name)]
+    elif name.is_class:
+        parts = [source_of(name.network)]
     else:
-        return weights_sha256(name)
+        return weights_sha256(name.network)
     return hashlib.sha256(b"".join(_digest(part) for part in parts)).hexdigest()
 
 

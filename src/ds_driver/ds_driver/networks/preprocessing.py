@@ -47,6 +47,13 @@ def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
 
     Raises:
         ImageError: the image has another size or type.
+
+    Examples:
+        >>> import numpy as np
+        >>> from ds_driver import Crop, prepare
+        >>> image = np.zeros((160, 320, 3), np.uint8)
+        >>> prepare(image, Crop(top=60, bottom=20)).shape
+        (160, 320, 3)
     """
     checked(image)
     part = image[crop.top : IMAGE_HEIGHT - crop.bottom]

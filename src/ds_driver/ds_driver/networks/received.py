@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from ds_driver.networks.backends import split_backend
 from ds_driver.networks.described_network import KINDS, file_of, read_description
-from ds_driver.networks.driver_name import split_generators
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.weights import shipped_networks
 
@@ -34,7 +33,7 @@ def received_driver(driver: object, *, confirmed: Collection[str] = (), option: 
     """
     if not isinstance(driver, str):
         raise DriverError(f"driver is a {type(driver).__name__}, expected a name")
-    name = split_generators(split_backend(driver)[0])[0]
+    name = DriverName.parse(driver).network
     suffix = Path(name).suffix.lower()
     harmless = name == AUTOPILOT or name in shipped_networks() or suffix == ".safetensors"
     if harmless or driver in confirmed or name in confirmed:

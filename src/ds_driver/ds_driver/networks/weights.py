@@ -52,7 +52,13 @@ class Weights:
 
 
 def shipped_networks() -> dict[str, Path]:
-    """Return the shipped networks: name -> weights file."""
+    """Return the shipped networks: name -> weights file.
+
+    Examples:
+        >>> from ds_driver import shipped_networks
+        >>> "dave2" in shipped_networks()
+        True
+    """
     return {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
 
 

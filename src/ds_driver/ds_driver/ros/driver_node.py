@@ -10,8 +10,8 @@ import numpy as np
 from ds_interfaces.msg import Frame
 from rclpy.node import Node
 
-from ds_driver.networks.backends import BACKENDS, DEVICES, with_backend
-from ds_driver.networks.driver_name import with_generators
+from ds_driver.networks.backends import BACKENDS, DEVICES
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.networks.preprocessing import Crop
@@ -46,7 +46,7 @@ class DriverNode(Node):
         )
         self._given = list(zip(tops, bottoms, strict=True))
         self._crops: list[Crop | None] = [None] * count
-        self._driver = NetworkDriver(with_generators(with_backend(network, backend, device), sim2real))
+        self._driver = NetworkDriver(str(DriverName.parse(network).on(backend, device).seeing(sim2real)))
         self._milliseconds: list[float] = []
         stage = self._driver.stage
         self._translated = None if stage is None else TranslatedImages(self, self._namespaces, stage)

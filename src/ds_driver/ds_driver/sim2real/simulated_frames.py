@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.closed_loop.simulation import AUTOPILOT, make_driver
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.process_pool import map_in_processes

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
-from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +12,6 @@ from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, P
 from ds_driver.networks.preprocessing import Crop, checked
 from ds_driver.sim2real.generator_set import GeneratorSet
 from ds_driver.sim2real.translator import Translator
-from ds_sim.registry import spec_of
 
 
 class Sim2RealStage:
@@ -71,39 +68,6 @@ class Sim2RealStage:
             generator = self.generators.generator(simulator)
             self._translators[simulator] = Translator(generator, self._backend, self._device)
         return self._translators[simulator]
-
-
-Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
-"""Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
-
-
-def translation_of(driver: str, simulator: str) -> Translation | None:
-    """Return how a driver sees a simulator's images, for recordings and pictures; None if it sees them as they are.
-
-    Args:
-        driver: name of the driver.
-        simulator: name of the simulator in the registry.
-
-    Raises:
-        DriverError: the generators of the driver are missing.
-    """
-    stage = _stage_of(driver)
-    if stage is None:
-        return None
-    name, lock = spec_of(simulator).name, Lock()
-
-    def translated(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        with lock:  # some backends compute one image at a time
-            return stage.translate(image, name)
-
-    return translated
-
-
-@cache
-def _stage_of(driver: str) -> Sim2RealStage | None:
-    from ds_driver.networks.network_driver import stage_of
-
-    return stage_of(driver)
 
 
 class TranslatingPilot(Pilot):

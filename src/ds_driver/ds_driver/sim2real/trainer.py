@@ -28,7 +28,7 @@ from ds_driver.sim2real.sheets import sheet
 from ds_driver.sim2real.window import Sim2RealError, Window
 from ds_driver.training.trainer import device_of
 from ds_driver.whole_files import whole_file, write_whole
-from ds_sim.camera.png import png
+from ds_sim.camera.encodings import png
 
 CHECKPOINT = "checkpoint.pt"
 EPOCHS = "epochs"

@@ -29,7 +29,7 @@ from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError
 from ds_driver.whole_files import write_whole
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
-from ds_sim.camera.jpeg import encode
+from ds_sim.camera.encodings import jpeg
 
 Progress = Callable[[int, int, str], None]
 MARK = TRANSLATED
@@ -108,7 +108,7 @@ def _translate_drive(translator: Translator, drive: _Drive) -> Path:
         read_drive(drive.file)
         rows: list[dict[str, Any]] = pq.read_table(drive.file).to_pylist()
         for row in rows:
-            row["image"] = encode(translator.translate(decode(row["image"])))
+            row["image"] = jpeg(translator.translate(decode(row["image"])))
         write_drive(drive.target, rows)
     return drive.file
 
@@ -176,7 +176,7 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
 
     def compressed(message: Any) -> Any:
         pixels = translated(rgb_of_file(np.frombuffer(message.data, np.uint8).tobytes()))
-        return replace(message, format="jpeg", data=np.frombuffer(encode(pixels), np.uint8))
+        return replace(message, format="jpeg", data=np.frombuffer(jpeg(pixels), np.uint8))
 
     facts = {MARK: translator.generator.sha256}
     return rewrite_bag(folder, out, {IMAGE: image, COMPRESSED: compressed}, facts, without=[CAMERA_INFO])
@@ -200,7 +200,7 @@ def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) ->
             except (OSError, ImageError, BoundedYamlError) as error:
                 reason = getattr(error, "strerror", None) or error
                 raise Sim2RealError(f"{image}: {reason}: copy the tub again") from None
-            write_whole(target, encode(translator.translate(pixels)))
+            write_whole(target, jpeg(translator.translate(pixels)))
         if done % 100 == 0 or done == len(images):
             progress(done, len(images), f"{folder.name}: images")
     # Last, so that an unfinished folder is no tub.

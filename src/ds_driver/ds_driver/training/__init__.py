@@ -1,8 +1,1 @@
-"""Training of driving networks (paper 3.2.2).
-
-Public names are imported on first use; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Training of driving networks (paper 3.2.2)."""

@@ -22,7 +22,7 @@ class CampaignData:
     Attributes:
         config: configuration as run.
         tests: every test, by sibling, run and number.
-        executions: every execution, by simulator and test, with its trajectory.
+        executions: every execution, by simulator and test.
         gates: test and simulator -> what the gates say; tests that they exclude have no execution there.
         notes: facts such as versions and times.
         errors: attempts that ended in an error: test, simulator, attempt, outcome, message.
@@ -70,7 +70,7 @@ class CampaignData:
 
 
 def read_campaign(store: Store) -> CampaignData:
-    """Read a campaign; every trajectory is decompressed once.
+    """Read a campaign without its trajectories, each of which is read when it is first asked for.
 
     Raises:
         ds_orchestrator.store.sqlite_file.StoreError: the file is damaged.

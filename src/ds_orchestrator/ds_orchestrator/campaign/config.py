@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from ds_orchestrator.campaign.config_errors import problems
+from ds_orchestrator.campaign.drive_settings import DriveSettings, EngineName, Record
+from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.maps.campaign_maps import MapPlan
-from ds_orchestrator.maps.merge_operators import OPERATORS
-from ds_orchestrator.search.algorithms import SEARCHES
+from ds_orchestrator.maps.merge_operators import operator_of
+from ds_orchestrator.search.algorithms import search_of
 from ds_orchestrator.search.base import SearchSettings
 from ds_orchestrator.search.condition_space import STEP, ConditionSpace, SearchedCondition
-from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, MEASURED_LINE_CONTRAST, feature_of
-from ds_orchestrator.search.objectives import OBJECTIVES
+from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, VISIBLE_CONTRAST, base_of, feature_of
 from ds_road import Side
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
-from ds_sim.registry import SIMULATORS
+from ds_sim.extension import confirm, is_extension
+from ds_sim.registry import SIMULATORS, SimulatorName
 
-Engine = Literal["graph", "local", "dask"]
-Gates = Literal["conditions", "all"]
-Record = Literal["none", "telemetry", "compressed", "raw"]
 MOST_WORKERS = 64
 """Chosen: each worker is four processes or more."""
 MOST_NAMES = 20
@@ -41,14 +49,20 @@ class ConfigError(ValueError):
     """A configuration that names an unknown key or a value that is not allowed."""
 
 
+def _conditions(value: object) -> Conditions:
+    if isinstance(value, Conditions):
+        return value
+    if value not in (None, "none") and not isinstance(value, str):
+        raise ValueError(f"{value!r:.60}: expected text such as visibility=60,line_contrast=0.4, or none")
+    return DEFAULT if value in (None, "none") else parse_conditions(str(value))
+
+
+ConditionsText = Annotated[Conditions, PlainValidator(_conditions), PlainSerializer(format_conditions)]
+"""Operating conditions, written as text in a file."""
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-def _one_of(value: str, allowed: Any, what: str) -> str:
-    if value not in allowed:
-        raise ValueError(f"unknown {what} {value!r}: expected one of {', '.join(allowed)}")
-    return value
 
 
 class SearchedConditionConfig(_Strict):
@@ -79,8 +93,6 @@ class SearchConfig(_Strict):
         extent: m, largest displacement of a control point.
         conditions: operating conditions to search beside roads, by name; none is the paper's search.
         mutate_conditions: probability with which a mutation changes a condition, and not the road.
-        objective: what is looked for: `lateral_distance`, the paper's fitness; `boundary`, tests whose largest lateral
-            position is that of the lane's edge on some sibling; or `disagreement`, tests on which the siblings differ.
     """
 
     method: str = "deephyperion"
@@ -92,17 +104,12 @@ class SearchConfig(_Strict):
     extent: Annotated[int, Field(ge=1, le=25)] = 6
     conditions: dict[str, SearchedConditionConfig] = {}
     mutate_conditions: Annotated[float, Field(ge=0, le=1)] = 0.5
-    objective: str = next(iter(OBJECTIVES))
-
-    @field_validator("objective")
-    @classmethod
-    def _known_objective(cls, value: str) -> str:
-        return _one_of(value, OBJECTIVES, "objective")
 
     @field_validator("method")
     @classmethod
     def _known_method(cls, value: str) -> str:
-        return _one_of(value, SEARCHES, "search")
+        search_of(value)
+        return value
 
     @model_validator(mode="after")
     def _angles_in_order(self) -> SearchConfig:
@@ -119,7 +126,7 @@ class SearchConfig(_Strict):
         self, *, maxitwo_compatible: bool = False, lane: Side = "right", fixed: Conditions = DEFAULT
     ) -> SearchSettings:
         """Hyper-parameters of one run."""
-        own = self.model_dump(exclude={"runs", "method", "conditions", "objective"})
+        own = self.model_dump(exclude={"runs", "method", "conditions"})
         space = self.space(fixed)
         return SearchSettings(**own, maxitwo_compatible=maxitwo_compatible, lane=lane, conditions=space)
 
@@ -140,13 +147,14 @@ class OperatorsConfig(_Strict):
     @field_validator("probability", "quality_loss")
     @classmethod
     def _known_operator(cls, value: str) -> str:
-        return _one_of(value, OPERATORS, "operator")
+        operator_of(value)
+        return value
 
     @field_validator("compare")
     @classmethod
     def _known_operators(cls, value: list[str]) -> list[str]:
         for name in value:
-            _one_of(name, OPERATORS, "operator")
+            operator_of(name)
         if len(set(value)) != len(value):
             raise ValueError(f"an operator is named twice: {', '.join(value)}")
         return value
@@ -190,13 +198,13 @@ class CampaignConfig(_Strict):
     search: SearchConfig = SearchConfig()
     maxitwo_compatible: bool = False
     lane: Side = "right"
-    conditions: str = ""
-    gates: Gates = "conditions"
+    conditions: ConditionsText = DEFAULT
+    gates: Literal["conditions", "all"] = "conditions"
     features: list[str] = list(DEFAULT_FEATURES)
     migration: Literal["all", "elites"] = "all"
     operators: OperatorsConfig = OperatorsConfig()
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    engine: Engine = "graph"
+    engine: EngineName = "graph"
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] = 1
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     command_timeout: Annotated[float, Field(gt=0, le=3600)] = 10.0
@@ -208,7 +216,7 @@ class CampaignConfig(_Strict):
         if value in (None, "none"):
             return None
         for name in value if isinstance(value, list) else [value]:
-            if name is not None and name.partition("@")[0] not in SIMULATORS and ":" not in name:
+            if name is not None and not SimulatorName.parse(name).could_exist:
                 raise ValueError(
                     f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
                 )
@@ -223,24 +231,17 @@ class CampaignConfig(_Strict):
         generators, driver = values["sim2real"], values.get("driver", "dave2")
         if not isinstance(generators, str) or not isinstance(driver, str):
             raise ValueError(f"sim2real: {generators!r:.60}: expected false, or a set of generators, by name or folder")
-        from ds_driver.networks.backends import split_backend
-        from ds_driver.networks.driver_name import split_generators, with_generators
+        from ds_driver.networks.driver_name import DriverName
 
-        if driver == "autopilot" or split_generators(split_backend(driver)[0])[1]:
+        name = DriverName.parse(driver)
+        if driver == "autopilot" or name.generators:
             raise ValueError(f"sim2real: {driver} names its generators or sees no images: leave sim2real out")
-        return {**values, "sim2real": False, "driver": with_generators(driver, generators)}
-
-    @field_validator("conditions", mode="before")
-    @classmethod
-    def _known_conditions(cls, value: object) -> object:
-        if value in (None, "none"):
-            return ""
-        return format_conditions(parse_conditions(value)) if isinstance(value, str) else value
+        return {**values, "sim2real": False, "driver": str(name.seeing(generators))}
 
     @field_validator("features")
     @classmethod
     def _known_features(cls, value: list[str]) -> list[str]:
-        plain = {feature_of(name).name.partition(":")[0] for name in value}
+        plain = {base_of(feature_of(name).name) for name in value}
         if len(plain) != len(value) or not 2 <= len(value) <= 3:
             raise ValueError(f"[{', '.join(value)}]: expected two or three different ones of {', '.join(FEATURES)}")
         if {"turns_count", "segment_count"} <= plain:
@@ -269,20 +270,12 @@ class CampaignConfig(_Strict):
 
     @model_validator(mode="after")
     def _conditions_that_can_be(self) -> CampaignConfig:
-        self.search.space(self.fixed_conditions)
-        for name in (feature.partition(":")[0] for feature in self.features):
+        self.search.space(self.conditions)
+        for name in map(base_of, self.features):
             if name in FIELDS and name not in self.search.conditions:
                 raise ValueError(f"features: {name} is not searched, expected it among search.conditions")
-            if name == MEASURED_LINE_CONTRAST and not self.has_gates:
+            if name == VISIBLE_CONTRAST and not self.has_gates:
                 raise ValueError(f"features: {name} is measured by the gates, expected conditions or gates: all")
-        if OBJECTIVES[self.search.objective].everywhere:
-            wrong = ["migration of elites alone"] if self.elites_only else []
-            wrong += ["one sibling"] if len(self.siblings) < 2 else []
-            if wrong:
-                raise ValueError(
-                    f"search.objective: {self.search.objective} drives every test on every sibling during the search: "
-                    f"expected two siblings or more and migration: all, not {', '.join(wrong)}"
-                )
         return self
 
     @property
@@ -291,14 +284,9 @@ class CampaignConfig(_Strict):
         return [*self.siblings, *([self.twin] if self.twin else [])]
 
     @property
-    def fixed_conditions(self) -> Conditions:
-        """Operating conditions of every test."""
-        return parse_conditions(self.conditions)
-
-    @property
     def has_gates(self) -> bool:
         """Whether tests may have conditions or gates."""
-        return bool(self.conditions) or bool(self.search.conditions) or self.gates == "all"
+        return not self.conditions.is_default or bool(self.search.conditions) or self.gates == "all"
 
     @property
     def elites_only(self) -> bool:
@@ -308,9 +296,20 @@ class CampaignConfig(_Strict):
     @property
     def settings(self) -> SearchSettings:
         """Hyper-parameters of one search run."""
-        return self.search.settings(
-            maxitwo_compatible=self.maxitwo_compatible, lane=self.lane, fixed=self.fixed_conditions
-        )
+        return self.search.settings(maxitwo_compatible=self.maxitwo_compatible, lane=self.lane, fixed=self.conditions)
+
+    def drive_settings(self, *, cluster: ClusterOptions | None = None, attach: bool = False) -> DriveSettings:
+        """How the campaign's tests are driven.
+
+        Args:
+            cluster: cluster of the engine `dask`.
+            attach: use running nodes.
+        """
+        return DriveSettings(
+            siblings=tuple(self.siblings), twin=self.twin, driver=self.driver, conditions=self.conditions,
+            gates=self.gates, retries=self.retries, command_timeout=self.command_timeout, record=self.record,
+            engine=self.engine, workers=self.workers, cluster=cluster or ClusterOptions(), attach=attach,
+        )  # fmt: skip
 
     @property
     def further_axes(self) -> list[tuple[str, ...]]:
@@ -351,16 +350,14 @@ class CampaignConfig(_Strict):
         return self.model_dump_json(exclude={"engine": True, "workers": True, **lane, **self._unset()})
 
     def shown(self) -> dict[str, Any]:
-        """Every key as a report shows it; conditions, gates and objective only where they are set."""
+        """Every key as a report shows it; conditions and gates only where they are set."""
         return self.model_dump(exclude=self._unset())
 
     def _unset(self) -> dict[str, Any]:
-        later = {"conditions": "", "gates": "conditions"}
+        later = {"conditions": DEFAULT, "gates": "conditions"}
         default = SearchConfig()
         of_search = {
-            key
-            for key in ("conditions", "mutate_conditions", "objective")
-            if getattr(self.search, key) == getattr(default, key)
+            key for key in ("conditions", "mutate_conditions") if getattr(self.search, key) == getattr(default, key)
         }
         unset: dict[str, Any] = {key: True for key, value in later.items() if getattr(self, key) == value}
         return {**unset, "search": of_search} if of_search else unset
@@ -389,18 +386,38 @@ def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) 
     return parse_config(raw, str(path), hint=hint)
 
 
-def parse_config(raw: object, source: str, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:
+def parse_config(
+    raw: object, source: str, *, hint: Callable[[str], None] = lambda line: None, received: bool = False
+) -> CampaignConfig:
     """Validate a parsed configuration; see `read_config`.
 
     Args:
         raw: value of the YAML or JSON document.
         source: name of the file, for error messages.
         hint: called with one line for every renamed key.
+        received: the text may come from others, so that what it names is not loaded unless the user names it, too.
+
+    Examples:
+        >>> from ds_orchestrator import parse_config
+        >>> config = parse_config({"siblings": ["bullet", "softbody"], "twin": "donkey", "seed": 7}, "my.yaml")
+        >>> config.twin, config.search.population
+        ('donkey', 20)
     """
+    if not received:
+        confirm(name for name in map(base_of, _texts(raw)) if is_extension(name))
     try:
         return CampaignConfig.model_validate(_with_new_names(raw, source, hint))
     except ValidationError as error:
         raise ConfigError(f"{source}: {problems(error, CampaignConfig)}") from None
+
+
+def _texts(raw: object) -> Iterator[str]:
+    """Every text in a parsed document."""
+    if isinstance(raw, str):
+        yield raw
+    elif isinstance(raw, (dict, list)):
+        for part in raw.values() if isinstance(raw, dict) else raw:
+            yield from _texts(part)
 
 
 def _with_new_names(raw: object, source: str, hint: Callable[[str], None]) -> object:

@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from ds_bags.run_writer import write_bag
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.runner import Executor, execution_of
-from ds_orchestrator.search.objectives import OBJECTIVES
+from ds_orchestrator.campaign.engine import Engine
+from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.store.rows import pack_numbers
 from ds_road import generate
 from ds_sim.registry import label_of
@@ -81,18 +82,17 @@ class Forecast:
 
 def gate_drives_of(config: CampaignConfig) -> int:
     """Largest number of drives of the autopilot for the gates."""
-    gated = config.gates == "all" or bool(config.conditions) or bool(config.search.conditions)
-    return config.executions_at_most if gated else 0
+    return config.executions_at_most if config.has_gates else 0
 
 
-def measure(config: CampaignConfig, executor: Executor, folder: Path, *, start_seconds: float) -> Forecast:
+def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_seconds: float) -> Forecast:
     """Drive one random road on every simulator at the same time, and estimate the campaign from it.
 
     With several workers, so many roads on each as the machine has processors for.
 
     Args:
         config: configuration of the campaign.
-        executor: executor of the started engine.
+        engine: started engine.
         folder: campaign folder, or where it is to be; nothing is written there.
         start_seconds: time in which the engine started, s.
 
@@ -106,7 +106,7 @@ def measure(config: CampaignConfig, executor: Executor, folder: Path, *, start_s
         name, k = unit
         road = generate(np.random.default_rng([config.seed, k]), max_angle=config.search.max_angle, lane=config.lane)
         since = time.monotonic()
-        run = executor.execute(name, road, config.seed % 2**32, config.fixed_conditions)
+        run = engine.drive(DriveRequest(name, config.driver, road, config.seed % 2**32, config.conditions))
         return name, run, time.monotonic() - since
 
     with ThreadPoolExecutor(len(work)) as pool:
@@ -117,7 +117,7 @@ def measure(config: CampaignConfig, executor: Executor, folder: Path, *, start_s
     tests = config.executions_at_most // len(config.simulators)
     return Forecast(
         drives=config.executions_at_most,
-        search_drives=tests * (len(config.siblings) if OBJECTIVES[config.search.objective].everywhere else 1),
+        search_drives=tests,
         searches=config.search.runs * len(config.siblings),
         gate_drives=gate_drives_of(config),
         start_seconds=start_seconds,

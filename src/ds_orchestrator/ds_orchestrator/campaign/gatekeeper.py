@@ -3,31 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
 
-from ds_orchestrator.campaign.config import CampaignConfig
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import Engine
 from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.store import Store
-from ds_road import Road
 from ds_sim.conditions.loading import check_applicable
-from ds_sim.conditions.model import Conditions, NotApplicableError
+from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.gate import Gate, gate_of, not_applicable
 from ds_sim.registry import spec_of
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Reason
-
-
-@runtime_checkable
-class GateDriver(Protocol):
-    """Drives the autopilot on simulators, and measures the contrast of the lines."""
-
-    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
-        """Drive the autopilot to an outcome; the record has `line_contrasts`. Called from several threads."""
-        ...
-
-    def stop(self) -> None:
-        """Cancel all active runs immediately."""
-        ...
 
 
 class GateError(RuntimeError):
@@ -46,13 +33,13 @@ class Gatekeeper:
     """Judges each test once on each simulator, and keeps the result in the store.
 
     Args:
-        config: configuration of the campaign.
-        store: store of the campaign.
-        driver: drives the autopilot; None for a campaign without gates.
+        settings: how tests are driven.
+        store: keeps the gates.
+        engine: drives the autopilot.
     """
 
-    def __init__(self, config: CampaignConfig, store: Store, driver: GateDriver | None) -> None:
-        self._config, self._store, self._driver = config, store, driver
+    def __init__(self, settings: DriveSettings, store: Store, engine: Engine) -> None:
+        self._settings, self._store, self._engine = settings, store, engine
 
     def judge(self, test: Test, simulator: str, *, check_stop: Callable[[], None]) -> Gate | None:
         """Judge a test on a simulator; None if it has no gate.
@@ -65,7 +52,7 @@ class Gatekeeper:
         Raises:
             GateError: every attempt ended in an error.
         """
-        if self._driver is None or (test.conditions.is_default and self._config.gates != "all"):
+        if self._settings.gates == "none" or (test.conditions.is_default and self._settings.gates != "all"):
             return None
         known = self._store.gate(test.test_id, simulator)
         if known is not None:
@@ -74,9 +61,11 @@ class Gatekeeper:
             check_applicable(test.conditions, spec_of(simulator))
         except NotApplicableError as error:
             return self.refused(test, simulator, str(error))
-        for attempt in range(self._config.retries + 1):
+        for attempt in range(self._settings.retries + 1):
             check_stop()
-            run = self._driver.gate(simulator, test.road, test.seed, test.conditions)
+            run = self._engine.drive(
+                DriveRequest(simulator, AUTOPILOT, test.road, test.seed, test.conditions, probed=True)
+            )
             if run.outcome.is_verdict:
                 gate = gate_of(run)
                 self._store.add_gate(test.test_id, simulator, gate)
@@ -92,8 +81,3 @@ class Gatekeeper:
         gate = not_applicable(message)
         self._store.add_gate(test.test_id, simulator, gate)
         return gate
-
-    def stop(self) -> None:
-        """Cancel all active runs of the autopilot."""
-        if self._driver is not None:
-            self._driver.stop()

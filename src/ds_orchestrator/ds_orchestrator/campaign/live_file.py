@@ -5,7 +5,6 @@ The campaign replaces it once a second and removes it at its end. No result depe
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,13 +14,15 @@ from types import TracebackType
 
 from pydantic import BaseModel, Field, ValidationError
 
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.campaign.engine import Engine, Watch
 from ds_orchestrator.campaign.eta import Eta
-from ds_orchestrator.campaign.feedback import watched
+from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
-from ds_orchestrator.campaign.runner import Executor, Listener
+from ds_orchestrator.store.folder_files import read_file
 from ds_orchestrator.store.model import Execution, Test
-from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_orchestrator.store.sqlite_file import StoreError
 from ds_sim.gates.gate import Gate
 from ds_sim.session import RunRecord
 
@@ -29,8 +30,12 @@ EVERY = 1.0
 """Seconds between two writings of the file; chosen: as often as a page asks."""
 FRESH = 10.0
 """Age of the file, s, from which its campaign counts as killed; chosen: ten writings, as machines may be busy."""
-_LARGEST = 2**20
+MOST_DRIVES = 256
+"""Drives under way in the file, the oldest; chosen: `MOST_WORKERS` workers of four simulators."""
+_LARGEST = 2**18
+"""Bytes; chosen: the file with `MOST_DRIVES` drives fits twice."""
 _LONGEST = 200
+_LARGEST_NUMBER = 2**63 - 1
 
 
 class LiveDrive(BaseModel):
@@ -48,9 +53,9 @@ class LiveDrive(BaseModel):
 
     simulator: str = Field(max_length=_LONGEST)
     road_id: str = Field(max_length=_LONGEST)
-    seed: int
+    seed: int = Field(ge=0, le=_LARGEST_NUMBER)
     began: float = Field(allow_inf_nan=False)
-    step: int | None = None
+    step: int | None = Field(default=None, ge=0, le=_LARGEST_NUMBER)
     progress: float | None = Field(default=None, ge=0.0, le=1.0)
     lateral_position: float | None = Field(default=None, allow_inf_nan=False)
 
@@ -69,10 +74,10 @@ class Live(BaseModel):
 
     updated: float = Field(allow_inf_nan=False)
     stage: str = Field(default="", max_length=_LONGEST)
-    done: int = 0
-    total: int = 0
+    done: int = Field(default=0, ge=0, le=_LARGEST_NUMBER)
+    total: int = Field(default=0, ge=0, le=_LARGEST_NUMBER)
     seconds_left: float | None = Field(default=None, ge=0.0, allow_inf_nan=False)
-    drives: list[LiveDrive] = []
+    drives: list[LiveDrive] = Field(default=[], max_length=MOST_DRIVES)
 
 
 def read_live(folder: Path, now: float) -> Live | None:
@@ -83,9 +88,8 @@ def read_live(folder: Path, now: float) -> Live | None:
         now: s since 1970.
     """
     try:
-        with (folder / LIVE).open("rb") as file:
-            live = Live.model_validate_json(file.read(_LARGEST))
-    except (OSError, ValidationError):
+        live = Live.model_validate_json(read_file(folder, LIVE, _LARGEST))
+    except (OSError, StoreError, ValidationError):
         return None
     return live if abs(now - live.updated) < FRESH else None
 
@@ -166,39 +170,41 @@ class LiveFile:
 
     def _write(self) -> None:
         with self._lock:
-            drives = sorted(self._drives.values(), key=lambda drive: drive.began)
+            drives = sorted(self._drives.values(), key=lambda drive: drive.began)[:MOST_DRIVES]
             text = self._live.model_copy(update={"updated": time.time(), "drives": drives}).model_dump_json()
-        partial = self._path.with_name(f"{self._path.name}.partial")
         with suppress(OSError):
-            partial.write_text(text, encoding="utf-8")
-            os.replace(partial, self._path)
+            write_whole(self._path, text)
 
 
-class ObservedExecutor:
-    """Executor that enters its drives into a live file; satisfies `ds_orchestrator.campaign.runner.Executor`.
+class ObservedEngine:
+    """Engine that enters its drives into a live file, those of the gates excepted.
 
     Args:
-        executor: drives the roads.
+        engine: drives the roads.
         live: file.
     """
 
-    def __init__(self, executor: Executor, live: LiveFile) -> None:
-        self._executor, self._live = executor, live
+    def __init__(self, engine: Engine, live: LiveFile) -> None:
+        self._engine, self._live = engine, live
 
     @property
     def capacity(self) -> int | None:
-        """See `Executor.capacity`."""
-        return self._executor.capacity
+        """See `Engine.capacity`."""
+        return self._engine.capacity
 
-    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
-        """See `Executor.execute`."""
-        with self._live.driving(simulator, road.road_id, seed) as drive:
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        """See `Engine.drive`."""
+        if request.probed:
+            return self._engine.drive(request, watch)
+        with self._live.driving(request.simulator, request.road.road_id, request.seed) as drive:
 
-            def watch(step: int, progress: float, lateral_position: float) -> None:
+            def note(step: int, progress: float, lateral_position: float) -> None:
                 drive.step, drive.progress, drive.lateral_position = step, progress, lateral_position
+                if watch is not None:
+                    watch(step, progress, lateral_position)
 
-            return watched(self._executor, watch)(simulator, road, seed, conditions)
+            return self._engine.drive(request, note)
 
     def stop(self) -> None:
-        """See `Executor.stop`."""
-        self._executor.stop()
+        """See `Engine.stop`."""
+        self._engine.stop()

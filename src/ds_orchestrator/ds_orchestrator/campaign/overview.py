@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ from pathlib import Path
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import config_of, open_store
 from ds_orchestrator.campaign.provenance import DRIVER_SHA256
+from ds_orchestrator.store.folder_files import is_locked
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_sim.simulator import Outcome
 
@@ -65,7 +64,7 @@ def _stores(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def _row(folder: Path) -> CampaignRow:
-    changed = max(path.stat().st_mtime for path in folder.glob("campaign.sqlite*"))
+    changed = max(path.lstat().st_mtime for path in folder.glob("campaign.sqlite*"))
     written = datetime.fromtimestamp(changed, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     try:
         with closing(open_store(folder)) as store:
@@ -84,7 +83,7 @@ def _row(folder: Path) -> CampaignRow:
         tally[simulator] = failures + number * Outcome[outcome].is_failure, drives + number
     drives = sum(counts.values())
     complete = config.elites_only or drives + excluded >= config.executions_at_most
-    state = "running" if _is_locked(folder) else "done" if complete and made == current else "stopped"
+    state = "running" if is_locked(folder) else "done" if complete and made == current else "stopped"
     return CampaignRow(
         folder=folder,
         driver=config.driver,
@@ -95,20 +94,3 @@ def _row(folder: Path) -> CampaignRow:
         drives_at_most=config.executions_at_most,
         failures=tally,
     )
-
-
-def _is_locked(folder: Path) -> bool:
-    """Whether a process uses the folder."""
-    try:
-        file = os.open(folder / ".lock", os.O_RDONLY)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    finally:
-        os.close(file)
-    return False

@@ -10,7 +10,6 @@ from typing import Any
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import open_store
-from ds_orchestrator.campaign.refined_data import is_refined, with_refinement
 from ds_orchestrator.search.features import Cell, Feature, feature_of
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
@@ -23,7 +22,6 @@ def roads_of(
     simulator: str | None = None,
     cell: str | None = None,
     test: str | None = None,
-    refined: bool = False,
 ) -> list[dict[str, Any]]:
     """Select roads of a campaign.
 
@@ -34,8 +32,6 @@ def roads_of(
         cell: keep roads of this cell, as the axes of `ds maps` or the bins of `ds maps --json` name it, such as
             `3,0.17` or `3,17`.
         test: keep the road of this test.
-        refined: with the tests of `ds campaign refine`, which the twin did not drive; one that `test` names needs no
-            `refined`.
 
     Returns:
         Roads as `ds_road.road_from_json` takes them, with `test_id`, `seed`, `cell` (bin by feature) and `outcomes`
@@ -47,8 +43,6 @@ def roads_of(
     """
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
-    if refined or (test is not None and is_refined(test)):
-        data = with_refinement(folder, data)
     config, tests, cells = data.config, data.tests, data.cells
     if simulator is not None and simulator not in config.simulators:
         raise ConfigError(f"{folder} has no simulator {simulator!r}: expected one of {', '.join(config.simulators)}")

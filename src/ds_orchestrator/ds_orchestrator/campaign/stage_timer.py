@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from ds_orchestrator.campaign.runner import Listener
+from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate

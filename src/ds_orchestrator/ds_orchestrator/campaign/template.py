@@ -10,7 +10,6 @@ from ds_orchestrator.campaign.config import ConfigError, SearchConfig, parse_con
 from ds_orchestrator.maps.merge_operators import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import FEATURES
-from ds_orchestrator.search.objectives import OBJECTIVES
 from ds_sim.registry import SIMULATORS
 
 SIZES = {
@@ -40,7 +39,7 @@ def template(driver: str, siblings: Sequence[str], twin: str | None, size: str) 
         driver=_scalar(driver), siblings=f"[{', '.join(map(_scalar, siblings))}]", twin=_scalar(twin or "none"),
         population=search.population, iterations=search.iterations, runs=search.runs,
         simulators=", ".join(SIMULATORS), searches=" or ".join(SEARCHES), features=", ".join(list(FEATURES)[:6]),
-        objectives=" or ".join(OBJECTIVES), operators=", ".join(OPERATORS),
+        operators=", ".join(OPERATORS),
     )  # fmt: skip
     config = parse_config(yaml.safe_load(text), "the template")
     drives, tests = config.executions_at_most, config.executions_at_most // len(config.simulators)
@@ -70,7 +69,6 @@ search:    # on every sibling
   # min_angle: 100    # degrees; larger: more winding roads at the beginning
   # max_angle: 300
   # extent: 6    # m, largest change of a mutant
-  # objective: lateral_distance    # {objectives}
   # conditions: {{}}    # operating conditions to search, as visibility: {{low: 20, high: 200}}
   # mutate_conditions: 0.5    # share of mutations that change a condition
 

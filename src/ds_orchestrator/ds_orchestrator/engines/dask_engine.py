@@ -17,14 +17,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ds_driver.closed_loop.drive_task import DriveTask, task_to_json
+from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.engines import dask_worker
 from ds_orchestrator.engines.cluster import ClusterOptions, connect, own_cluster
 from ds_orchestrator.engines.local import DRIVES_PER_WORKER
 from ds_orchestrator.engines.membership import Membership, RemoteWorker
 from ds_orchestrator.engines.parcel import Parcel, parcel_of
-from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -45,13 +45,13 @@ class EngineError(RuntimeError):
 class _Job:
     """One drive."""
 
-    task: DriveTask
+    request: DriveRequest
     losses: int = 0
     answer: Future[RunRecord] = field(default_factory=Future)
 
     def end(self, outcome: Outcome, message: str) -> None:
         if not self.answer.done():
-            self.answer.set_result(self.task.ended(outcome, message))
+            self.answer.set_result(self.request.ended(outcome, message))
 
 
 @dataclass(eq=False)
@@ -74,8 +74,8 @@ class _Seat:
         return self.worker.threads - len(self.batches)
 
 
-class DaskExecutor:
-    """Drives on a cluster; satisfies `ds_orchestrator.campaign.runner.Executor` and `membership.Members`.
+class DaskEngine:
+    """Drives on a cluster; satisfies `membership.Members`, too.
 
     Args:
         address: address of the scheduler.
@@ -122,20 +122,13 @@ class DaskExecutor:
         """Wait until a worker is ready; see `Membership.wait_for_worker`."""
         self._membership.wait_for_worker()
 
-    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
-        """Drive a road on some worker; waits for one that is free.
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        """Drive a road on some worker; waits for one that is free, and gives no feedback.
 
         Raises:
             EngineError: the scheduler or all workers are gone for too long.
         """
-        return self._drive(DriveTask(simulator, road, seed, conditions))
-
-    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
-        """Drive the autopilot; see `ds_orchestrator.campaign.gatekeeper.GateDriver`."""
-        return self._drive(DriveTask(simulator, road, seed, conditions, gate=True))
-
-    def _drive(self, task: DriveTask) -> RunRecord:
-        job = _Job(task)
+        job = _Job(request)
         with self._changed:
             if self._failure:
                 raise EngineError(self._failure)
@@ -221,7 +214,7 @@ class DaskExecutor:
                     dask_worker.drive,
                     self._sha256,
                     self._timeout,
-                    [task_to_json(job.task) for job in batch.jobs],
+                    [request_to_json(job.request) for job in batch.jobs],
                     key=name,
                     workers=[seat.worker.address],
                     allow_other_workers=False,
@@ -246,7 +239,7 @@ class DaskExecutor:
             if answers is None:
                 raise RunCodecError("the worker was restarted under its address")
             runs = [
-                decode_run(answer, job.task.road, job.task.seed, job.task.conditions)
+                decode_run(answer, job.request.road, job.request.seed, job.request.conditions)
                 for answer, job in zip(answers, batch.jobs, strict=True)
             ]
         except ValueError as error:
@@ -278,42 +271,30 @@ class DaskExecutor:
 
 
 @contextmanager
-def running_dask(
-    driver: str,
-    simulators: list[str],
-    *,
-    workers: int,
-    command_timeout: float,
-    folder: Path,
-    options: ClusterOptions,
-    say: Callable[[str], None],
-) -> Iterator[DaskExecutor]:
-    """Connect to the cluster, or start one on this machine; yield an executor, and leave the cluster.
+def running_dask(settings: DriveSettings, *, folder: Path, say: Callable[[str], None]) -> Iterator[DaskEngine]:
+    """Connect to the cluster, or start one on this machine; yield an engine, and leave the cluster.
 
     Args:
-        driver: as in `ds_driver.closed_loop.simulation.Drive`.
-        simulators: names of the simulators.
-        workers: number of workers of an own cluster.
-        command_timeout: wall-clock time for one answer of the driver, s.
+        settings: driver, simulators, the cluster, and the number of workers of an own one.
         folder: folder for an own cluster's files, created if missing.
-        options: which cluster.
         say: called with one line when a worker is refused or lost, or the scheduler is.
 
     Raises:
         ds_orchestrator.engines.cluster.ClusterError: there is no scheduler, or no usable worker.
         ValueError: the driver cannot be sent.
     """
+    options = settings.cluster
     options.check()
-    parcel = parcel_of(driver, simulators)
+    parcel = parcel_of(settings.driver, settings.simulators)
     with ExitStack() as stack:
         address = options.scheduler
         if address is None:
             folder.mkdir(parents=True, exist_ok=True)
-            address = stack.enter_context(own_cluster(workers, options, folder))
+            address = stack.enter_context(own_cluster(settings.workers, options, folder))
             if options.listen != ClusterOptions.listen:
                 say(f"further workers may join: dask worker {address}")
         client = connect(address, options)
-        executor = DaskExecutor(address, options, client, parcel, command_timeout=command_timeout, say=say)
-        stack.callback(executor.close)
-        executor.wait_for_worker()
-        yield executor
+        engine = DaskEngine(address, options, client, parcel, command_timeout=settings.command_timeout, say=say)
+        stack.callback(engine.close)
+        engine.wait_for_worker()
+        yield engine

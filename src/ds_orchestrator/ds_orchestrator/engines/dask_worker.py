@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ds_driver.closed_loop.drive_task import task_from_json
+from ds_driver.closed_loop.drive_request import request_from_json
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.engines.fingerprint import fingerprint
 from ds_orchestrator.engines.parcel import Parcel
@@ -72,7 +72,7 @@ def drive(sha256: str, command_timeout: float, drives: list[dict[str, Any]]) -> 
     Args:
         sha256: digest of the parcel.
         command_timeout: wall-clock time for one answer of the driver, s.
-        drives: tasks as JSON values, with the simulators' names where the campaign runs.
+        drives: requests as JSON values, with names as where the campaign runs.
 
     Returns:
         The runs, encoded by `ds_sim.run_codec`, in order; None if this worker does not have the parcel.
@@ -83,9 +83,11 @@ def drive(sha256: str, command_timeout: float, drives: list[dict[str, Any]]) -> 
     process = _taken(unpacked, command_timeout)
 
     def run(one: dict[str, Any]) -> bytes:
-        task = task_from_json(one)
-        name = unpacked.parcel.name_there(task.simulator, unpacked.folder)
-        return encode_run(process.drive(replace(task, simulator=name)))
+        request = request_from_json(one)
+        simulator, driver = (
+            unpacked.parcel.name_there(name, unpacked.folder) for name in (request.simulator, request.driver)
+        )
+        return encode_run(process.drive(replace(request, simulator=simulator, driver=driver)))
 
     try:
         with ThreadPoolExecutor(len(drives)) as pool:

@@ -8,8 +8,9 @@ from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
+from ds_sim.installation import versions
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import SimulatorError
-from ds_sim.software_versions import versions
 
 CODE = ("ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_twin_donkey")
 """Packages whose code takes part in a drive."""
@@ -32,7 +33,7 @@ def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
         simulators: names of the simulators.
     """
     known = versions()
-    with_panda = any(name.partition("@")[0] == "panda" or "ds_sim_panda" in name for name in simulators)
+    with_panda = any(SimulatorName.parse(name).base == "panda" or "ds_sim_panda" in name for name in simulators)
     libraries = [
         *LIBRARIES,
         *(name for name, of in BACKENDS.items() if backend.startswith(of)),

@@ -7,18 +7,17 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from ds_driver.closed_loop.drive_task import DriveTask
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
-from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_orchestrator.campaign.engine import Watch
 from ds_sim.session import RunRecord
 
 DRIVES_PER_WORKER = 4
 """Drives of one process at a time; chosen by measurement (docs/speed.md): more gain little, and wait for each other."""
 
 
-class LocalExecutor:
-    """Gives each drive to the process that drives least; satisfies `ds_orchestrator.campaign.runner.Executor`.
+class LocalEngine:
+    """Gives each drive to the process that drives least.
 
     Args:
         workers: started processes.
@@ -35,25 +34,18 @@ class LocalExecutor:
         """Drives at a time."""
         return len(self._busy) * self._drives_each
 
-    def execute(self, simulator: str, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
-        """Drive a road as soon as a process has room.
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        """Drive a road as soon as a process has room; gives no feedback.
 
         Raises:
             ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
         """
-        return self._drive(DriveTask(simulator, road, seed, conditions))
-
-    def gate(self, simulator: str, road: Road, seed: int, conditions: Conditions) -> RunRecord:
-        """Drive the autopilot; see `ds_orchestrator.campaign.gatekeeper.GateDriver`."""
-        return self._drive(DriveTask(simulator, road, seed, conditions, gate=True))
-
-    def _drive(self, task: DriveTask) -> RunRecord:
         with self._changed:
             self._changed.wait_for(lambda: min(self._busy.values()) < self._drives_each)
             worker = min(self._busy, key=lambda one: self._busy[one])
             self._busy[worker] += 1
         try:
-            return worker.drive(task)
+            return worker.drive(request)
         finally:
             with self._changed:
                 self._busy[worker] -= 1
@@ -66,11 +58,11 @@ class LocalExecutor:
 
 
 @contextmanager
-def running_local(driver: str, *, workers: int, command_timeout: float, logs: Path) -> Iterator[LocalExecutor]:
-    """Start the processes, yield an executor, and end them.
+def running_local(driver: str, *, workers: int, command_timeout: float, logs: Path) -> Iterator[LocalEngine]:
+    """Start the processes, yield an engine, and end them.
 
     Args:
-        driver: as in `ds_driver.closed_loop.simulation.Drive`.
+        driver: as in `ds_driver.closed_loop.drive_request.DriveRequest`.
         workers: number of processes.
         command_timeout: wall-clock time for one answer of the driver, s.
         logs: folder for one log per process, created if missing.
@@ -101,4 +93,4 @@ def running_local(driver: str, *, workers: int, command_timeout: float, logs: Pa
             starter.join()
         if failures:
             raise failures[0]
-        yield LocalExecutor(pool, min(DRIVES_PER_WORKER, *batches))
+        yield LocalEngine(pool, min(DRIVES_PER_WORKER, *batches))

@@ -7,8 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ds_driver.closed_loop.simulation import AUTOPILOT
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_sim.registry import SimulatorName
+
+if TYPE_CHECKING:
+    from ds_driver.networks.driver_name import DriverName
 
 
 class ParcelError(ValueError):
@@ -67,11 +72,11 @@ def parcel_of(driver: str, simulators: Sequence[str]) -> Parcel:
     files: dict[str, bytes] = {}
     renamed: dict[str, str] = {}
     for number, simulator in enumerate(simulators):
-        base, at, file = simulator.partition("@")
-        if at:
-            place = f"simulators/{number}/{Path(file).name}"
-            files[place] = Path(file).read_bytes()
-            renamed[simulator] = f"{base}@{{folder}}/{place}"
+        name = SimulatorName.parse(simulator)
+        if name.file:
+            place = f"simulators/{number}/{Path(name.file).name}"
+            files[place] = Path(name.file).read_bytes()
+            renamed[simulator] = f"{name.base}@{{folder}}/{place}"
     sha256 = backend = ""
     if driver != AUTOPILOT:
         from ds_driver.networks.network_driver import driver_sha256
@@ -88,35 +93,33 @@ def parcel_of(driver: str, simulators: Sequence[str]) -> Parcel:
     )
 
 
-def _pack_generators(driver: str, name: str, named: str, files: dict[str, bytes]) -> str:
+def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
     """Add the generators that a worker does not have; return what follows the network's name there."""
+    from ds_driver.networks.driver_name import WEIGHTS
     from ds_driver.networks.network_driver import generators_of
     from ds_driver.sim2real.generator_set import FOLDER, NONE, shipped_sets
 
-    generators = generators_of(driver)
-    if named == NONE or named in shipped_sets():
-        return f"+{named}"
+    generators = generators_of(str(name))
+    if name.generators == NONE or name.generators in shipped_sets():
+        return f"+{name.generators}"
     if generators is None:
         return ""
-    if named or name.endswith(".safetensors"):
+    if name.generators or name.file_type == WEIGHTS:
         # Beside the weights, where a network looks for the generators that it was trained with.
         files |= {f"driver/{FOLDER}/{label}.safetensors": path.read_bytes() for label, path in generators.files.items()}
-    return f"+{{folder}}/driver/{FOLDER}" if named else ""
+    return f"+{{folder}}/driver/{FOLDER}" if name.generators else ""
 
 
 def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) -> str:
     """Add a driver's files; return its back end."""
-    from ds_driver.networks.backends import split_backend
     from ds_driver.networks.described_network import file_of, read_description
-    from ds_driver.networks.driver_name import DESCRIPTIONS, split_generators
+    from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
     from ds_driver.networks.network_driver import BUILT_IN_BACKEND
 
-    whole, backend, _device = split_backend(driver)
-    name, named = split_generators(whole)
-    path = Path(name)
-    suffix = path.suffix.lower()
-    ending = _pack_generators(driver, name, named, files) + driver[len(whole) :]
-    if suffix in DESCRIPTIONS:
+    name = DriverName.parse(driver)
+    path = Path(name.network)
+    ending = _pack_generators(name, files) + name.suffix
+    if name.file_type in DESCRIPTIONS:
         network = file_of(path, read_description(path))
         try:
             inside = network.resolve().relative_to(path.resolve().parent)
@@ -126,13 +129,13 @@ def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) 
                 "they can be sent to other machines"
             ) from None
         files |= {f"driver/{path.name}": path.read_bytes(), f"driver/{inside}": network.read_bytes()}
-    elif suffix == ".safetensors":
+    elif name.file_type == WEIGHTS:
         files[f"driver/{path.name}"] = path.read_bytes()
     else:  # shipped, or a class: the worker has it, and its digest is compared
-        if ending != driver[len(name) :]:
-            renamed[driver] = name + ending
-        return "" if ":" in name else BUILT_IN_BACKEND if backend == "auto" else backend
+        if name.network + ending != driver:
+            renamed[driver] = name.network + ending
+        return "" if name.is_class else BUILT_IN_BACKEND if name.backend == "auto" else name.backend
     renamed[driver] = f"{{folder}}/driver/{path.name}{ending}"
-    if backend == "auto":
-        return BUILT_IN_BACKEND if suffix == ".safetensors" else "torch onnx openvino"
-    return backend
+    if name.backend == "auto":
+        return BUILT_IN_BACKEND if name.file_type == WEIGHTS else "torch onnx openvino"
+    return name.backend

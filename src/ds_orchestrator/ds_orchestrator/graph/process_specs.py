@@ -2,20 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from ds_driver.closed_loop.simulation import AUTOPILOT
+from ds_driver.closed_loop.drive_request import AUTOPILOT
 from ds_orchestrator.graph.supervisor import ProcessSpec
-from ds_sim.registry import spec_of
-
-
-def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
-    """Map simulator name -> namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
-    spaces = {name: f"/ds{index}" for index, name in enumerate(siblings, start=1)}
-    if twin:
-        spaces[twin] = "/twin"
-    return spaces
-
 
 DRIVER_PROCESS = "driver"
 
@@ -74,23 +62,3 @@ def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
         return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.autopilot_node", parameters=parameters)
     parameters["network"] = driver
     return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.driver_node", parameters=parameters)
-
-
-def check_driver(driver: str, simulators: Sequence[str]) -> None:
-    """Check a driver's name before anything starts.
-
-    Args:
-        driver: name of the driver.
-        simulators: names of the simulators that it will drive.
-
-    Raises:
-        ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
-    """
-    if driver == AUTOPILOT:
-        return
-    from ds_driver.networks.network_driver import generators_of, load_pilot
-
-    load_pilot(driver)
-    generators = generators_of(driver)
-    if generators is not None:
-        generators.check(spec_of(name).name for name in simulators)

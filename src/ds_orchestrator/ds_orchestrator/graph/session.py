@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from ds_orchestrator.graph.executor import START_TIME, GraphExecutor
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.engines.local import LocalEngine, running_local
+from ds_orchestrator.graph.client import START_TIME, GraphClient
+from ds_orchestrator.graph.graph_engine import GraphEngine
 from ds_orchestrator.graph.process_specs import closed_loop_processes, driver_process, simulator_processes
 from ds_orchestrator.graph.ros_domain import RosDomain
-from ds_orchestrator.graph.shared_memory import remove_leftovers
 from ds_orchestrator.graph.signals import IgnoreSignals
 from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-from ds_orchestrator.graph.worker_pool import WorkerPool
 
 
 def processes_of(
@@ -36,7 +38,7 @@ def running_graph(
     draw: str = "all",
     wait: float = START_TIME,
     report: Callable[[str], None] = lambda line: None,
-) -> Iterator[GraphExecutor]:
+) -> Iterator[GraphClient]:
     """Start a graph, yield it when it is ready to drive, and stop it.
 
     Args:
@@ -52,7 +54,7 @@ def running_graph(
         report: called with one line when a run has to wait for another client.
 
     Raises:
-        ds_orchestrator.graph.executor.GraphError: the graph does not start.
+        ds_orchestrator.graph.client.GraphError: the graph does not start.
         ds_orchestrator.graph.supervisor.ProcessError: one of its processes ended.
     """
     with ExitStack() as stack:
@@ -61,14 +63,13 @@ def running_graph(
         supervisor = None
         domain = None
         if not attach:
-            remove_leftovers()
             reserved = RosDomain()
             stack.callback(reserved.close)
             domain = reserved.number
             specs = processes_of(driver, namespaces, command_timeout, composed=composed, draw=draw)
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
-        executor = GraphExecutor(
+        executor = GraphClient(
             namespaces,
             domain=domain,
             command_timeout=command_timeout,
@@ -83,29 +84,34 @@ def running_graph(
 
 
 @contextmanager
-def running_workers(
-    count: int, namespaces: dict[str, str], driver: str, *, command_timeout: float, logs: Path
-) -> Iterator[WorkerPool]:
-    """Start several graphs, yield them when they are ready to drive, and stop them.
+def running_graphs(settings: DriveSettings, *, logs: Path) -> Iterator[GraphEngine]:
+    """Start the engine `graph`, yield it when its graphs are ready to drive, and stop it.
+
+    Worker processes without ROS drive what is to be probed; their drives are the same.
 
     Args:
-        count: number of graphs.
-        namespaces: simulator name -> namespace.
-        driver: `autopilot`, a shipped network, or a weights file.
-        command_timeout: wall-clock time that a simulator waits for its driver, s.
-        logs: folder for logs; each graph writes into a subfolder `worker_<number>`, from 1.
+        settings: simulators, driver, and number of graphs.
+        logs: folder for logs; each of several graphs writes into a subfolder `worker_<number>`, from 1.
 
     Raises:
-        ds_orchestrator.graph.executor.GraphError: a graph does not start.
+        ds_orchestrator.graph.client.GraphError: a graph does not start.
         ds_orchestrator.graph.supervisor.ProcessError: a process of a graph ended.
     """
+    count, timeout = settings.workers, settings.command_timeout
     with ExitStack() as stack:
+
+        def start_probing() -> LocalEngine:
+            return stack.enter_context(
+                running_local(AUTOPILOT, workers=count, command_timeout=timeout, logs=logs / "gates")
+            )
+
         graphs = [
             stack.enter_context(
                 running_graph(
-                    namespaces, driver, command_timeout=command_timeout, logs=logs / f"worker_{number}", draw="seen"
+                    settings.namespaces, settings.driver, command_timeout=timeout, attach=settings.attach, draw="seen",
+                    logs=logs if count == 1 else logs / f"worker_{number}",
                 )
             )
             for number in range(1, count + 1)
-        ]
-        yield WorkerPool(graphs, list(namespaces))
+        ]  # fmt: skip
+        yield GraphEngine(graphs, settings.simulators, start_probing)

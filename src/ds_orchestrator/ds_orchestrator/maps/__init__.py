@@ -1,8 +1,1 @@
-"""Feature maps: pooling, union and merge (paper 3.3 to 3.5).
-
-Public names are imported when they are first used; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Feature maps: pooling, union and merge (paper 3.3 to 3.5)."""

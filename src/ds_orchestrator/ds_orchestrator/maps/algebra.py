@@ -59,6 +59,15 @@ def union(map_id: MapId, maps: Sequence[FeatureMap], *, pooled_quality_loss: boo
 
     Raises:
         ValueError: no maps, or one without counts.
+
+    Examples:
+        >>> from ds_orchestrator import FeatureMap, MapCell, MapId, union
+        >>> def tests(failures):
+        ...     cell = MapCell(tests=4, failures=failures, probability=failures / 4, quality_loss=0.5)
+        ...     return FeatureMap(id=MapId.search("bullet"), cells={(2, 17): cell})
+        >>> united = union(MapId.union("bullet"), [tests(1), tests(3)])
+        >>> united.cells[2, 17].tests, united.cells[2, 17].probability
+        (8, 0.5)
     """
     _check_axes(maps, "unite")
     cells = {}
@@ -98,6 +107,15 @@ def merge(
 
     Raises:
         ValueError: no maps.
+
+    Examples:
+        >>> from ds_orchestrator import FeatureMap, MapCell, MapId, merge
+        >>> def failing(share, sibling):
+        ...     cell = MapCell(tests=4, failures=int(4 * share), probability=share, quality_loss=share)
+        ...     return FeatureMap(id=MapId.union(sibling), cells={(2, 17): cell})
+        >>> merged = merge(MapId.merged(), [failing(0.5, "bullet"), failing(0.25, "softbody")])
+        >>> merged.cells[2, 17].probability, merged.cells[2, 17].quality_loss
+        (0.125, 0.25)
     """
     _check_axes(maps, "merge")
     if len(maps) == 1:

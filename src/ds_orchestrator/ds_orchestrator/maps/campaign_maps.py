@@ -76,7 +76,7 @@ def cells_of(
             features=features,
             maxitwo_compatible=maxitwo_compatible,
             conditions=test.conditions,
-            line_contrast=None if gate is None or gate.outcome is None else gate.line_contrast,
+            visible_contrast=None if gate is None or gate.outcome is None else gate.visible_contrast,
         )
         if cell is not None:
             cells[test.test_id] = cell

@@ -20,6 +20,11 @@ class MapId:
         simulator: simulator on which the tests were driven; "" for a merged map.
         origin: sibling whose search generated the tests; "" if the map holds tests of all siblings.
         operator: operator that merged the siblings; "" for the configured ones and for maps that are not merged.
+
+    Examples:
+        >>> from ds_orchestrator import MapId
+        >>> MapId.union("bullet").name, MapId.twin("donkey").title
+        ('union_bullet', 'Twin donkey')
     """
 
     kind: Kind

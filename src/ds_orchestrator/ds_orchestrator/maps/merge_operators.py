@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from ds_sim.extension import ExtensionError, is_extension, load_extension
+
 LEVEL = 0.95
 """Coverage of intervals; chosen: the usual one, matching the paper's alpha of 0.05."""
 DRAWS = 20_000
@@ -72,10 +74,29 @@ OPERATORS: Mapping[str, MergeOperator] = {
 """Operators by their name in a configuration. A new operator needs a seed that no other has."""
 
 
+def operator_of(name: str) -> MergeOperator:
+    """Look up an operator: a key of `OPERATORS`, or `module:NAME`, a `MergeOperator`.
+
+    Raises:
+        ds_sim.extension.ExtensionError: the name is unknown, or leads to no operator.
+    """
+    if name in OPERATORS:
+        return OPERATORS[name]
+    if not is_extension(name):
+        raise ExtensionError(f"unknown operator {name!r}: expected one of {', '.join(OPERATORS)}, or module:NAME")
+    return load_extension(name, MergeOperator, "operator")
+
+
 def apply(operator: str, values: Sequence[float], tests: Sequence[int]) -> float:
-    """Merge several siblings' values, given their numbers of tests; the order of the siblings does not matter."""
+    """Merge several siblings' values, given their numbers of tests; the order of the siblings does not matter.
+
+    Examples:
+        >>> from ds_orchestrator.maps.merge_operators import apply
+        >>> apply("product", values=[0.5, 0.2], tests=[4, 10]), apply("maximum", [0.5, 0.2], [4, 10])
+        (0.1, 0.5)
+    """
     pairs = np.array(sorted(zip(values, tests, strict=True)), np.float64)
-    return float(OPERATORS[operator].combine(pairs[:, 0], pairs[:, 1]))
+    return float(operator_of(operator).combine(pairs[:, 0], pairs[:, 1]))
 
 
 def jeffreys_interval(failures: int, tests: int) -> tuple[float, float]:
@@ -83,6 +104,11 @@ def jeffreys_interval(failures: int, tests: int) -> tuple[float, float]:
 
     Without failures the lower end is 0, without successes the upper end is 1, so that the interval contains the
     observed share (Brown, Cai, DasGupta, Statistical Science 2001, section 4.1.2).
+
+    Examples:
+        >>> from ds_orchestrator import jeffreys_interval
+        >>> [round(end, 3) for end in jeffreys_interval(failures=0, tests=10)]
+        [0.0, 0.217]
     """
     tail = (1.0 - LEVEL) / 2.0
     posterior = failures + _PRIOR, tests - failures + _PRIOR
@@ -102,6 +128,11 @@ def merged_interval(operator: str, counts: Sequence[tuple[int, int]]) -> tuple[f
     Returns:
         Equal tails of the operator's values over independent draws from the siblings' posteriors; if the merged share
         is exactly 0 or 1, so is that end, as in `jeffreys_interval`. Equal counts give equal intervals.
+
+    Examples:
+        >>> from ds_orchestrator.maps.merge_operators import merged_interval
+        >>> [round(end, 1) for end in merged_interval("product", [(5, 10), (2, 10)])]
+        [0.0, 0.3]
     """
     if len(counts) == 1:
         return jeffreys_interval(*counts[0])
@@ -110,7 +141,7 @@ def merged_interval(operator: str, counts: Sequence[tuple[int, int]]) -> tuple[f
 
 @lru_cache(maxsize=4096)
 def _merged_interval(operator: str, counts: tuple[tuple[int, int], ...]) -> tuple[float, float]:
-    merge = OPERATORS[operator]
+    merge = operator_of(operator)
     failures, tests = np.array(counts, np.float64).T
     rng = np.random.default_rng([merge.seed, *(n for pair in counts for n in pair)])
     draws = rng.beta((failures + _PRIOR)[:, None], (tests - failures + _PRIOR)[:, None], (len(counts), DRAWS))

@@ -1,8 +1,1 @@
-"""Searches for roads that make a driver fail (paper 3.3), with an ask/tell interface.
-
-Public names are imported when they are first used; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Searches for roads that make a driver fail (paper 3.3), with an ask/tell interface."""

@@ -11,6 +11,7 @@ from ds_orchestrator.search.archive import Elite
 from ds_orchestrator.search.base import Candidate, Search, SearchSettings
 from ds_orchestrator.search.features import Cell
 from ds_road import MutationError, mutate
+from ds_sim.extension import ExtensionError, is_extension, load_extension
 
 RANKED_SHARE = 0.5
 """Probability with which DeepHyperion-CS selects by rank, otherwise uniformly (DeepHyperion's package)."""
@@ -96,3 +97,19 @@ SEARCHES: Mapping[str, type[Search]] = {
     "random": RandomSearch,
 }
 """Name in a configuration -> search."""
+
+
+def search_of(name: str) -> type[Search]:
+    """Look up a search: a key of `SEARCHES`, or `module:Class`, a subclass of `Search`.
+
+    Raises:
+        ds_sim.extension.ExtensionError: the name is unknown, or leads to no search.
+    """
+    if name in SEARCHES:
+        return SEARCHES[name]
+    if not is_extension(name):
+        raise ExtensionError(f"unknown search {name!r}: expected one of {', '.join(SEARCHES)}, or module:Class")
+    found = load_extension(name, type, "search")
+    if not issubclass(found, Search):
+        raise ExtensionError(f"search {name} is no subclass of ds_orchestrator.Search")
+    return found

@@ -15,8 +15,8 @@ class Elite:
 
     Attributes:
         road: road of the test.
-        fitness: smallest lateral distance on it, m, or what another objective says.
-        failed: whether the driver failed on it, or it is what another objective looks for.
+        fitness: smallest lateral distance on it, m.
+        failed: whether the driver failed on it.
         conditions: operating conditions of the test.
     """
 
@@ -31,7 +31,7 @@ class Archive(dict[Cell, Elite]):
 
     A candidate with a higher fitness than the elite does not enter:
 
-        >>> from ds_orchestrator.search import Archive
+        >>> from ds_orchestrator.search.archive import Archive
         >>> from ds_road import Road
         >>> road = Road([[0, 0], [0, 25], [0, 50], [0, 75]])
         >>> archive = Archive()

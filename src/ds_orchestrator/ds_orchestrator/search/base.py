@@ -72,7 +72,8 @@ class Search(ABC):
     A search with a synthetic fitness:
 
         >>> import numpy as np
-        >>> from ds_orchestrator.search import DeepHyperion, SearchSettings
+        >>> from ds_orchestrator.search.algorithms import DeepHyperion
+        >>> from ds_orchestrator.search.base import SearchSettings
         >>> search = DeepHyperion(SearchSettings(population=3, iterations=5), np.random.default_rng(1))
         >>> while not search.done:
         ...     road = search.ask()
@@ -141,8 +142,7 @@ class Search(ABC):
         """Report the outcome of the last test.
 
         Args:
-            fitness: smallest lateral distance, m, or what another objective says (`search.objectives`); None if the
-                execution ended in an error.
+            fitness: smallest lateral distance, m; None if the execution ended in an error.
             failed: whether the driver failed; see `Archive.place`.
             cell: cell of the feature map; computed from turns count and curvature if None.
 

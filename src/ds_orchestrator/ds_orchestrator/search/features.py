@@ -20,6 +20,7 @@ from ds_road import Road
 from ds_road.features import direction_coverage, largest_lane_curvature, minimum_radius
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.scales import between, share_of
+from ds_sim.extension import is_extension, load_extension
 from ds_sim.gates.gate import LEAST_CONTRAST
 
 Cell = tuple[int, ...]
@@ -55,7 +56,7 @@ class Feature:
         of_road_maxitwo: the same as the authors' package computes it, where that differs.
         of_run: computes the bin of a run; None for a feature of the road.
         of_conditions: computes the bin of operating conditions; None for any other feature.
-        of_line_contrast: computes the bin of the lines' contrast, as the visibility gate measures it on the sibling
+        of_visible_contrast: computes the bin of the lines' contrast, as the visibility gate measures it on the sibling
             whose search generated the test; None for any other feature.
         edge: computes the lower edge of a bin of width 1; None where bins are of equal size `unit`.
         width: number of bins joined into one.
@@ -68,7 +69,7 @@ class Feature:
     of_road_maxitwo: Callable[[Road], int] | None = None
     of_run: Callable[[Drive], int] | None = None
     of_conditions: Callable[[Conditions], int | None] | None = None
-    of_line_contrast: Callable[[float], int] | None = None
+    of_visible_contrast: Callable[[float], int] | None = None
     edge: Callable[[int], float] | None = None
     width: int = 1
 
@@ -86,11 +87,11 @@ class Feature:
         *,
         maxitwo_compatible: bool,
         conditions: Conditions = DEFAULT,
-        line_contrast: float | None = None,
+        visible_contrast: float | None = None,
     ) -> int | None:
         """Compute the bin of a test; None if the feature needs a run, a gate or a condition's value that is missing."""
-        if self.of_line_contrast is not None:
-            return None if line_contrast is None else self.of_line_contrast(line_contrast) // self.width
+        if self.of_visible_contrast is not None:
+            return None if visible_contrast is None else self.of_visible_contrast(visible_contrast) // self.width
         if self.of_conditions is not None:
             bin_ = self.of_conditions(conditions)
             return None if bin_ is None else bin_ // self.width
@@ -196,16 +197,16 @@ def _measured_contrast_bin(contrast: float) -> int:
     return int(math.log2(contrast / LEAST_CONTRAST)) if contrast > LEAST_CONTRAST else 0
 
 
-MEASURED_LINE_CONTRAST = "measured_line_contrast"
+VISIBLE_CONTRAST = "visible_contrast"
 """Feature that needs the visibility gate; bins double, as contrast is noticed in ratios (Weber)."""
 CONDITION_BINS = 10
 """Bins of a condition's range; chosen: as many as the curvature usually fills."""
 _ROUNDING = 1e-9
 """Added before rounding down, so that the lower edge of a bin lies in it."""
 _MEASURED = Feature(
-    name=MEASURED_LINE_CONTRAST,
+    name=VISIBLE_CONTRAST,
     title="measured line contrast",
-    of_line_contrast=_measured_contrast_bin,
+    of_visible_contrast=_measured_contrast_bin,
     edge=lambda bin_: LEAST_CONTRAST * 2.0**bin_,
 )
 FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in (*_ALL, _MEASURED, *map(_of_condition, FIELDS))}
@@ -219,21 +220,36 @@ class FeatureError(ValueError):
     """Unknown feature name, or invalid bin width."""
 
 
+def base_of(name: str) -> str:
+    """Name of a feature without the width of its bins: `minimum_radius` for `minimum_radius:20`."""
+    plain, _, ending = name.rpartition(":")
+    return plain if plain and ending.isdecimal() else name
+
+
 @cache
 def feature_of(name: str) -> Feature:
-    """Look up a feature by name; `minimum_radius:20` joins twenty bins into one.
+    """Look up a feature: a key of `FEATURES`, or `module:NAME`, a `Feature`; `minimum_radius:20` joins twenty bins.
 
     Raises:
         FeatureError: the name is unknown, or the width is not a whole number of at least 1.
+        ds_sim.extension.ExtensionError: the user's own feature cannot be loaded.
+
+    Examples:
+        >>> from ds_orchestrator import feature_of
+        >>> feature_of("minimum_radius:20").title
+        'minimum radius, feet'
     """
-    plain, colon, width = name.partition(":")
-    if plain not in FEATURES:
-        raise FeatureError(f"unknown feature {name!r}: expected one of {', '.join(FEATURES)}")
-    if not colon:
-        return FEATURES[plain]
-    if not (width.isdecimal() and int(width) >= 1):
-        raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {plain}:20")
-    return replace(FEATURES[plain], name=name, width=int(width))
+    base = base_of(name)
+    known = name.partition(":")[0]
+    if base not in FEATURES and known in FEATURES:
+        raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {known}:20")
+    if base not in FEATURES and not is_extension(base):
+        raise FeatureError(f"unknown feature {name!r}: expected one of {', '.join(FEATURES)}, or module:NAME")
+    width = int(name[len(base) + 1 :] or 1)
+    if width < 1:
+        raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {base}:20")
+    feature = FEATURES[base] if base in FEATURES else load_extension(base, Feature, "feature")
+    return replace(feature, name=name, width=width)
 
 
 def cell_of(
@@ -243,7 +259,7 @@ def cell_of(
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
     conditions: Conditions = DEFAULT,
-    line_contrast: float | None = None,
+    visible_contrast: float | None = None,
 ) -> Cell | None:
     """Compute the cell of a test.
 
@@ -253,15 +269,24 @@ def cell_of(
         features: names of the features; see `feature_of`.
         maxitwo_compatible: count turns as the authors' package does.
         conditions: operating conditions of the test.
-        line_contrast: contrast of the lines at the start on the same sibling (`ds_sim.gates.Gate`), if it was measured.
+        visible_contrast: contrast of the lines at the start on the same sibling (`Gate`), if it was measured.
 
     Returns:
         One bin per feature, or None if a feature needs the run or the contrast and there is none.
+
+    Examples:
+        >>> from ds_orchestrator import cell_of
+        >>> from ds_road import Road
+        >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75), (165, 90)])
+        >>> cell_of(road)
+        (1, 3)
+        >>> cell_of(road, features=["turns_count", "minimum_radius:20"])
+        (1, 4)
     """
     cell = []
     for name in features:
         bin_ = feature_of(name).bin_of(
-            road, drive, maxitwo_compatible=maxitwo_compatible, conditions=conditions, line_contrast=line_contrast
+            road, drive, maxitwo_compatible=maxitwo_compatible, conditions=conditions, visible_contrast=visible_contrast
         )
         if bin_ is None:
             return None

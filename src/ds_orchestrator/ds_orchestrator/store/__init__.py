@@ -1,8 +1,1 @@
-"""Store of a campaign: one SQLite file.
-
-Public names are imported when they are first used; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Store of a campaign: one SQLite file."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_orchestrator.search.features import Drive
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import Outcome
@@ -37,6 +38,22 @@ class Test:
     conditions: Conditions = DEFAULT
 
 
+@dataclass(frozen=True, eq=False)
+class DriveArrays:
+    """Every frame of a run.
+
+    Attributes:
+        trajectory: (steps + 1, 5) float64: x, y, yaw, speed, lateral position; m, rad, m/s.
+        steering: (steps,) float64, the commands in [-1, 1].
+    """
+
+    trajectory: NDArray[np.float64]
+    steering: NDArray[np.float64]
+
+
+NO_DRIVE = DriveArrays(np.empty((0, 5)), np.empty(0))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Execution:
     """Outcome of one test on one simulator.
@@ -51,9 +68,8 @@ class Execution:
         steps: frames driven.
         simulated_seconds: simulated time driven, s.
         trajectory_sha256: digest of the trajectory; see `ds_orchestrator.store.rows.trajectory_sha256`.
-        trajectory: (steps + 1, 5) float64: x, y, yaw, speed, lateral position; m, rad, m/s.
+        drive: every frame; that of a stored execution is read when it is first asked for.
         bag: folder of the bag relative to the campaign folder, or "".
-        steering: (steps,) float64, the commands in [-1, 1].
     """
 
     test_id: str
@@ -65,6 +81,15 @@ class Execution:
     steps: int
     simulated_seconds: float
     trajectory_sha256: str
-    trajectory: NDArray[np.float64]
+    drive: Drive
     bag: str = ""
-    steering: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """(steps + 1, 5): x, y, yaw, speed, lateral position; see `DriveArrays`."""
+        return self.drive.trajectory
+
+    @property
+    def steering(self) -> NDArray[np.float64]:
+        """(steps,) steering commands in [-1, 1]."""
+        return self.drive.steering

@@ -78,6 +78,13 @@ def seconds(value: str, name: str) -> float:
     return found
 
 
+def sha256(value: object, name: str) -> str:
+    """Check that a value is a SHA-256 digest, hexadecimal."""
+    if not re.fullmatch(f"[0-9a-f]{{{_SHA256}}}", text(value, name)):
+        raise RowError(f"{name} is {value!r:.60}, expected {_SHA256} hexadecimal digits")
+    return str(value)
+
+
 def bag_folder(value: object) -> str:
     """Check that a value names a bag in the campaign's folder `bags`, or is ""."""
     path = text(value, "bag")
@@ -133,7 +140,7 @@ def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float
     return values
 
 
-def unpack_trajectory(packed: object, sha256: object, *, steps: int) -> NDArray[np.float64]:
+def unpack_trajectory(packed: object, digest: str, *, steps: int) -> NDArray[np.float64]:
     """Decompress a trajectory and check its digest.
 
     Returns:
@@ -142,7 +149,6 @@ def unpack_trajectory(packed: object, sha256: object, *, steps: int) -> NDArray[
     Raises:
         RowError: the trajectory is damaged, of another length, not finite, or has another digest.
     """
-    digest = text(sha256, "trajectory_sha256", longest=_SHA256)
     empty = steps == 0 and digest == trajectory_sha256(np.empty((0, _COLUMNS)))
     rows = 0 if empty else steps + 1
     trajectory = unpack_numbers(packed, "trajectory", count=_COLUMNS * rows).reshape(rows, _COLUMNS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import stat
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -11,13 +12,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 4
 SCHEMA = """
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE tests (
     test_id TEXT PRIMARY KEY, sibling TEXT NOT NULL, run INTEGER NOT NULL, number INTEGER NOT NULL,
     road_id TEXT NOT NULL, control_points TEXT NOT NULL, turns_count INTEGER NOT NULL, curvature_bin INTEGER NOT NULL,
-    curvature REAL NOT NULL, seed INTEGER NOT NULL, published INTEGER NOT NULL);
+    curvature REAL NOT NULL, seed INTEGER NOT NULL, maxitwo_compatible INTEGER NOT NULL,
+    conditions TEXT NOT NULL);
 CREATE TABLE executions (
     test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, outcome TEXT NOT NULL, message TEXT NOT NULL,
     fitness REAL NOT NULL, max_lateral_position REAL NOT NULL, steps INTEGER NOT NULL,
@@ -32,25 +34,16 @@ CREATE TABLE searches (
     sibling TEXT NOT NULL, run INTEGER NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
     PRIMARY KEY (sibling, run));
 CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL);
-"""
-CONDITIONS_VERSION = 3
-"""Version of the stores of campaigns whose tests have conditions or gates; all others stay as they were."""
-CONDITIONS_SCHEMA = f"""{SCHEMA}
-CREATE TABLE conditions (test_id TEXT PRIMARY KEY REFERENCES tests, conditions TEXT NOT NULL);
 CREATE TABLE gates (
     test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, state TEXT NOT NULL, message TEXT NOT NULL,
-    outcome TEXT NOT NULL, line_contrast REAL NOT NULL, hidden_share REAL NOT NULL,
+    outcome TEXT NOT NULL, visible_contrast REAL NOT NULL, hidden_share REAL NOT NULL,
     PRIMARY KEY (test_id, simulator));
 """
-SCHEMAS = {SCHEMA_VERSION: SCHEMA, CONDITIONS_VERSION: CONDITIONS_SCHEMA}
 LARGEST_FILE = 4 * 2**30
 """Bytes; chosen: 200,000 executions and more."""
 LARGEST_VALUE = 64 * 2**20
 """Bytes of one value or row; chosen: a run of `rows.MOST_STEPS` frames fits."""
-_TABLES = {
-    version: {" ".join(statement.split()) for statement in schema.split(";") if statement.strip()}
-    for version, schema in SCHEMAS.items()
-}
+_TABLES = {" ".join(statement.split()) for statement in SCHEMA.split(";") if statement.strip()}
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 """Ends a rollback journal that names a super-journal, which SQLite would delete (SQLite file format, 3)."""
 Row = tuple[Any, ...]
@@ -63,18 +56,14 @@ class StoreError(ValueError):
 class SqliteFile:
     """Runs statements on one file, from any thread; a file that is not a campaign's stays unchanged.
 
-    The file may be received from a third party: its tables must be exactly those of `SCHEMAS`, so that no view, trigger
+    The file may be received from a third party: its tables must be exactly those of `SCHEMA`, so that no view, trigger
     or virtual table takes part in a statement, and the sizes of the file and of every value are bounded.
 
     Args:
         path: path of the file.
         begin: facts with which to create a new campaign if there is none; None to open an existing one.
-        version: one of `SCHEMAS`, of a new campaign.
-        read_only: refuse every change, and recover nothing: file and write-ahead log keep their bytes, even while
-            another process writes.
-
-    Attributes:
-        version: one of `SCHEMAS`, of the file.
+        read_only: refuse every change, and recover nothing: file and write-ahead log keep their bytes, and all that is
+            read is of one moment, even while another process writes.
 
     Raises:
         StoreError: there is no campaign, or it has another version, is damaged, or cannot be written.
@@ -85,17 +74,22 @@ class SqliteFile:
         path: Path,
         begin: Mapping[str, str] | None = None,
         *,
-        version: int = SCHEMA_VERSION,
         read_only: bool = False,
     ) -> None:
-        self.path, self.version = path, version
+        self.path = path
         self._writes = begin is not None
         self._lock = threading.Lock()
+        self._closed = False
+        self._again: SqliteFile | None = None
         folder = path.parent
         if begin is None and not path.exists():
             raise StoreError(f"no campaign in {folder}: run one there first")
         self._check_file()
-        self._db = self._connect(_read_only_flags(path)) if read_only else self._open(reading=begin is None)
+        if not read_only and not all(os.access(one, os.W_OK) for one in (folder, path) if one.exists()):
+            raise StoreError(f"{folder} cannot be written: check its permissions, or choose another --out")
+        flags = _read_only_flags(path) if read_only else ""
+        self._unchanged = _state_of(path) if "immutable" in flags else None
+        self._db = self._connect(flags)
         try:
             # With a write-ahead log, NORMAL keeps what is committed when the process is killed. A power cut may cost
             # the last runs, as it may cost their bags: they are driven again. FULL would wait for the disk after each.
@@ -107,18 +101,17 @@ class SqliteFile:
                 if begin is None:
                     raise StoreError(f"no campaign in {folder}: it was stopped before it started, run it again")
                 self._begin(begin)
-            elif found == 0 or (found in SCHEMAS and tables != _TABLES[found]):
+            elif found == 0 or (found == SCHEMA_VERSION and tables != _TABLES):
                 raise StoreError(f"{path} is not a campaign's store: choose another --out")
-            elif found not in SCHEMAS:
-                age = "an older" if found < SCHEMA_VERSION else "a newer"
+            elif found != SCHEMA_VERSION:
                 raise StoreError(
-                    f"{path} was written by {age} version of ds (schema {found}, expected {SCHEMA_VERSION} or "
-                    f"{CONDITIONS_VERSION}): use that version, or choose another --out"
+                    f"{path} was written by another version of ds (schema {found}, expected {SCHEMA_VERSION}): "
+                    "use that version, or choose another --out"
                 )
-            else:
-                self.version = found
-                if begin is not None:
-                    self._check_whole()
+            elif begin is not None:
+                self._check_whole()
+            if read_only:
+                self.ask("BEGIN")  # whatever is read from now on is of one moment
         except BaseException:
             self._db.close()
             raise
@@ -126,16 +119,20 @@ class SqliteFile:
     def _check_file(self) -> None:
         """Refuse files that SQLite must not open."""
         path = self.path
-        if path.is_dir():
-            raise StoreError(f"{path} is a folder, expected a campaign's store: choose another --out")
-        if path.exists() and not path.is_file():
-            raise StoreError(f"{path} is not a regular file, expected a campaign's store: choose another --out")
-        if path.exists() and path.stat().st_size > LARGEST_FILE:
-            raise StoreError(f"{path} has more than {LARGEST_FILE // 2**30} GiB, the limit for a campaign")
-        for ending in ("-journal", "-wal", "-shm"):
-            beside = path.with_name(f"{path.name}{ending}")
-            if beside.is_symlink() or (beside.exists() and not beside.is_file()):
-                raise StoreError(f"{beside} is not a regular file: remove it, and copy the campaign again")
+        for one in (path, *(path.with_name(f"{path.name}{ending}") for ending in ("-journal", "-wal", "-shm"))):
+            try:
+                status = one.lstat()  # SQLite follows a link, and takes the journals that lie there
+            except FileNotFoundError:
+                continue
+            if one is path and stat.S_ISDIR(status.st_mode):
+                raise StoreError(f"{path} is a folder, expected a campaign's store: choose another --out")
+            if not stat.S_ISREG(status.st_mode):
+                kind = "a link" if stat.S_ISLNK(status.st_mode) else "not a regular file"
+                raise StoreError(
+                    f"{one} is {kind}, expected a campaign's store: remove it, and copy the campaign again"
+                )
+            if status.st_size > LARGEST_FILE:
+                raise StoreError(f"{one} has more than {LARGEST_FILE // 2**30} GiB, the limit for a campaign")
         journal = path.with_name(f"{path.name}-journal")
         if journal.exists():
             with journal.open("rb") as file:
@@ -148,22 +145,8 @@ class SqliteFile:
         rows = self.ask("SELECT type, name, sql FROM sqlite_master")
         return {" ".join(str(sql).split()) for kind, name, sql in rows if not (kind == "index" and sql is None)}
 
-    def _open(self, *, reading: bool) -> sqlite3.Connection:
-        folder = self.path.parent
-        flags = ""
-        if not os.access(folder if not self.path.exists() else self.path, os.W_OK) or not os.access(folder, os.W_OK):
-            if not reading:
-                raise StoreError(f"{folder} cannot be written: check its permissions, or choose another --out")
-            journal = self.path.with_name(f"{self.path.name}-wal")
-            if journal.exists() and journal.stat().st_size:
-                raise StoreError(
-                    f"{folder} cannot be written, but its campaign was killed and needs recovery: copy the folder first"
-                )
-            flags = _read_only_flags(self.path)
-        return self._connect(flags)
-
     def _connect(self, flags: str) -> sqlite3.Connection:
-        name = quote(str(self.path.absolute()))
+        name = quote(os.fsencode(self.path.absolute()))
         try:
             found = sqlite3.connect(f"file:{name}{flags}", uri=True, check_same_thread=False, isolation_level=None)
         except sqlite3.Error as error:
@@ -174,8 +157,8 @@ class SqliteFile:
     def _begin(self, facts: Mapping[str, str]) -> None:
         """Write tables, version and facts, all or nothing."""
         self.ask("PRAGMA journal_mode=WAL")
-        statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMAS[self.version].split(";") if s.strip()]
-        statements.append((f"PRAGMA user_version={self.version}", ()))
+        statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMA.split(";") if s.strip()]
+        statements.append((f"PRAGMA user_version={SCHEMA_VERSION}", ()))
         self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
 
     def _check_whole(self) -> None:
@@ -195,6 +178,21 @@ class SqliteFile:
                 return self._db.execute(statement, values).fetchall()
             except sqlite3.Error as error:
                 raise self._refusal(error) from None
+            finally:
+                if self._unchanged is not None and _state_of(self.path) != self._unchanged:
+                    raise StoreError(f"a campaign writes {self.path} at this moment: wait for it, and try again")
+
+    def read(self, statement: str, values: Sequence[object] = ()) -> list[Row]:
+        """Run a SELECT, even after `close`: the file is then opened once more, read-only.
+
+        Raises:
+            StoreError: the file is damaged, or gone.
+        """
+        if not self._closed:
+            return self.ask(statement, values)
+        if self._again is None:
+            self._again = SqliteFile(self.path, read_only=True)
+        return self._again.ask(statement, values)
 
     def change(self, *statements: tuple[str, Sequence[object]]) -> None:
         """Run several statements, all or nothing.
@@ -226,6 +224,10 @@ class SqliteFile:
             return self.damaged(text)
         if name.startswith("SQLITE_BUSY"):
             return StoreError(f"{self.path} is locked by another process: end it, and give the same command again")
+        if name.startswith(("SQLITE_CANTOPEN", "SQLITE_READONLY")) and not os.access(self.path.parent, os.W_OK):
+            return StoreError(
+                f"{self.path.parent} cannot be written, but its campaign was killed: copy the folder first"
+            )
         return StoreError(
             f"{self.path} cannot be used ({text}): check the disk and the folder, or choose another --out"
         )
@@ -236,6 +238,13 @@ class SqliteFile:
             with self._lock, suppress(sqlite3.Error):  # closed already, or read for too long: then the log stays
                 self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
         self._db.close()
+        self._closed = True
+
+
+def _state_of(path: Path) -> tuple[int, ...]:
+    """What changes when a file is written."""
+    status = path.stat()
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _read_only_flags(path: Path) -> str:

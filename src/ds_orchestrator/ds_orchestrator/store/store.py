@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Collection, Sequence
+from functools import cached_property, partial
 from pathlib import Path
 
 from ds_orchestrator.store import rows as check
@@ -13,16 +13,9 @@ from ds_orchestrator.store.config_differences import config_differences
 from ds_orchestrator.store.decode import EXECUTION_COLUMNS, TEST_COLUMNS, VERDICTS, execution_of, test_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.rows import pack_numbers
-from ds_orchestrator.store.sqlite_file import (
-    CONDITIONS_VERSION,
-    SCHEMA_VERSION,
-    Row,
-    SqliteFile,
-    StoreError,
-)
+from ds_orchestrator.store.sqlite_file import Row, SqliteFile, StoreError
 from ds_road import Side
-from ds_sim.conditions.model import DEFAULT, Conditions, ConditionsError
-from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
 
@@ -34,15 +27,13 @@ _ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
 class Store:
     """Reads and writes the file of one campaign; may be used from several threads.
 
-    Every row is checked when it is read: types, ranges, known outcomes, finite numbers, and each trajectory against
-    its SHA-256. An invalid row raises `StoreError` with a message of one line.
+    Every row is checked when it is read: types, ranges, known outcomes, finite numbers, and each trajectory, once it
+    is asked for, against its SHA-256. An invalid row raises `StoreError` with a message of one line.
 
     Args:
         path: path of the file, created if missing and `config` is given.
         config: configuration of the campaign as JSON text, written once and compared afterwards; None to open an
             existing campaign.
-        present: converts the text of a configuration that an earlier version wrote to the present form.
-        conditions: tests of a new campaign may have conditions and gates.
         read_only: change nothing, even while a campaign writes the file.
 
     Raises:
@@ -54,16 +45,9 @@ class Store:
         path: Path,
         *,
         config: str | None = None,
-        present: Callable[[str], str] = lambda known: known,
-        conditions: bool = False,
         read_only: bool = False,
     ) -> None:
-        version = CONDITIONS_VERSION if conditions else SCHEMA_VERSION
-        self._file = SqliteFile(
-            path, None if config is None else {"config": config}, version=version, read_only=read_only
-        )
-        if config is not None and (known := self.config) != config and present(known) == config:
-            self._file.ask("UPDATE about SET value=? WHERE key='config'", (config,))
+        self._file = SqliteFile(path, None if config is None else {"config": config}, read_only=read_only)
         if config is not None and self.config != config:
             try:
                 different = config_differences(self.config, config)
@@ -119,43 +103,23 @@ class Store:
             StoreError: a test with this id is known with another road or other conditions.
         """
         road, conditions = test.road, format_conditions(test.conditions)
-        if conditions and not self.keeps_conditions:
-            raise StoreError(f"{self._file.path} keeps no conditions: choose another --out")
         row = (
             test.test_id, test.sibling, test.run, test.number, road.road_id, json.dumps(road.control_points),
-            road.turns_count, road.curvature_bin, road.curvature, test.seed, road.maxitwo_compatible,
+            road.turns_count, road.curvature_bin, road.curvature, test.seed, road.maxitwo_compatible, conditions,
         )  # fmt: skip
-        if conditions:
-            self._file.change(
-                ("INSERT OR IGNORE INTO conditions SELECT ?, ? WHERE ? NOT IN (SELECT test_id FROM tests)",
-                 (test.test_id, conditions, test.test_id)),
-                ("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row),
-            )  # fmt: skip
-        else:
-            self._file.ask("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
-        known = self._file.ask("SELECT road_id FROM tests WHERE test_id=?", (test.test_id,))[0][0]
-        if known != road.road_id or self._conditions_text(test.test_id) != conditions:
-            what = "another road" if known != road.road_id else "other conditions"
+        self._file.ask("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
+        known = self._file.ask("SELECT road_id, conditions FROM tests WHERE test_id=?", (test.test_id,))[0]
+        if known != (road.road_id, conditions):
+            what = "another road" if known[0] != road.road_id else "other conditions"
             raise StoreError(
                 f"test {test.test_id} has {what} than when this campaign started: resume with the version of ds that "
                 "started it, or choose another --out"
             )
 
-    @property
-    def keeps_conditions(self) -> bool:
-        """Whether tests may have conditions and gates."""
-        return self._file.version >= CONDITIONS_VERSION
-
-    def _conditions_text(self, test_id: str) -> str:
-        if not self.keeps_conditions:
-            return ""
-        found = self._file.ask("SELECT conditions FROM conditions WHERE test_id=?", (test_id,))
-        return str(found[0][0]) if found else ""
-
     def add_gate(self, test_id: str, simulator: str, gate: Gate) -> None:
         """Store what the gates say of a test on one simulator; known ones stay."""
         outcome = "" if gate.outcome is None else gate.outcome.name
-        row = (test_id, simulator, gate.state.value, gate.message, outcome, gate.line_contrast, gate.hidden_share)
+        row = (test_id, simulator, gate.state.value, gate.message, outcome, gate.visible_contrast, gate.hidden_share)
         self._file.ask("INSERT OR IGNORE INTO gates VALUES (?,?,?,?,?,?,?)", row)
 
     def gate(self, test_id: str, simulator: str) -> Gate | None:
@@ -167,10 +131,8 @@ class Store:
         return self._gates()
 
     def _gates(self, where: str = "", values: tuple[str, ...] = ()) -> dict[tuple[str, str], Gate]:
-        if not self.keeps_conditions:
-            return {}
         found = self._checked(
-            "SELECT test_id, simulator, state, message, outcome, line_contrast, hidden_share FROM gates "
+            "SELECT test_id, simulator, state, message, outcome, visible_contrast, hidden_share FROM gates "
             f"{where} ORDER BY simulator, test_id",
             check.text, check.text, partial(check.one_of, known=tuple(GateState)), check.text,
             partial(check.one_of, known=("", *VERDICTS)), check.real, check.real, values=values,
@@ -180,7 +142,7 @@ class Store:
                 state=GateState(state),
                 message=message,
                 outcome=Outcome[outcome] if outcome else None,
-                line_contrast=contrast,
+                visible_contrast=contrast,
                 hidden_share=hidden,
             )
             for test_id, simulator, state, message, outcome, contrast, hidden in found
@@ -207,7 +169,7 @@ class Store:
             *(("DELETE FROM given_up WHERE test_id=?", (test_id,)) for test_id in test_ids),
             *(
                 (f"DELETE FROM {table} WHERE test_id=?", (test_id,))
-                for table in (*(("gates", "conditions") if self.keeps_conditions else ()), "tests")
+                for table in ("gates", "tests")
                 for test_id in test_ids[1:]
             ),
         )
@@ -271,22 +233,13 @@ class Store:
             f"SELECT {TEST_COLUMNS} FROM tests WHERE rowid > ? ORDER BY sibling, run, number",
             (after,),
         )
-        lane, conditions = self._lane(), self._conditions()
+        lane = self._lane
         try:
-            return [test_of(row, lane, conditions.get(str(row[0]), DEFAULT)) for row in rows]
+            return [test_of(row, lane) for row in rows]
         except check.RowError as error:
             raise self._file.damaged(str(error)) from None
 
-    def _conditions(self) -> dict[str, Conditions]:
-        """Test -> conditions, of tests with other than the default ones."""
-        if not self.keeps_conditions:
-            return {}
-        statement = "SELECT test_id, conditions FROM conditions ORDER BY test_id"
-        try:
-            return {i: parse_conditions(text) for i, text in self._checked(statement, check.text, check.text)}
-        except ConditionsError as error:
-            raise self._file.damaged(f"a row of conditions: {error}") from None
-
+    @cached_property
     def _lane(self) -> Side:
         """Lane in which all roads of the campaign are driven, from its configuration."""
         try:
@@ -295,7 +248,7 @@ class Store:
         except (ValueError, RecursionError, AttributeError):
             raise self._file.damaged("its configuration has no lane, expected right or left") from None
 
-    def check(self, siblings: Sequence[str], simulators: Sequence[str], *, runs: int, budget: int) -> None:
+    def check(self, siblings: Collection[str], simulators: Collection[str], *, runs: int, budget: int) -> None:
         """Refuse rows that a campaign over these simulators cannot have, before they are used.
 
         The other columns of tests and executions are checked when they are read.
@@ -310,33 +263,30 @@ class Store:
             StoreError: a row has another simulator, a run or number out of range, an execution without its test, or
                 an excluded test with an execution, or an impossible value in one of the smaller tables.
         """
-        for read in (self.notes, self.errors, self.searches, self.results, self.given_up, self.gates, self._conditions):
+        for read in (self.notes, self.errors, self.searches, self.results, self.given_up, self.gates):
             read()
         named = [("tests", "sibling", siblings), ("executions", "simulator", simulators)]
-        named += [("gates", "simulator", simulators)] if self.keeps_conditions else []
+        named.append(("gates", "simulator", simulators))
         for table, column, known in named:
             for (name,) in self._file.ask(f"SELECT DISTINCT {column} FROM {table}"):
                 if name not in known:
                     raise self._file.damaged(f"{table} of {name!r:.60}, a simulator that is not in its configuration")
         if self._file.ask("SELECT 1 FROM tests WHERE run >= ? OR number >= ? LIMIT 1", (runs, budget)):
             raise self._file.damaged("tests with a run or number beyond its configuration")
-        of_tests = {"executions": "an execution"}
-        of_tests |= {"conditions": "conditions", "gates": "a gate"} if self.keeps_conditions else {}
-        for table, what in of_tests.items():
+        for table, what in (("executions", "an execution"), ("gates", "a gate")):
             lost = self._file.ask(
                 f"SELECT test_id FROM {table} WHERE test_id NOT IN (SELECT test_id FROM tests) LIMIT 1"
             )
             if lost:
                 raise self._file.damaged(f"{what} of {lost[0][0]!r:.60}, a test that does not exist")
 
-        if self.keeps_conditions:
-            both = self._file.ask(
-                "SELECT test_id FROM executions NATURAL JOIN (SELECT test_id, simulator FROM gates WHERE state != ?) "
-                "LIMIT 1",
-                (GateState.VALID.value,),
-            )
-            if both:
-                raise self._file.damaged(f"an execution of {both[0][0]!r:.60} where its gate excludes it")
+        both = self._file.ask(
+            "SELECT test_id FROM executions NATURAL JOIN (SELECT test_id, simulator FROM gates WHERE state != ?) "
+            "LIMIT 1",
+            (GateState.VALID.value,),
+        )
+        if both:
+            raise self._file.damaged(f"an execution of {both[0][0]!r:.60} where its gate excludes it")
 
     def execution(self, test_id: str, simulator: str) -> Execution | None:
         """The execution of a test on one simulator, or None if there is none yet."""
@@ -383,8 +333,7 @@ class Store:
 
     def count_results(self) -> int:
         """Number of executions and gates, from which maps, evaluation and report are made."""
-        gates = int(self._file.ask("SELECT count(*) FROM gates")[0][0]) if self.keeps_conditions else 0
-        return self.count_executions() + gates
+        return self.count_executions() + int(self._file.ask("SELECT count(*) FROM gates")[0][0])
 
     def _executions(self, where: str, values: tuple[str | int, ...]) -> list[Execution]:
         if (
@@ -397,7 +346,7 @@ class Store:
             values,
         )
         try:
-            return [execution_of(row) for row in rows]
+            return [execution_of(row, self._file) for row in rows]
         except check.RowError as error:
             raise self._file.damaged(str(error)) from None
 

@@ -26,12 +26,12 @@ from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.camera.surface import SURFACE_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.scene import check_rows
+from ds_sim.parts import check_rows
 from ds_sim.simulator import SimulatorError, VehicleState
 
 
 class PaintedScene:
-    """Implements `ds_sim.scene.Scene` for any camera and look.
+    """Implements `ds_sim.parts.Scene` for any camera and look.
 
     Args:
         camera: camera and its mounting.

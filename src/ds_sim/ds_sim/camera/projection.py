@@ -29,6 +29,14 @@ def project(
     Returns:
         Columns and rows, (n, 2) px, whole numbers at the centres of pixels, NaN for points nearer than `NEAREST` or
         behind the camera; and distances along the optical axis, (n,) m.
+
+    Examples:
+        >>> import numpy as np
+        >>> from ds_sim import VehicleState, project, spec_of
+        >>> vehicle = VehicleState(x=0.0, y=0.0, yaw=np.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
+        >>> pixels, depths = project(np.array([[0.0, 20.0]]), vehicle, spec_of("bullet").camera)
+        >>> bool(abs(pixels[0, 0] - 160) < 1), bool(depths[0] > 0)
+        (True, True)
     """
     (place, turn), (mount, optical) = body_pose(vehicle), camera_pose(camera)
     body = Rotation.from_quat(turn)

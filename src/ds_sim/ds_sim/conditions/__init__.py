@@ -1,8 +1,1 @@
-"""Operating conditions of a test beside its road: paint, light, weather, surface, camera, sensor and vehicle.
-
-Public names are imported on first use; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Operating conditions of a test beside its road: paint, light, weather, surface, camera, sensor and vehicle."""

@@ -20,6 +20,12 @@ def parse_conditions(text: str) -> Conditions:
 
     Raises:
         ConditionsError: anything else, or conditions that cannot be.
+
+    Examples:
+        >>> from ds_sim import parse_conditions
+        >>> conditions = parse_conditions("visibility=60, camera_pitch=2deg")
+        >>> conditions.visibility, round(conditions.camera_pitch, 4)
+        (60.0, 0.0349)
     """
     if len(text) > MAX_TEXT:
         raise ConditionsError(f"conditions of {len(text)} characters, expected at most {MAX_TEXT}")
@@ -35,7 +41,13 @@ def parse_conditions(text: str) -> Conditions:
 
 
 def format_conditions(conditions: Conditions) -> str:
-    """Write conditions as `parse_conditions` reads them, bit for bit; "" for the default."""
+    """Write conditions as `parse_conditions` reads them, bit for bit; "" for the default.
+
+    Examples:
+        >>> from ds_sim import Conditions, format_conditions
+        >>> format_conditions(Conditions(visibility=60.0, line_contrast=0.4))
+        'line_contrast=0.4,visibility=60'
+    """
     return ",".join(f"{name}={_plain(value)}" for name, value in conditions.changed.items())
 
 

@@ -8,9 +8,15 @@ from typing import Any
 
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.donkey_protocol.framing import ProtocolError
-from ds_sim.donkey_protocol.messages import FIXED_CAMERA_FIELDS, ImageFormat, command_of, image_format_of, number_in
-from ds_sim.donkey_protocol.telemetry import telemetry
+from ds_sim.donkey_protocol.messages import (
+    FIXED_CAMERA_FIELDS,
+    ImageFormat,
+    ProtocolError,
+    command_of,
+    image_format_of,
+    number_in,
+    telemetry,
+)
 from ds_sim.session import Session
 from ds_sim.simulator import Command, Observation, Simulator, SimulatorError
 

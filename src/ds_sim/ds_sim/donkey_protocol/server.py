@@ -9,11 +9,12 @@ from __future__ import annotations
 import asyncio
 import errno
 import json
+import time
 from collections.abc import Callable
 from typing import Any
 
 from ds_sim.donkey_protocol.conversation import SCENE, Conversation, ServedTests
-from ds_sim.donkey_protocol.framing import MessageSplitter, ProtocolError
+from ds_sim.donkey_protocol.messages import MessageSplitter, ProtocolError
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Simulator, SimulatorError
 
@@ -21,6 +22,10 @@ CHUNK = 64 * 1024
 GREETING_DELAY = 0.5
 """s from the connection to the first message. gym-donkeycar drops what arrives before its constructor has returned, and
 then waits forever; chosen: long for that, on a busy machine too."""
+
+YIELDS_AFTER = 30.0
+"""s without a complete message after which a client gives its place to a new one, if all are taken; chosen: far longer
+than a network computes, so that only clients that hang or pause lose theirs."""
 
 
 class ServerError(ValueError):
@@ -33,9 +38,10 @@ class DonkeyServer:
     Args:
         simulator: name known to `ds_sim.registry`.
         tests: what each client drives, from the first road on.
-        patience: s of wall-clock time that a client may take for a control, or for reading an answer.
+        patience: s of wall-clock time that a client may take for a whole message, or for reading an answer.
         most_clients: connected at the same time.
         greeting_delay: s from a connection to the first message.
+        yields_after: s without a complete message after which a client gives its place to a new one.
         report: takes one line about what happened.
     """
 
@@ -47,6 +53,7 @@ class DonkeyServer:
         patience: float = 600.0,
         most_clients: int = 8,
         greeting_delay: float = GREETING_DELAY,
+        yields_after: float = YIELDS_AFTER,
         report: Callable[[str], None] = print,
     ) -> None:
         self._simulator = simulator
@@ -54,9 +61,12 @@ class DonkeyServer:
         self._patience = patience
         self._most = most_clients
         self._greeting_delay = greeting_delay
+        self._yields_after = yields_after
         self._report = report
         self._idle: list[Simulator] = []
-        self._clients: set[int] = set()
+        self._heard: dict[int, float] = {}
+        """Client -> time of its last complete message, s."""
+        self._seats: dict[int, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._served = 0
 
@@ -108,16 +118,18 @@ class DonkeyServer:
         def report(line: str) -> None:
             self._report(f"client {number}: {line}")
 
-        if len(self._clients) >= self._most:
+        if len(self._seats) >= self._most and not self._make_room():
             report(problem := f"refused, as {self._most} clients are connected")
             await self._close(writer, problem)
             return
-        self._clients.add(number)
+        task = asyncio.current_task()
+        assert task is not None
+        self._seats[number], self._heard[number] = task, time.monotonic()
         report("connected")
         simulator, problem = None, ""
         try:
             simulator = self._idle.pop() if self._idle else make_simulator(self._simulator)
-            await self._converse(reader, writer, Conversation(simulator, self._tests, report))
+            await self._converse(reader, writer, Conversation(simulator, self._tests, report), number)
         except ProtocolError as error:
             problem = str(error)
         except (SimulatorError, ValueError) as error:
@@ -130,27 +142,39 @@ class DonkeyServer:
         except OSError:  # the client vanished
             pass
         except asyncio.CancelledError:
-            problem = "the server stops"
+            problem = "the server stops" if number in self._seats else "a new client takes the place"
         finally:
-            self._clients.discard(number)
+            self._seats.pop(number, None)
+            self._heard.pop(number, None)
             if simulator is not None:
                 self._idle.append(simulator)
         report(f"disconnected{': ' if problem else ''}{problem}")
         await self._close(writer, problem)
 
+    def _make_room(self) -> bool:
+        """Disconnect the client that has been silent longest, if that is long."""
+        silent = min(self._seats, key=lambda number: self._heard[number])
+        if time.monotonic() - self._heard[silent] < self._yields_after:
+            return False
+        self._seats.pop(silent).cancel()
+        return True
+
     async def _converse(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, conversation: Conversation
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, conversation: Conversation, number: int
     ) -> None:
         """Answer until the client leaves."""
         splitter = MessageSplitter()
         await asyncio.sleep(self._greeting_delay)
         await self._send(writer, conversation.greeting())
         while not conversation.ended:
-            async with asyncio.timeout(self._patience):
-                data = await reader.read(CHUNK)
-            if not data:
-                return
-            for message in splitter.feed(data):
+            messages: list[dict[str, Any]] = []
+            async with asyncio.timeout(self._patience):  # for a whole message, however many pieces it comes in
+                while not messages:
+                    if not (data := await reader.read(CHUNK)):
+                        return
+                    messages = splitter.feed(data)
+            self._heard[number] = time.monotonic()
+            for message in messages:
                 await self._send(writer, conversation.answer(message))
                 await asyncio.sleep(0)  # the other clients' turn
                 if conversation.ended:

@@ -41,14 +41,14 @@ class Gate:
         state: whether a network can be judged by it.
         message: why not, in one line; "" if it can.
         outcome: how the autopilot's run ended; None if the test is not applicable.
-        line_contrast: Weber contrast of the lines at the start; 0 if the test is not applicable.
+        visible_contrast: Weber contrast of the lines at the start; 0 if the test is not applicable.
         hidden_share: share of the autopilot's way on which the lines were invisible.
     """
 
     state: GateState
     message: str = ""
     outcome: Outcome | None = None
-    line_contrast: float = 0.0
+    visible_contrast: float = 0.0
     hidden_share: float = 0.0
 
     @property
@@ -63,14 +63,14 @@ def not_applicable(message: str) -> Gate:
 
 
 def gate_of(run: RunRecord) -> Gate:
-    """Judge a test by the autopilot's run with a `LineProbe`.
+    """Judge a test by the autopilot's run with a `ContrastProbe`.
 
     Raises:
         ValueError: the run ended in an error, which says nothing about the test.
     """
-    if not run.outcome.is_verdict or not run.line_contrasts:
+    if not run.outcome.is_verdict or not run.visible_contrasts:
         raise ValueError(f"the autopilot's run ended {run.outcome.name}: repeat it")
-    at_start, hidden = run.line_contrasts[0], hidden_share(run)
+    at_start, hidden = run.visible_contrasts[0], hidden_share(run)
     state, message = GateState.VALID, ""
     if run.outcome.is_failure:
         state = GateState.INFEASIBLE
@@ -81,12 +81,12 @@ def gate_of(run: RunRecord) -> Gate:
     elif hidden > MOST_HIDDEN:
         state = GateState.OUT_OF_ODD
         message = f"the lines are invisible on {hidden:.0%} of the road, expected at most {MOST_HIDDEN:.0%}"
-    return Gate(state=state, message=message, outcome=run.outcome, line_contrast=at_start, hidden_share=hidden)
+    return Gate(state=state, message=message, outcome=run.outcome, visible_contrast=at_start, hidden_share=hidden)
 
 
 def hidden_share(run: RunRecord) -> float:
     """Share of the driven way, [0, 1], on which the lines are invisible; what is measured holds until it is again."""
-    arcs = [run.observations[i * PROBE_EVERY].lane.arc_length for i in range(len(run.line_contrasts))]
+    arcs = [run.observations[i * PROBE_EVERY].lane.arc_length for i in range(len(run.visible_contrasts))]
     ways = np.diff([*arcs, run.observations[-1].lane.arc_length]).clip(min=0.0)
-    hidden = np.array(run.line_contrasts) < LEAST_CONTRAST
+    hidden = np.array(run.visible_contrasts) < LEAST_CONTRAST
     return float(ways[hidden].sum() / ways.sum()) if ways.sum() > 0.0 else float(hidden[0])

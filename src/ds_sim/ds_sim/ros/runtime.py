@@ -64,7 +64,10 @@ class LogFolderError(ValueError):
 
 
 def init_ros(**arguments: Any) -> None:
-    """Call `rclpy.init` without its signal handlers.
+    """Call `rclpy.init` without its signal handlers, and keep Fast DDS from using shared memory.
+
+    A peer that is killed with the lock of this process's shared-memory port makes this process hang or crash when it
+    ends, see `ds_bringup/config/fastdds_loopback.xml`, which holds unless the user has chosen another discovery.
 
     Args:
         arguments: arguments of `rclpy.init`.
@@ -72,6 +75,7 @@ def init_ros(**arguments: Any) -> None:
     Raises:
         LogFolderError: the home folder is not writable, and ROS_LOG_DIR names no other folder.
     """
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO, **arguments)
     except RuntimeError as error:

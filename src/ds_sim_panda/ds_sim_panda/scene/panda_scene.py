@@ -23,7 +23,7 @@ from ds_sim.camera.optics import (
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.scene import check_rows
+from ds_sim.parts import check_rows
 from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_panda.scene.graphics import graphics, panda
 from ds_sim_panda.scene.setting import WORLD_CONDITIONS, Setting, sun_direction
@@ -32,7 +32,7 @@ from ds_sim_panda.scene.world import World
 
 
 class PandaScene:
-    """Implements `ds_sim.scene.Scene` with Panda3D: textured meshes, shadows of the sun, haze.
+    """Implements `ds_sim.parts.Scene` with Panda3D: textured meshes, shadows of the sun, haze.
 
     The world belongs to the road: the same road always looks alike, whatever the seed of the run, which decides alone
     where conditions cover it. The camera has neither noise nor latency, unless conditions give it noise.

@@ -1,4 +1,4 @@
-"""Published multi-body model as a `ds_sim.vehicle.Vehicle`."""
+"""Published multi-body model as a `ds_sim.parts.Vehicle`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class MultiBodyVehicle:
         self._start = (0.0, 0.0, 0.0)
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.vehicle.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
         if (friction, payload) != self._adjusted:
             self._adjusted = (friction, payload)
             self._settle()

@@ -1,0 +1,1 @@
+"""Tables, charts and statistics that several analyses share."""

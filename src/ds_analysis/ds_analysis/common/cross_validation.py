@@ -1,0 +1,251 @@
+"""Predicts failures on roads from other roads: logistic models, chosen and fitted within a cross-validation.
+
+Everything that looks at outcomes (which feature, how much regularisation) is done on the roads of the training part
+alone, so a prediction never depends on the outcome that it predicts.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, logit
+from scipy.stats import rankdata
+
+from ds_analysis.common.families import Indices, are_alone, parts_of
+
+Array = NDArray[np.float64]
+Outcome = NDArray[np.bool_]
+Columns = Literal["best", "all"]
+"""Predictors of a model: the single feature that separates the training roads best, or all features."""
+
+FOLDS = 5
+"""Parts of the roads, each predicted from the others; usual (Hastie, Tibshirani, Friedman, section 7.10)."""
+REPEATS = 3
+"""Divisions into parts over which losses are averaged; chosen: a division alone moves a loss by a few hundredths of a
+bit, and each takes a second."""
+STRENGTHS = (0.1, 1.0, 10.0, 100.0)
+"""Inverse strengths of the ridge penalty on standardised features; chosen: from hardly a slope to nearly a step."""
+ADDED_STRENGTH = 1.0
+"""Inverse strength of the ridge penalty on standardised predictors that are added to a prediction: a normal prior with
+a standard deviation of 1. Chosen: a predictor that moves by its own standard deviation multiplies the odds by 7 at most
+(two standard deviations of the prior), so that predictors without information cost little."""
+_NOTHING_NEW = 1e-9
+"""Share of a predictor's spread below which the rest is rounding, not something new."""
+SEED = 14
+"""Seed of the divisions; any number does."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fold:
+    """One part of the roads, and what a model of the others says.
+
+    Attributes:
+        repeat: index of the division.
+        train: (m,) indices of the training roads.
+        test: (k,) indices of the part.
+        known: (m,) logits of failure on the training roads, each from a model of training roads in other inner parts.
+        predicted: (k,) logits on the part, from a model of all training roads.
+    """
+
+    repeat: int
+    train: Indices
+    test: Indices
+    known: Array
+    predicted: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Predictions:
+    """Predictions from road features.
+
+    Attributes:
+        probability: (repeats, roads) of failure, each from a model that did not see the road; see `bounded`.
+        folds: what these predictions come from.
+        chosen: index of the feature that separated the training roads best -> number of folds in which it did.
+    """
+
+    probability: Array
+    folds: Sequence[Fold]
+    chosen: Counter[int]
+
+
+def predict_failures(
+    features: Array,
+    failed: Outcome,
+    *,
+    families: Indices | None = None,
+    columns: Sequence[Columns] = ("best", "all"),
+    repeats: int = REPEATS,
+) -> Predictions:
+    """Predict every outcome by a logistic model of the other roads, those of other families if roads have any.
+
+    In each training part, a second cross-validation chooses the model (features and strength of the penalty) with the
+    smallest loss.
+
+    Args:
+        features: (roads, features) predictors.
+        failed: (roads,) outcomes, at least ten of each kind.
+        families: (roads,) number of the family; each road is its own if None.
+        columns: sets of features to choose from.
+        repeats: number of divisions into parts.
+    """
+    from sklearn import config_context
+
+    models = list(product(columns, STRENGTHS))
+    families = np.arange(len(failed)) if families is None else families
+    probability, folds, chosen = np.empty((repeats, len(failed))), [], Counter[int]()
+    # The values are checked already; checking them in each of thousands of fits would take most of the time.
+    with config_context(assume_finite=True, skip_parameter_validation=True):
+        for repeat in range(repeats):
+            for train, test in folds_of(failed, families, SEED + repeat):
+                seen, outcome = features[train], failed[train]
+                model, known = _chosen(models, seen, outcome, families[train], SEED + repeat)
+                probability[repeat, test] = _fitted(model, seen, outcome, features[test])
+                chosen[best_feature(seen, outcome)] += 1
+                predicted = logit(probability[repeat, test])
+                folds.append(Fold(repeat=repeat, train=train, test=test, known=logit(known), predicted=predicted))
+    return Predictions(probability=probability, folds=folds, chosen=chosen)
+
+
+def predict_with(predictions: Predictions, failed: Outcome, added: Array) -> Array:
+    """Add predictors to predictions: a logistic model with the predicted logits as its offset.
+
+    Training roads enter with logits from models that did not see them, as the roads that are predicted do. Of each
+    added predictor only what is new counts: its residual after a linear regression on the logits and on the predictors
+    before it. So a predictor can neither recalibrate the prediction, nor undo the penalty on one that it repeats.
+
+    Args:
+        predictions: from road features.
+        failed: (roads,) outcomes.
+        added: (roads, k) further predictors.
+
+    Returns:
+        (repeats, roads) probabilities of failure, each from a model that did not see the road.
+    """
+    from statsmodels.genmod.families import Binomial
+    from statsmodels.genmod.generalized_linear_model import GLM
+
+    probability = np.empty_like(predictions.probability)
+    for fold in predictions.folds:
+        train, test = _new_parts(fold, added)
+        model = GLM(failed[fold.train].astype(np.float64), _with_ones(train), Binomial(), offset=fold.known)
+        alpha = 1.0 / (ADDED_STRENGTH * len(train))  # statsmodels divides the likelihood by the number of roads
+        fit = model.fit_regularized(alpha=alpha, L1_wt=0.0)
+        found = expit(fold.predicted + _with_ones(test) @ fit.params)
+        probability[fold.repeat, fold.test] = bounded(found, len(train))
+    return probability
+
+
+def bits(probability: Array, failed: Outcome) -> Array:
+    """Mean logarithmic loss over the repeats: bits by which each outcome still surprises, (roads,)."""
+    return np.asarray(-np.log2(np.where(failed, probability, 1.0 - probability)).mean(axis=0))
+
+
+def bounded(probability: Array, roads: int) -> Array:
+    """Keep probabilities 1 / (n + 2) away from 0 and 1, n being the number of roads that a model was fitted to.
+
+    What they never showed cannot be excluded (Laplace's rule of succession).
+    """
+    least = 1.0 / (roads + 2)
+    return np.asarray(np.clip(probability, least, 1.0 - least))
+
+
+def folds_of(failed: Outcome, families: Indices, seed: int) -> Iterator[tuple[Indices, Indices]]:
+    """Divide roads into `FOLDS` parts; yields training and test indices.
+
+    Roads that descend from each other stay in one part, drawn at random. Where none do, the parts have about the same
+    share of failures.
+    """
+    from sklearn.model_selection import StratifiedKFold
+
+    if not are_alone(families):
+        parts = parts_of(families, FOLDS, seed)
+        for part in np.unique(parts):
+            yield np.flatnonzero(parts != part), np.flatnonzero(parts == part)
+        return
+    yield from StratifiedKFold(FOLDS, shuffle=True, random_state=seed).split(failed, failed)
+
+
+def best_feature(features: Array, failed: Outcome) -> int:
+    """Index of the feature with the largest AUC-ROC for failures, in whichever direction; the first of equal ones."""
+    if failed.all() or not failed.any():
+        return 0
+    auc = auc_roc(features, failed)
+    return int(np.argmax(np.round(np.maximum(auc, 1.0 - auc), 12)))
+
+
+def auc_roc(values: Array, failed: Outcome) -> Array:
+    """Area under the ROC curve of each column of values, from ranks (Mann and Whitney); equal values count half."""
+    failures = int(failed.sum())
+    ranks = rankdata(values, axis=0)[failed].sum(axis=0) - failures * (failures + 1) / 2
+    return np.asarray(ranks / (failures * (len(failed) - failures)), np.float64)
+
+
+def _chosen(
+    models: Sequence[tuple[Columns, float]], features: Array, failed: Outcome, families: Indices, seed: int
+) -> tuple[tuple[Columns, float], Array]:
+    """Choose the model with the smallest loss in a cross-validation, the first of equal ones.
+
+    Returns:
+        The model, and its probability on every road from the other parts.
+    """
+    parts = list(folds_of(failed, families, seed))
+    found = np.empty((len(models), len(failed)))
+    for k, model in enumerate(models):
+        for train, test in parts:
+            found[k, test] = _fitted(model, features[train], failed[train], features[test])
+    losses = [round(float(bits(one[None], failed).sum()), 9) for one in found]
+    best = int(np.argmin(losses))
+    return models[best], found[best]
+
+
+def _fitted(model: tuple[Columns, float], features: Array, failed: Outcome, others: Array) -> Array:
+    """Fit a model to training roads, and predict the probability of failure on other roads."""
+    from sklearn.linear_model import LogisticRegression
+
+    if failed.all() or not failed.any():
+        return bounded(np.full(len(others), float(failed[0])), len(failed))
+    columns, strength = model
+    used = [best_feature(features, failed)] if columns == "best" else slice(None)
+    train, test = _standardised(features[:, used], others[:, used])
+    fit = LogisticRegression(C=strength, solver="newton-cholesky").fit(train, failed)
+    return bounded(fit.predict_proba(test)[:, 1], len(train))
+
+
+def _standardised(train: Array, test: Array) -> tuple[Array, Array]:
+    """Subtract the mean of the training roads and divide by their standard deviation, unless it is 0."""
+    centre, scale = train.mean(axis=0), train.std(axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return (train - centre) / scale, (test - centre) / scale
+
+
+def _new_parts(fold: Fold, added: Array) -> tuple[Array, Array]:
+    """What each added predictor says that the logits and the predictors before it do not, in units of its spread.
+
+    Predictors that say nothing new are left out.
+    """
+    train, test = (
+        np.column_stack((logits, added[roads]))
+        for logits, roads in ((fold.known, fold.train), (fold.predicted, fold.test))
+    )
+    train, test = _standardised(train, test)
+    new, new_test = [], []
+    for k in range(added.shape[1]):
+        before, at = _with_ones(train[:, : k + 1]), _with_ones(test[:, : k + 1])
+        weights = np.linalg.lstsq(before, train[:, k + 1])[0]
+        residual = train[:, k + 1] - before @ weights
+        spread = float(residual.std())
+        if spread > _NOTHING_NEW:
+            new.append(residual / spread)
+            new_test.append((test[:, k + 1] - at @ weights) / spread)
+    return np.array(new).reshape(-1, len(train)).T, np.array(new_test).reshape(-1, len(test)).T
+
+
+def _with_ones(predictors: Array) -> Array:
+    return np.column_stack((np.ones(len(predictors)), predictors))

@@ -1,0 +1,224 @@
+"""Draws feature maps in the style of the paper's figures: green without failures, red where every test fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, slices_of
+from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.search.features import feature_of
+from ds_sim.camera.encodings import png
+from ds_sim.registry import label_of
+
+Value = Literal["probability", "quality_loss"]
+Rgb = tuple[int, int, int]
+
+VALUE_TITLES: dict[Value, str] = {
+    "probability": "failure probability",
+    "quality_loss": "lack of driving quality",
+}
+_FILE_ENDINGS: dict[Value, str] = {"probability": "probability", "quality_loss": "quality"}
+"""End of the PNG files' names; the same as in earlier versions."""
+COLOURS: tuple[Rgb, Rgb, Rgb] = ((120, 198, 121), (254, 224, 130), (178, 24, 43))
+"""Colours at 0, 0.5 and 1: green to red (paper 4.4.2); the red end is darker, so that the order survives in grey."""
+EMPTY: Rgb = (240, 240, 240)
+_HATCH: Rgb = (205, 205, 205)
+_INK: Rgb = (30, 30, 30)
+_PALE: Rgb = (250, 250, 250)
+_GRID: Rgb = (150, 150, 150)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_CELL_WIDTH, _CELL_HEIGHT = 60, 34
+_LEFT, _TOP, _RIGHT, _BOTTOM = 72, 66, 78, 52
+_BAR_WIDTH, _BAR_HEIGHT = 16, 160
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Part of the feature space that a picture shows, ends included.
+
+    Attributes:
+        turns: smallest and largest turns count.
+        curvature: smallest and largest curvature bin, int(100 x curvature).
+    """
+
+    turns: tuple[int, int]
+    curvature: tuple[int, int]
+
+    @property
+    def columns(self) -> range:
+        """Turns counts from left to right."""
+        return range(self.turns[0], self.turns[1] + 1)
+
+    @property
+    def rows(self) -> range:
+        """Curvature bins from top to bottom, the tightest bend first."""
+        return range(self.curvature[1], self.curvature[0] - 1, -1)
+
+
+def bounds_of(maps: Iterable[FeatureMap]) -> Bounds:
+    """Compute the smallest bounds with every filled cell of all maps, so that pictures are comparable cell by cell."""
+    cells = {cell for feature_map in maps for cell in (*feature_map.cells, *feature_map.excluded)} or {(0, 0)}
+    turns, curvature = [cell[0] for cell in cells], [cell[1] for cell in cells]
+    return Bounds(turns=(min(turns), max(turns)), curvature=(min(curvature), max(curvature)))
+
+
+def colour_of(value: float) -> Rgb:
+    """Compute the RGB of a value in [0, 1], linear between `COLOURS`; values outside are clipped."""
+    mixed = [np.interp(value, (0.0, 0.5, 1.0), [colour[k] for colour in COLOURS]) for k in range(3)]
+    return (round(mixed[0]), round(mixed[1]), round(mixed[2]))
+
+
+def ink_on(colour: Rgb) -> Rgb:
+    """Choose dark or pale text, whichever has the higher contrast to a colour (contrast ratio of WCAG 2)."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
+    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    # Both contrasts are equal where (luminance + 0.05)^2 = 1.05 x 0.063; 0.063 belongs to the dark ink.
+    return _INK if luminance > 0.207 else _PALE
+
+
+def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArray[np.uint8]:
+    """Draw one value of a feature map.
+
+    Every filled cell shows its value and its number of tests; cells without tests are hatched. Tests that the gates
+    exclude are counted beside, as in `-2`; they are in no other number.
+
+    Args:
+        feature_map: map of two features.
+        value: value to draw, `probability` or `quality_loss`.
+        bounds: part of the feature space to show; use the same for all maps to compare.
+
+    Returns:
+        (rows, columns, 3) uint8 RGB.
+    """
+    excluded = sum(feature_map.excluded.values())
+    titles = (feature_map.title, VALUE_TITLES[value] + (f"; -n: excluded, {excluded} in all" if excluded else ""))
+    grid_width = _CELL_WIDTH * len(bounds.columns)
+    grid_height = _CELL_HEIGHT * len(bounds.rows)
+    title_width = max(_text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
+    width = max(_LEFT + grid_width + _RIGHT, title_width + 24)
+    height = _TOP + max(grid_height, _BAR_HEIGHT + 40) + _BOTTOM
+    image = np.full((height, width, 3), 255, np.uint8)
+    _write(image, titles[0], (12, 24), 0.6, thickness=2)
+    _write(image, titles[1], (12, 46), 0.5)
+    for column, turns in enumerate(bounds.columns):
+        for row, curvature in enumerate(bounds.rows):
+            corner = (_LEFT + column * _CELL_WIDTH, _TOP + row * _CELL_HEIGHT)
+            cell = (turns, curvature)
+            _draw_cell(image, corner, feature_map.cells.get(cell), value, feature_map.excluded.get(cell, 0))
+    across, upwards = (feature_of(name) for name in feature_map.features[:2])
+    for column, turns in enumerate(bounds.columns):
+        middle = _LEFT + column * _CELL_WIDTH + _CELL_WIDTH // 2
+        _write(image, across.label(turns), (middle, _TOP + grid_height + 18), 0.45, anchor="middle")
+    for row, curvature in enumerate(bounds.rows):
+        baseline = _TOP + row * _CELL_HEIGHT + _CELL_HEIGHT // 2 + 5
+        _write(image, upwards.label(curvature), (_LEFT - 8, baseline), 0.42, anchor="end")
+    _write(image, across.title, (_LEFT + grid_width // 2, _TOP + grid_height + 40), 0.45, anchor="middle")
+    _write_upwards(image, upwards.title, (8, _TOP + grid_height // 2))
+    _draw_colour_bar(image, (_LEFT + grid_width + 18, _TOP + 8))
+    return image
+
+
+def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
+    """Write every map of a campaign as `<name>_probability.png` and `<name>_quality.png`, and `overview.png`.
+
+    The overview shows the siblings' unions, their merge and the twin side by side: failure probability above, loss of
+    quality below. All pictures share the same bounds.
+
+    Args:
+        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
+        folder: folder for the pictures, created if missing; existing pictures are replaced.
+    """
+    bounds = bounds_of(maps.values())
+    values: tuple[Value, ...] = ("probability", "quality_loss")
+    for map_id, feature_map in maps.items():
+        for value in values:
+            parts = [draw_map(part, value, bounds=bounds) for part in slices_of(feature_map)]
+            _save(folder / f"{label_of(map_id.name)}_{_FILE_ENDINGS[value]}.png", np.hstack(parts))
+    compared = [maps[map_id] for map_id in compared_ids(maps)]
+    if compared and len(compared[0].features) == 2:
+        rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in values]
+        width = max(row.shape[1] for row in rows)
+        rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
+        _save(folder / "overview.png", np.vstack(rows))
+
+
+def _save(path: Path, image: NDArray[np.uint8]) -> None:
+    write_whole(path, png(image))
+
+
+def _draw_cell(
+    image: NDArray[np.uint8], corner: tuple[int, int], cell: MapCell | None, value: Value, excluded: int
+) -> None:
+    """Draw a coloured cell with its numbers, or a hatched one if it is empty."""
+    left, top = corner
+    middle = left + _CELL_WIDTH // 2
+    apart = f"-{excluded}" if excluded else ""
+    patch = image[top : top + _CELL_HEIGHT, left : left + _CELL_WIDTH]
+    if cell is None:
+        patch[:] = EMPTY
+        for offset in range(-_CELL_HEIGHT, _CELL_WIDTH, 10):
+            cv2.line(patch, (offset, _CELL_HEIGHT), (offset + _CELL_HEIGHT, 0), _HATCH, 1, cv2.LINE_AA)
+        _write(image, apart, (middle, top + 29), 0.33, anchor="middle")
+    else:
+        number = float(getattr(cell, value))
+        colour = colour_of(number)
+        ink = ink_on(colour)
+        patch[:] = colour
+        _write(image, f"{number:.2f}", (middle, top + 17), 0.5, ink=ink, anchor="middle")
+        _write(image, f"n={cell.tests} {apart}".rstrip(), (middle, top + 29), 0.33, ink=ink, anchor="middle")
+    cv2.rectangle(image, (left, top), (left + _CELL_WIDTH, top + _CELL_HEIGHT), _GRID, 1)
+
+
+def _draw_colour_bar(image: NDArray[np.uint8], corner: tuple[int, int]) -> None:
+    """Draw the colours from 1 at the top to 0 at the bottom, and a sample of an empty cell."""
+    left, top = corner
+    for row in range(_BAR_HEIGHT):
+        image[top + row, left : left + _BAR_WIDTH] = colour_of(1.0 - row / (_BAR_HEIGHT - 1))
+    cv2.rectangle(image, (left, top), (left + _BAR_WIDTH, top + _BAR_HEIGHT), _GRID, 1)
+    for number in (0.0, 0.5, 1.0):
+        baseline = top + round((1.0 - number) * _BAR_HEIGHT) + 4
+        _write(image, f"{number:g}", (left + _BAR_WIDTH + 5, baseline), 0.4)
+    patch = image[top + _BAR_HEIGHT + 10 :, left:][:_BAR_WIDTH, :_BAR_WIDTH]
+    patch[:] = EMPTY
+    for offset in (-8, 0, 8):
+        cv2.line(patch, (offset, _BAR_WIDTH), (offset + _BAR_WIDTH, 0), _HATCH, 1, cv2.LINE_AA)
+    cv2.rectangle(patch, (0, 0), (_BAR_WIDTH - 1, _BAR_WIDTH - 1), _GRID, 1)
+    _write(image, "no", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 18), 0.33)
+    _write(image, "test", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 28), 0.33)
+
+
+def _text_width(text: str, scale: float, thickness: int = 2) -> int:
+    return int(cv2.getTextSize(text, _FONT, scale, thickness)[0][0])
+
+
+def _write(
+    image: NDArray[np.uint8],
+    text: str,
+    at: tuple[int, int],
+    scale: float,
+    *,
+    ink: Rgb = _INK,
+    anchor: Literal["start", "middle", "end"] = "start",
+    thickness: int = 1,
+) -> None:
+    """Write text with its start, middle or end at a pixel of the baseline."""
+    width = _text_width(text, scale, thickness)
+    left = at[0] - {"start": 0, "middle": width // 2, "end": width}[anchor]
+    cv2.putText(image, text, (left, at[1]), _FONT, scale, ink, thickness, cv2.LINE_AA)
+
+
+def _write_upwards(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
+    """Write text rotated by 90 degrees, centred beside a pixel."""
+    strip = np.full((18, _text_width(text, 0.45) + 4, 3), 255, np.uint8)
+    _write(strip, text, (2, 13), 0.45)
+    turned = cv2.rotate(strip, cv2.ROTATE_90_COUNTERCLOCKWISE)
+    top = min(max(at[1] - turned.shape[0] // 2, 0), image.shape[0] - turned.shape[0])
+    image[top : top + turned.shape[0], at[0] : at[0] + turned.shape[1]] = turned

@@ -1,0 +1,139 @@
+"""Paired outcomes of two networks on the same tests: counts, exact test, interval, correction for multiplicity."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from ds_analysis.comparison.drives import PairedDrive
+from ds_orchestrator.maps.merge_operators import DRAWS, LEVEL
+
+ALPHA = 1.0 - LEVEL
+"""Significance level, as of the paper's tests (4.3.2)."""
+_PRIOR = 0.5
+"""Added to each of the four counts: the Jeffreys prior of a multinomial; half an observation for each outcome is also
+what Agresti and Min add (Statistics in Medicine 24, 2005)."""
+Correction = Literal["holm", "fdr_bh"]
+"""Names of statsmodels: Holm's step-down procedure, Benjamini and Hochberg's false discovery rate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairedCounts:
+    """Number of tests by what both networks did on them.
+
+    Attributes:
+        newly_fail: the reference passes, the candidate fails.
+        fixed: the reference fails, the candidate passes.
+        both_fail: both fail.
+        both_pass: both pass.
+
+    Examples:
+        >>> from ds_analysis import PairedCounts
+        >>> counts = PairedCounts(newly_fail=9, fixed=1, both_fail=5, both_pass=35)
+        >>> counts.difference, round(counts.p, 3)
+        (0.16, 0.021)
+    """
+
+    newly_fail: int
+    fixed: int
+    both_fail: int
+    both_pass: int
+
+    @classmethod
+    def of(cls, drives: Iterable[PairedDrive]) -> PairedCounts:
+        """Count drives."""
+        found = Counter(drive.change for drive in drives)
+        return cls(
+            newly_fail=found["newly fails"],
+            fixed=found["fixed"],
+            both_fail=found["fails in both"],
+            both_pass=found["passes in both"],
+        )
+
+    @property
+    def tests(self) -> int:
+        """Number of pairs."""
+        return self.newly_fail + self.fixed + self.both_fail + self.both_pass
+
+    @property
+    def reference_failures(self) -> int:
+        """Tests on which the reference fails."""
+        return self.fixed + self.both_fail
+
+    @property
+    def candidate_failures(self) -> int:
+        """Tests on which the candidate fails."""
+        return self.newly_fail + self.both_fail
+
+    @property
+    def difference(self) -> float | None:
+        """Failure probability of the candidate minus the reference's; None without tests."""
+        return (self.newly_fail - self.fixed) / self.tests if self.tests else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """95 % interval of the difference; see `difference_interval`."""
+        if not self.tests:
+            return None
+        return difference_interval(self.newly_fail, self.fixed, self.both_fail, self.both_pass)
+
+    @property
+    def p(self) -> float:
+        """Two-sided p of McNemar's exact test that as many tests get worse as better; 1 if none changes."""
+        from statsmodels.stats.contingency_tables import mcnemar
+
+        table = [[self.both_pass, self.newly_fail], [self.fixed, self.both_fail]]
+        return float(mcnemar(table, exact=True).pvalue)
+
+
+@lru_cache(maxsize=4096)
+def difference_interval(newly_fail: int, fixed: int, both_fail: int, both_pass: int) -> tuple[float, float]:
+    """Estimate a 95 % interval of the difference of two failure probabilities on the same tests.
+
+    Equal tails of the difference over draws from the Dirichlet posterior of the four outcomes under Jeffreys' prior,
+    seeded by the counts: equal counts give equal intervals. An end is moved where the interval would not contain the
+    observed difference, as for a single test. Tests count as independent.
+    """
+    from scipy.stats import dirichlet
+
+    counts = (newly_fail, fixed, both_fail, both_pass)
+    draws = dirichlet.rvs([n + _PRIOR for n in counts], size=DRAWS, random_state=np.random.default_rng(list(counts)))
+    low, high = np.quantile(draws[:, 0] - draws[:, 1], [ALPHA / 2, 1.0 - ALPHA / 2])
+    observed = (newly_fail - fixed) / sum(counts)
+    return min(float(low), observed), max(float(high), observed)
+
+
+def adjusted(p: Sequence[float], correction: Correction) -> list[float]:
+    """Adjust p-values of one family for their number.
+
+    Args:
+        p: unadjusted p-values, in any order.
+        correction: `holm` bounds the probability of any false claim, `fdr_bh` the share of false claims.
+
+    Examples:
+        >>> from ds_analysis import adjusted
+        >>> adjusted([0.01, 0.04], "holm")
+        [0.02, 0.04]
+    """
+    if not p:
+        return []
+    from statsmodels.stats.multitest import multipletests
+
+    return [float(value) for value in multipletests(p, alpha=ALPHA, method=correction)[1]]
+
+
+def fewest_changes(family: int) -> int:
+    """Smallest number of changes, all in one direction, that Holm's procedure can call significant among so many tests.
+
+    Args:
+        family: number of p-values.
+    """
+    changes = 1
+    while PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0).p * max(family, 1) >= ALPHA:
+        changes += 1
+    return changes

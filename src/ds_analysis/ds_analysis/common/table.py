@@ -1,0 +1,243 @@
+"""Tables of results: on a terminal, as CSV with every digit, and as LaTeX for a paper."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import rich.box
+import rich.table
+from rich.console import Console
+from rich.text import Text
+
+from ds_driver.whole_files import write_json, write_whole
+from ds_road.bounded_file import read_regular
+
+Value = str | float | int | tuple[float, float] | None
+"""None is a missing number, a pair an interval."""
+Style = Literal["text", "count", "number", "small", "p"]
+"""number: three digits after the point; small: five."""
+_LARGEST_FILE = 16 * 2**20
+WIDTH = 130
+"""Characters of a table that is not shown on a terminal; chosen: the widest one fits."""
+_SMALLEST_P = 1e-300
+"""Smaller p-values are shown as below this: SciPy underflows to 0 soon after, which no p-value is."""
+_DIGITS = {"number": 3, "small": 5}
+_TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}"}
+_TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
+
+
+class TablesError(ValueError):
+    """Stored tables that cannot be read."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """Column of a table: heading and style of its values."""
+
+    name: str
+    style: Style = "text"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Table of results.
+
+    Attributes:
+        name: stem of the file names.
+        title: heading.
+        columns: columns, from left to right.
+        rows: rows, each with one value per column.
+        notes: sentences below the table.
+
+    Examples:
+        >>> from ds_analysis import Table
+        >>> from ds_analysis.common.table import Column
+        >>> columns = [Column("simulator"), Column("failures")]
+        >>> table = Table(name="failures", title="Failures", columns=columns, rows=[("bullet", 3)])
+        >>> print(table.csv(), end="")
+        simulator,failures
+        bullet,3
+    """
+
+    name: str
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Value]]
+    notes: Sequence[str] = field(default=())
+
+    def texts(self) -> list[list[str]]:
+        """Format the rows for reading."""
+        return [[shown(v, c.style) for v, c in zip(row, self.columns, strict=True)] for row in self.rows]
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        names = [c.name for c in self.columns]
+        rows = [
+            dict(zip(names, (list(v) if isinstance(v, tuple) else v for v in row), strict=True)) for row in self.rows
+        ]
+        return {"name": self.name, "title": self.title, "rows": rows, "notes": list(self.notes)}
+
+    def csv(self) -> str:
+        """Format as comma-separated values; an interval takes two columns, a missing value is empty."""
+        wide = [any(isinstance(row[k], tuple) for row in self.rows) for k in range(len(self.columns))]
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        heads: list[str] = []
+        for column, pair in zip(self.columns, wide, strict=True):
+            heads += [f"{column.name}, low", f"{column.name}, high"] if pair else [column.name]
+        writer.writerow(heads)
+        for row in self.rows:
+            values: list[str] = []
+            for value, pair in zip(row, wide, strict=True):
+                parts = value if isinstance(value, tuple) else (value, None) if pair else (value,)
+                values += ["" if part is None else str(part) for part in parts]
+            writer.writerow(values)
+        return out.getvalue()
+
+    def latex(self) -> str:
+        """Format as LaTeX `table` with `tabular`; needs the package booktabs."""
+        lines = [
+            r"\begin{table}[ht]",
+            r"\centering",
+            rf"\caption{{{tex(self.title)}}}",
+            rf"\label{{table:{self.name}}}",
+            rf"\begin{{tabular}}{{{''.join('l' if c.style == 'text' else 'r' for c in self.columns)}}}",
+            r"\toprule",
+            " & ".join(tex(c.name) for c in self.columns) + r" \\",
+            r"\midrule",
+            *(
+                " & ".join(_tex_value(v, c.style) for v, c in zip(row, self.columns, strict=True)) + r" \\"
+                for row in self.rows
+            ),
+            r"\bottomrule",
+            r"\end{tabular}",
+            *(rf"\par {tex(note)}" for note in self.notes),
+            r"\end{table}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def show(self, console: Console) -> None:
+        """Print the table; at least `WIDTH` characters wide if not on a terminal."""
+        table = rich.table.Table(title=self.title, title_justify="left", caption="\n".join(self.notes) or None)
+        table.box, table.caption_justify, table.padding = rich.box.SIMPLE_HEAD, "left", (0, 0)
+        for column in self.columns:
+            table.add_column(column.name, justify="left" if column.style == "text" else "right", overflow="fold")
+        last = ""
+        for first, *others in self.texts():
+            table.add_row("" if first == last else first, *(Text(text) for text in others))
+            last = first
+        if not console.is_terminal:
+            console.width = max(console.width, WIDTH)
+        console.print(table)
+
+
+def shown(value: Value, style: Style) -> str:
+    """Format a value for reading; "" if it is missing."""
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, tuple):
+        return "[" + ", ".join(shown(part, style) for part in value) + "]"
+    if style == "p" and float(value) < _SMALLEST_P:
+        return f"< {_SMALLEST_P:.0e}"
+    if style == "p":
+        return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+    return f"{value:z.{_DIGITS[style]}f}" if style in _DIGITS else str(value)
+
+
+def tex(text: str) -> str:
+    """Escape LaTeX's special characters."""
+    return "".join(_TEX.get(c, c) for c in text)
+
+
+def _tex_value(value: Value, style: Style) -> str:
+    if value is None:
+        return "--"
+    if style == "p" and isinstance(value, float) and value < 0.001:
+        mantissa, _, exponent = f"{max(value, _SMALLEST_P):.0e}".partition("e")
+        if value < _SMALLEST_P:
+            return rf"$< 10^{{{int(exponent)}}}$"
+        return rf"${mantissa} \cdot 10^{{{int(exponent)}}}$"
+    if isinstance(value, str):
+        return tex(value)
+    if isinstance(value, tuple):
+        return "[" + ", ".join(f"${shown(part, style)}$" for part in value) + "]"
+    text = shown(value, style)
+    return f"${text}$" if text.startswith("-") else text
+
+
+def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
+    """Write `<name>.csv` and `<name>.tex` of every table into a folder, created if missing."""
+    paths = []
+    for table in tables:
+        for suffix, text in (("csv", table.csv()), ("tex", table.latex())):
+            paths.append(folder / f"{table.name}.{suffix}")
+            write_whole(paths[-1], text)
+    return paths
+
+
+def keep_tables(tables: Sequence[Table], path: Path) -> None:
+    """Write tables for `read_tables`; the folder is created if missing."""
+    rows = [{**asdict(table), "rows": [list(row) for row in table.rows]} for table in tables]
+    write_json(path, rows)
+
+
+def read_tables(path: Path) -> list[Table]:
+    """Read what `keep_tables` wrote; empty if there is no such file.
+
+    Raises:
+        TablesError: the file does not hold tables.
+    """
+    try:
+        return [
+            _checked(
+                name=found["name"],
+                title=found["title"],
+                columns=[Column(**column) for column in found["columns"]],
+                rows=[[tuple(v) if isinstance(v, list) else v for v in row] for row in found["rows"]],
+                notes=found["notes"],
+            )
+            for found in json.loads(read_regular(path, _LARGEST_FILE, follow_links=False))
+        ]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise TablesError(f"{path} cannot be read ({error}): remove it, or give `ds evaluate` --data again") from None
+
+
+def _checked(*, name: object, title: object, columns: list[Column], rows: list[list[Any]], notes: list[Any]) -> Table:
+    """Create a table from values that a file holds.
+
+    Raises:
+        ValueError: a value has the wrong type, or a row another length than the columns.
+    """
+    if not all(isinstance(text, str) for text in (name, title, *notes, *(column.name for column in columns))):
+        raise ValueError("a name, title or note is not text")
+    if any(column.style not in get_args(Style) for column in columns):
+        raise ValueError("a column has an unknown style")
+    if any(len(row) != len(columns) for row in rows):
+        raise ValueError("a row has another length than the columns")
+    for value in (value for row in rows for value in row):
+        parts = value if isinstance(value, tuple) else (value,)
+        if not (value is None or isinstance(value, str) or all(_is_finite(part) for part in parts)):
+            raise ValueError("a value is neither text, a finite number nor an interval")
+        if isinstance(value, tuple) and len(value) != 2:
+            raise ValueError("an interval does not have two ends")
+    return Table(name=str(name), title=str(title), columns=columns, rows=rows, notes=notes)
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) <= sys.float_info.max
+
+
+def document_of(tables: Sequence[Table]) -> Mapping[str, Any]:
+    """Convert tables to JSON values, by name."""
+    return {table.name: table.document() for table in tables}

@@ -1,0 +1,204 @@
+"""Tables of a comparison, and the comparison as JSON values."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from ds_analysis.common.paired_statistics import PairedCounts
+from ds_analysis.common.table import Column, Table, Value
+from ds_analysis.comparison.analysis import Comparison
+from ds_analysis.comparison.drives import PairedDrive
+from ds_analysis.comparison.summary import advice_of, answer_of, cautions_of, sentences_of
+from ds_orchestrator.search.features import feature_of
+from ds_sim.conditions.text import format_conditions
+from ds_sim.registry import label_of
+
+MOST_ROWS = 12
+"""Rows of a list on a terminal or in a summary; chosen: a screen, and the files have all."""
+
+
+def simulator_table(comparison: Comparison) -> Table:
+    """Tabulate paired outcomes, one row for each simulator."""
+    # Where all tests are alike, a column on random roads would repeat the others.
+    with_random = comparison.origin == "reference" and any(row.unsearched.tests for row in comparison.simulators)
+    rows: list[tuple[Value, ...]] = []
+    for row in comparison.simulators:
+        counts, random = row.counts, row.unsearched
+        rows.append(
+            (
+                row.simulator + (" (twin)" if row.simulator == comparison.twin else ""), counts.tests,
+                counts.reference_failures, counts.candidate_failures, counts.newly_fail, counts.fixed,
+                counts.difference, counts.interval, row.p_adjusted,
+                *((f"+{random.newly_fail} -{random.fixed} /{random.tests}",) if with_random else ()),
+                row.margin_change, row.verdict,
+            )
+        )  # fmt: skip
+    return Table(
+        name="compared_networks",
+        title=f"{comparison.candidate.label} against {comparison.reference.label}",
+        columns=[
+            Column("simulator"), Column("tests", "count"), Column("reference", "count"),
+            Column("candidate", "count"), Column("newly fail", "count"), Column("fixed", "count"),
+            Column("difference", "number"), Column("95 %", "number"), Column("p (Holm)", "p"),
+            *((Column("random roads"),) if with_random else ()), Column("margin, m", "number"),
+            Column("verdict"),
+        ],
+        rows=rows,
+        notes=[
+            "Reference, candidate: tests on which they fail. Difference: the candidate's failure probability minus the "
+            "reference's, with its 95 % interval; above 0 is worse. Margin: median change of the smallest distance to "
+            "the lane's edge."
+            + (" Random roads: newly fail, fixed, and all, of tests that no search chose." if with_random else "")
+        ],
+    )  # fmt: skip
+
+
+def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
+    """Tabulate cells in which some test changed, the worst first.
+
+    Args:
+        comparison: the comparison.
+        most: number of rows, or None for all.
+    """
+    changed = [one for one in comparison.cells if one.counts.newly_fail or one.counts.fixed]
+    changed.sort(key=lambda one: (-(one.counts.difference or 0.0), one.p_adjusted, one.simulator, one.cell))
+    axes = [feature_of(name) for name in comparison.features]
+    rows: list[tuple[Value, ...]] = []
+    for one in changed[:most]:
+        counts = one.counts
+        bins = (axis.label(bin_) for axis, bin_ in zip(axes, one.cell, strict=True))
+        numbers = (counts.tests, counts.newly_fail, counts.fixed, counts.difference, counts.interval, one.p_adjusted)
+        rows.append((one.simulator, *bins, *numbers))
+    left = f" The worst {most} of {len(changed)} are shown." if most is not None and len(changed) > most else ""
+    smallest = f"the smallest is {min(one.p_adjusted for one in changed):.2g}" if changed else "none changed"
+    return Table(
+        name="compared_cells",
+        title="Cells of the feature map that changed",
+        columns=[
+            Column("simulator"), *(Column(axis.title) for axis in axes), Column("tests", "count"),
+            Column("newly fail", "count"), Column("fixed", "count"), Column("difference", "number"),
+            Column("95 %", "number"), Column("p (BH)", "p"),
+        ],
+        rows=rows,
+        notes=[
+            f"p by Benjamini and Hochberg over {len(comparison.cells)} cells of all simulators; {smallest}.{left}"
+        ],
+    )  # fmt: skip
+
+
+def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
+    """Tabulate tests that newly fail, worst first; without any, those that lost most distance to the lane's edge.
+
+    Args:
+        comparison: the comparison.
+        most: number of rows, or None for every pair.
+    """
+    worse = comparison.newly_failing
+    shown = worse or [drive for drive in comparison.drives if drive.margin_change < 0.0]
+    if most is None:
+        shown = list(comparison.drives)
+    every = most is None
+    title = "Tests that newly fail" if worse else "No test newly fails; nearest to it, by the lost distance"
+    left = [f"{most} of {len(shown)} are shown."] if most is not None and len(shown) > most else []
+    return Table(
+        name="compared_tests",
+        title="Every test, the worst change first" if every else title,
+        columns=[
+            Column("test"), Column("simulator"), *((Column("change"),) if every else ()), Column("reference"),
+            Column("candidate"), Column("margin of reference, m", "number"), Column("of candidate, m", "number"),
+        ],
+        rows=[
+            (
+                drive.test.name, drive.simulator, *((drive.change,) if every else ()),
+                _words(drive.reference.outcome.name), _words(drive.candidate.outcome.name), drive.reference.fitness,
+                drive.candidate.fitness,
+            )
+            for drive in shown[:most]
+        ],
+        notes=["Margin: smallest distance to the lane's edge, negative outside.", *left],
+    )  # fmt: skip
+
+
+def command_of(drive: PairedDrive, driver: str, road_file: str) -> str:
+    """The command that drives a test again, and shows it as a video."""
+    video = f"{drive.test.name}-{label_of(drive.simulator)}.mp4"
+    parts = ["ds", "drive", "--sim", drive.simulator, "--driver", driver, "--road", road_file, "--video", video]
+    return shlex.join(parts)
+
+
+def document_of(comparison: Comparison, road_files: Mapping[str, str]) -> dict[str, Any]:
+    """Convert a comparison to JSON values.
+
+    Args:
+        comparison: the comparison.
+        road_files: test -> file with its road, for tests that newly fail.
+    """
+    return {
+        "advice": advice_of(comparison),
+        "answer": answer_of(comparison),
+        "sentences": sentences_of(comparison),
+        "cautions": cautions_of(comparison),
+        "reference": asdict(comparison.reference),
+        "candidate": asdict(comparison.candidate),
+        "origin": comparison.origin,
+        "source": comparison.source,
+        "features": list(comparison.features),
+        "simulators": [
+            {
+                "simulator": row.simulator,
+                "verdict": row.verdict,
+                **_counts(row.counts),
+                "p_holm": row.p_adjusted,
+                "random_roads": {**_counts(row.unsearched), "p_holm": row.unsearched_p_adjusted},
+                "median_margin_change": row.margin_change,
+            }
+            for row in comparison.simulators
+        ],
+        "cells": [
+            {"simulator": one.simulator, "cell": list(one.cell), **_counts(one.counts), "p_bh": one.p_adjusted}
+            for one in comparison.cells
+        ],
+        "tests": [_test(drive, comparison, road_files) for drive in comparison.drives],
+        "excluded": comparison.excluded,
+        "left_out": [
+            dict(zip(("test", "simulator", "reason"), one, strict=True)) for one in comparison.left_out
+        ],
+    }  # fmt: skip
+
+
+def _test(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "test": drive.test.name,
+        "simulator": drive.simulator,
+        "change": drive.change,
+        "road_id": drive.test.road.road_id,
+        "seed": drive.test.seed,
+        "conditions": format_conditions(drive.test.conditions),
+        "cell": None if drive.test.cell is None else list(drive.test.cell),
+        "unsearched": drive.test.unsearched,
+        "reference": {"outcome": drive.reference.outcome.name, "fitness": drive.reference.fitness},
+        "candidate": {"outcome": drive.candidate.outcome.name, "fitness": drive.candidate.fitness},
+    }
+    if drive.change == "newly fails" and drive.test.name in road_files:
+        found["command"] = command_of(drive, comparison.candidate.driver, road_files[drive.test.name])
+    return found
+
+
+def _counts(counts: PairedCounts) -> dict[str, Any]:
+    return {
+        "tests": counts.tests,
+        "reference_failures": counts.reference_failures,
+        "candidate_failures": counts.candidate_failures,
+        "newly_fail": counts.newly_fail,
+        "fixed": counts.fixed,
+        "difference": counts.difference,
+        "interval": None if counts.interval is None else list(counts.interval),
+        "p": counts.p,
+    }
+
+
+def _words(outcome: str) -> str:
+    return outcome.lower().replace("_", " ")

@@ -1,0 +1,125 @@
+"""Writes a campaign's executions, and their frames, as Parquet files; the same campaign gives the same bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ds_analysis.interchange.columns import EXECUTIONS, FRAMES, schema_of
+from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.store.model import Execution, Test
+from ds_road import road_to_json
+from ds_sim.conditions.text import format_conditions
+from ds_sim.gates.gate import Gate
+from ds_sim.simulator import FRAME_TIME
+
+EXECUTIONS_FILE = "executions.parquet"
+FRAMES_FILE = "frames.parquet"
+_BATCH = 100_000
+"""Rows of frames written at once; chosen: 10 MB."""
+
+
+def write_tables(data: CampaignData, folder: Path, *, frames: bool = False) -> list[Path]:
+    """Write the tables of a campaign, finished or not.
+
+    Args:
+        data: campaign.
+        folder: to write to, created if missing; files of the same name are replaced.
+        frames: write a row for every frame, too.
+
+    Returns:
+        Paths of the files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    notes = {
+        "config": data.config.model_dump_json(),
+        "features": json.dumps(data.config.features),
+    }
+    executions = folder / EXECUTIONS_FILE
+    pq.write_table(executions_table(data, **notes), executions, compression="zstd")
+    if not frames:
+        return [executions]
+    path = folder / FRAMES_FILE
+    schema = schema_of(FRAMES, **notes)
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for batch in _frame_batches(data):
+            writer.write_table(_table(batch, schema))
+    return [executions, path]
+
+
+def executions_table(data: CampaignData, **notes: str) -> pa.Table:
+    """One row for each test on each simulator, by test and simulator in the campaign's order.
+
+    Args:
+        data: campaign.
+        notes: metadata of the schema.
+    """
+    driven = {(one.test_id, one.simulator): one for one in data.executions}
+    rows = []
+    for test in data.tests:
+        about = _about_test(data, test)
+        for simulator in data.config.simulators:
+            execution, gate = driven.get((test.test_id, simulator)), data.gates.get((test.test_id, simulator))
+            if execution is not None or (gate is not None and not gate.is_valid):
+                rows.append({**about, **_about_drive(data, simulator, execution, gate)})
+    return pa.Table.from_pylist(rows, schema=schema_of(EXECUTIONS, **notes))
+
+
+def _about_test(data: CampaignData, test: Test) -> dict[str, Any]:
+    road, cell = test.road, data.cells.get(test.test_id)
+    return {
+        "driver": data.config.driver, "test_id": test.test_id, "sibling": test.sibling, "run": test.run,
+        "number": test.number, "seed": test.seed, "conditions": format_conditions(test.conditions),
+        "cell": None if cell is None else list(cell), "road_id": road.road_id, "turns_count": road.turns_count,
+        "curvature": road.curvature, "length": road.length, "lane": road.lane, "road": json.dumps(road_to_json(road)),
+    }  # fmt: skip
+
+
+def _about_drive(data: CampaignData, simulator: str, execution: Execution | None, gate: Gate | None) -> dict[str, Any]:
+    row: dict[str, Any] = {"simulator": simulator, "is_twin": simulator == data.config.twin}
+    if gate is not None:
+        row |= {"gate": gate.state.value, "gate_message": gate.message or None}
+    if execution is not None:
+        row |= {
+            "outcome": execution.outcome.name, "failed": execution.outcome.is_failure, "fitness": execution.fitness,
+            "max_lateral_position": execution.max_lateral_position, "steps": execution.steps,
+            "simulated_seconds": execution.simulated_seconds, "message": execution.message or None,
+            "bag": execution.bag, "trajectory_sha256": execution.trajectory_sha256,
+        }  # fmt: skip
+    return row
+
+
+def _frame_batches(data: CampaignData) -> Iterator[list[dict[str, Any]]]:
+    """Columns of executions, so many together that a batch has some `_BATCH` rows."""
+    batch: list[dict[str, Any]] = []
+    for one in data.executions:
+        count = len(one.trajectory)
+        x, y, yaw, speed, lateral = one.trajectory.T
+        steering = np.full(count, np.nan)
+        steering[: len(one.steering)] = one.steering[:count]
+        batch.append({
+            "test_id": [one.test_id] * count, "simulator": [one.simulator] * count, "step": np.arange(count),
+            "time": np.arange(count) * FRAME_TIME, "x": x, "y": y, "yaw": yaw, "speed": speed,
+            "lateral_position": lateral, "steering": steering,
+        })  # fmt: skip
+        if sum(len(columns["x"]) for columns in batch) >= _BATCH:
+            yield batch
+            batch = []
+    if batch:
+        yield batch
+
+
+def _table(batch: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
+    arrays = []
+    for field in schema:
+        joined = np.concatenate([np.asarray(columns[field.name]) for columns in batch])
+        # NaN stands for no value: no stored number is one.
+        values = joined.tolist() if pa.types.is_dictionary(field.type) else joined
+        arrays.append(pa.array(values, field.type, from_pandas=True))
+    return pa.Table.from_arrays(arrays, schema=schema)

@@ -1,0 +1,1 @@
+"""Evaluation: the siblings' maps against the twin's, and steering errors without driving (paper 4.3)."""

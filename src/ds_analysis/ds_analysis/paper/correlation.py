@@ -1,0 +1,180 @@
+"""Comparison of the siblings' maps with the twin's failures (paper 3.6, 4.3.2: RQ2 and RQ3).
+
+The main numbers are the paper's: Pearson's r and AUC-PRC over the cells that both maps fill. Where the authors' package
+computes something else, or its computation can be questioned, `robustness_checks` computes both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any, Literal
+
+from ds_analysis.common.statistics import (
+    RESAMPLES,
+    Array,
+    auc_prc_or_nan,
+    auc_prc_or_reason,
+    bootstrap_interval,
+    caution_of,
+    has_both_outcomes,
+    paired_values,
+    pearson_or_reason,
+    r_or_nan,
+    values_over_shared_cells,
+)
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
+
+QUESTIONS: tuple[Literal["probability", "quality_loss"], ...] = ("probability", "quality_loss")
+"""RQ2 and RQ3: values of the siblings' maps that are compared with the twin's failure probability."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correlation:
+    """Comparison of one map with the twin's failures, over the cells that both fill.
+
+    Attributes:
+        map: the siblings' map.
+        value: value of that map: `probability` (RQ2) or `quality_loss` (RQ3).
+        cells: number of cells compared.
+        r: Pearson correlation with the twin's failure probability, or None if undefined.
+        p: its two-sided p-value, or None.
+        reason: why there is no r.
+        r_interval: 95 % bootstrap interval of r over cells; resamples in which r is undefined are left out. None if
+            there are too few cells.
+        auc: AUC-PRC, the average precision with which the map's value predicts that the twin fails in a cell.
+        auc_interval: 95 % bootstrap interval of the AUC-PRC over cells, or None as for r.
+        auc_reason: why there is no AUC-PRC.
+        baseline: share of cells in which the twin fails: the AUC-PRC of a map without information.
+        failing: number of the compared cells in which the twin fails, or None in results of earlier versions.
+    """
+
+    map: MapId
+    value: str
+    cells: int
+    r: float | None
+    p: float | None
+    reason: str = ""
+    r_interval: tuple[float, float] | None = None
+    auc: float | None = None
+    auc_interval: tuple[float, float] | None = None
+    auc_reason: str = ""
+    baseline: float | None = None
+    failing: int | None = None
+
+    @property
+    def caution(self) -> str:
+        """Reason why the numbers allow no conclusion, or ""; see `ds_analysis.common.statistics.caution_of`."""
+        return "" if self.failing is None else caution_of(self.cells, self.failing)
+
+    def document(self) -> dict[str, Any]:
+        """Convert to plain JSON values."""
+        values = asdict(self)
+        del values["map"]
+        return {"name": self.map.name, **values, "conclusive": not self.caution, "caution": self.caution}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairedDifference:
+    """Difference between merged map and one sibling's in predicting the twin's failures, over the cells of all three.
+
+    Every resample has the same cells for both maps, so the interval is narrower than two separate ones suggest.
+
+    Attributes:
+        over: the sibling's union map.
+        value: compared value of both maps.
+        cells: number of cells compared.
+        r: Pearson correlation of the merged map minus that of the sibling's, or None if one is undefined.
+        r_interval: its 95 % bootstrap interval over cells, or None if there are too few cells.
+        auc: AUC-PRC of the merged map minus that of the sibling's, or None.
+        auc_interval: its 95 % bootstrap interval over cells, or None as for r.
+        failing: number of the compared cells in which the twin fails, or None if not known.
+    """
+
+    over: MapId
+    value: str
+    cells: int
+    r: float | None = None
+    r_interval: tuple[float, float] | None = None
+    auc: float | None = None
+    auc_interval: tuple[float, float] | None = None
+    failing: int | None = None
+
+
+def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resamples: int = 0) -> Correlation:
+    """Correlate one map with the twin's; see `Correlation`.
+
+    Args:
+        feature_map: map of the siblings.
+        twin: map of the twin.
+        value: `probability` or `quality_loss`.
+        resamples: resamples of the bootstrap; 0 computes no intervals.
+    """
+    predicted, truth = paired_values(feature_map, twin, value)
+    failing = int((truth > 0).sum())
+    r, p, reason = pearson_or_reason(predicted, truth, value)
+    auc, auc_reason = auc_prc_or_reason(predicted, truth)
+    if caution_of(len(truth), failing):
+        resamples = 0
+    return Correlation(
+        map=feature_map.id,
+        value=value,
+        cells=len(truth),
+        r=r,
+        p=p,
+        reason=reason,
+        r_interval=None if r is None else bootstrap_interval((predicted, truth), r_or_nan, resamples),
+        auc=auc,
+        auc_interval=None if auc is None else bootstrap_interval((predicted, truth), auc_prc_or_nan, resamples),
+        auc_reason=auc_reason,
+        baseline=failing / len(truth) if len(truth) else None,
+        failing=failing,
+    )
+
+
+def evaluate(
+    maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = 0
+) -> list[Correlation]:
+    """Compare each sibling's union map and the merged map with the twin, by failure probability and by quality loss.
+
+    Args:
+        maps: maps of the campaign.
+        siblings: names of the siblings, in order.
+        twin: name of the twin.
+        resamples: resamples of the bootstrap, which takes most of the time: `RESAMPLES` is enough, 0 computes no
+            intervals.
+    """
+    compared = [maps[map_id] for map_id in (*map(MapId.union, siblings), MapId.merged())]
+    truth = maps[MapId.twin(twin)]
+    return [correlate(one, truth, value, resamples=resamples) for value in QUESTIONS for one in compared]
+
+
+def paired_differences(
+    maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = RESAMPLES
+) -> list[PairedDifference]:
+    """Compare the merged map with each sibling's, by both values; empty with a single sibling."""
+    merged, truth = maps[MapId.merged()], maps[MapId.twin(twin)]
+    difference_r, difference_auc = _difference(r_or_nan), _difference(auc_prc_or_nan)
+    found = []
+    for value, sibling in product(QUESTIONS, siblings if len(siblings) > 1 else ()):
+        union = maps[MapId.union(sibling)]
+        samples = merged_values, values, against = values_over_shared_cells([merged, union], truth, value)
+        failing = int((against > 0).sum())
+        drawn = 0 if caution_of(len(against), failing) else resamples
+        known: dict[str, Any] = {}
+        if all(pearson_or_reason(one, against, value)[0] is not None for one in (merged_values, values)):
+            known |= {"r": difference_r(*samples), "r_interval": bootstrap_interval(samples, difference_r, drawn)}
+        if has_both_outcomes(against):
+            known |= {
+                "auc": difference_auc(*samples),
+                "auc_interval": bootstrap_interval(samples, difference_auc, drawn),
+            }
+        found.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **known))
+    return found
+
+
+def _difference(statistic: Callable[[Array, Array], float]) -> Callable[[Array, Array, Array], float]:
+    """Create the difference of a statistic between two maps, the first minus the second."""
+    return lambda first, second, truth: statistic(first, truth) - statistic(second, truth)

@@ -1,0 +1,228 @@
+"""Open-loop evaluation: a driver predicts the steering for recorded images, without driving (paper 4.3.1, RQ1)."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.data.recordings import RecordedFrame, Recording
+from ds_driver.networks.preprocessing import Crop
+
+Array = NDArray[np.float64]
+Answer = Callable[[RecordedFrame, Crop], float | None]
+"""Computes steering, -1 full left to +1 full right, from a frame with an image; None if the driver does not answer."""
+WORST = 6
+"""Images with the largest errors to keep for a picture; chosen: as many as fit side by side."""
+REPORT_EVERY = 500
+"""Images between two progress reports; chosen: a few seconds."""
+APART = 10
+"""Smallest number of images between two of the worst; chosen: half a second, so that they show different places."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answers:
+    """A driver's steering on one recording, or on one simulator's images of a data set.
+
+    Attributes:
+        name: name of the recording or simulator.
+        group: name of the group with which it is pooled.
+        index: (n,) indices of the images; unreadable ones are left out.
+        seconds: (n,) s since the first image; NaN in a data set.
+        recorded: (n,) recorded steering; NaN if there is none.
+        answered: (n,) the driver's steering, not clipped, as in the authors' package; NaN without an answer.
+        images: number of images in the recording.
+        trouble: one line for each image that cannot be read.
+        worst: frames with the largest errors, largest first, each with the driver's steering.
+    """
+
+    name: str
+    group: str
+    index: NDArray[np.int64]
+    seconds: Array
+    recorded: Array
+    answered: Array
+    images: int
+    trouble: list[str] = field(default_factory=list)
+    worst: list[tuple[RecordedFrame, float]] = field(default_factory=list)
+
+    @property
+    def errors(self) -> Array:
+        """(m,) answered minus recorded steering of images with both; positive is too far right."""
+        both = self.answered - self.recorded
+        return both[np.isfinite(both)]
+
+    @property
+    def absolute_errors(self) -> Array:
+        """(m,) absolute errors."""
+        return np.abs(self.errors)
+
+
+class ErrorsError(ValueError):
+    """Steering errors that cannot be computed or compared."""
+
+
+def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> Answers:
+    """Evaluate a driver on every image of a recording.
+
+    Args:
+        recording: recording with images.
+        answer: driver.
+        limit: largest number of images; all if None.
+
+    Raises:
+        ds_bags.layout.BagError: the recording is damaged, or has no images.
+    """
+    rows: list[tuple[int, float, float, float]] = []
+    trouble: list[str] = []
+    worst: list[tuple[RecordedFrame, float]] = []
+    images = 0
+    for frame in recording.frames():
+        if limit is not None and images >= limit:
+            break
+        images += 1
+        if frame.image is None:
+            trouble.append(frame.trouble)
+            continue
+        value = answer(frame, recording.crop)
+        rows.append((frame.index, frame.seconds, _number(frame.steering), _number(value)))
+        if value is not None and frame.steering is not None:
+            worst = _with(worst, (frame, value))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    return Answers(
+        name=recording.path.resolve().name,
+        group=recording.group,
+        index=table[:, 0].astype(np.int64),
+        seconds=table[:, 1],
+        recorded=table[:, 2],
+        answered=table[:, 3],
+        images=images,
+        trouble=trouble,
+        worst=worst,
+    )
+
+
+def _with(
+    worst: list[tuple[RecordedFrame, float]], new: tuple[RecordedFrame, float]
+) -> list[tuple[RecordedFrame, float]]:
+    """Add an image to the worst ones if it belongs there; of neighbouring images only the worst is kept."""
+    near = [pair for pair in worst if abs(pair[0].index - new[0].index) < APART]
+    if any(_by_error(pair) <= _by_error(new) for pair in near):
+        return worst
+    return sorted([pair for pair in worst if all(pair is not other for other in near)] + [new], key=_by_error)[:WORST]
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _by_error(pair: tuple[RecordedFrame, float]) -> float:
+    frame, value = pair
+    return -abs(value - (frame.steering or 0.0))
+
+
+def write_answers(path: Path, answers: Iterable[Answers]) -> None:
+    """Write one CSV row per image; missing values are empty."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("group", "recording", "image", "seconds", "recorded", "answered", "error"))
+        for one in answers:
+            for index, seconds, recorded, answered in zip(
+                one.index, one.seconds, one.recorded, one.answered, strict=True
+            ):
+                values = [seconds, recorded, answered, answered - recorded]
+                cells = ["" if np.isnan(value) else repr(float(value)) for value in values]
+                writer.writerow((one.group, one.name, int(index), *cells))
+
+
+def predict(
+    data: Path,
+    network: str,
+    progress: Callable[[int, int, str], None],
+    *,
+    images: int | None = None,
+    trusted: Collection[str] = (),
+) -> dict[str, Answers]:
+    """Run a network over a data set, one image at a time as in closed loop.
+
+    Args:
+        data: folder of the data set; see `ds_driver.data.dataset`.
+        network: any name that `ds_driver.networks.network_driver.NetworkDriver` accepts.
+        progress: called with the number of images done, their total, and the simulator.
+        images: largest number of images per simulator, evenly spread over its drives; all if None.
+        trusted: user-defined simulators whose code may run.
+
+    Returns:
+        Simulator -> answers to its images, in the order of the data set; `recorded` is the autopilot's steering.
+
+    Raises:
+        ErrorsError: the autopilot is not a network.
+        ds_driver.data.dataset.DatasetError: the data set cannot be used.
+        ValueError: the network cannot be used.
+    """
+    from ds_driver.closed_loop.drive_request import AUTOPILOT
+    from ds_driver.data.crops import crops_of
+    from ds_driver.data.dataset import Sample, decode, imported_names, read_samples
+    from ds_driver.networks.network_driver import load_pilot
+    from ds_driver.networks.pilot import NOT_SIMULATED, Frame
+    from ds_sim.registry import spec_of
+
+    if network == AUTOPILOT:
+        raise ErrorsError("the autopilot recorded the steering to compare with: name a network, such as dave2")
+    pilot = load_pilot(network)
+    groups: dict[str, list[Sample]] = {}
+    for sample in read_samples(data):
+        groups.setdefault(sample.simulator, []).append(sample)
+    if images is not None:
+        groups = {name: _spread(group, images) for name, group in groups.items()}
+    total, done = sum(map(len, groups.values())), 0
+    found, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
+    for name, group in groups.items():
+        steering = np.empty(len(group))
+        simulator = NOT_SIMULATED if name in recorded else spec_of(name).name
+        for index, sample in enumerate(group):
+            if index == 0 or sample.road_id != group[index - 1].road_id:
+                pilot.start()
+            frame = Frame(image=decode(sample.jpeg), speed=0.0, crop=crops[name], simulator=simulator)
+            steering[index] = pilot.predict(frame).steering
+            done += 1
+            if done % REPORT_EVERY == 0 or done == total:
+                progress(done, total, f"images, {name}")
+        found[name] = Answers(
+            name=name,
+            group=name,
+            index=np.arange(len(group)),
+            seconds=np.full(len(group), np.nan),
+            recorded=np.array([s.steering for s in group], np.float64),
+            answered=steering,
+            images=len(group),
+        )
+    return found
+
+
+def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
+    """Select at most `images` elements of a list, evenly spread."""
+    if len(group) <= images:
+        return group
+    return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]
+
+
+def architecture_of(network: str) -> str:
+    """Read the architecture of a shipped network or a weights file; "" if it has none."""
+    from ds_driver.networks.driver_name import DriverName
+    from ds_driver.networks.weights import architecture_in, shipped_networks
+
+    network = DriverName.parse(network).network
+    return architecture_in(shipped_networks().get(network, Path(network)))
+
+
+def kind_of(network: str) -> Literal["sim", "real"]:
+    """Return which of the paper's networks one compares with: M_S for plain images, M_R for translated ones."""
+    from ds_driver.networks.network_driver import sees_translated
+
+    return "real" if sees_translated(network) else "sim"

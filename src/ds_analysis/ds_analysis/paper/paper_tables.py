@@ -1,0 +1,225 @@
+"""Tables of the paper's evaluation (4.4) with the numbers of a campaign, next to the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ds_analysis.common.statistics import caution_of
+from ds_analysis.common.table import Column, Table, Value
+from ds_analysis.paper import paper_results as paper_numbers
+from ds_analysis.paper.correlation import Correlation, PairedDifference
+from ds_analysis.paper.paper_results import Kind
+from ds_analysis.paper.robustness_checks import RobustnessCheck
+from ds_analysis.paper.steering_error_stats import (
+    BINS,
+    MERGED,
+    RANGE,
+    Array,
+    ErrorComparison,
+    ErrorRobustnessCheck,
+    densities,
+)
+
+Network = tuple[str, Kind]
+"""Architecture and kind of images, as the paper's tables are divided."""
+_TITLES = {
+    "probability": ("rq2", "RQ2: failure probability against the twin's"),
+    "quality_loss": ("rq3", "RQ3: quality loss against the twin's failure probability"),
+}
+_BOOTSTRAP = "Intervals: 95 %, bootstrap over cells. AUC-PRC is the average precision."
+NETWORKS = ("dave2", "chauffeur", "epoch")
+"""Architectures that the paper tests."""
+
+
+def role_of(simulator: str, siblings: Sequence[str]) -> str:
+    """Name a simulator's role in the paper's tables: `DS1`, `DS2`, ... for siblings, `DSS` for their merge."""
+    return f"DS{siblings.index(simulator) + 1}" if simulator in siblings else "DSS"
+
+
+def cautions(correlations: Sequence[Correlation]) -> list[str]:
+    """Collect the reasons why the numbers allow no conclusion, each once; empty if they allow one."""
+    return list(dict.fromkeys(c.caution for c in correlations if c.caution))
+
+
+def _caution_notes(reasons: Sequence[str]) -> list[str]:
+    return [f"No conclusion: {reason} (Peduzzi et al. 1996). Intervals are left out." for reason in reasons]
+
+
+def correlation_tables(
+    correlations: Sequence[Correlation], siblings: Sequence[str], twin: str, network: Network | None
+) -> list[Table]:
+    """Tabulate RQ2 and RQ3 (paper 4.4.2, 4.4.3).
+
+    Args:
+        correlations: as `ds_analysis.paper.correlation.evaluate` returns them.
+        siblings: names of the siblings, in order.
+        twin: name of the twin.
+        network: network in the paper whose numbers are shown for comparison, or None.
+    """
+    tables = []
+    for value, (name, title) in _TITLES.items():
+        of_paper = (paper_numbers.RQ2 if value == "probability" else paper_numbers.RQ3).get(network or ("", "sim"), {})
+        rows: list[list[Value]] = []
+        compared = [c for c in correlations if c.value == value]
+        notes = [*_caution_notes(cautions(compared)), _BOOTSTRAP]
+        for c in compared:
+            role, named = role_of(c.map.simulator, siblings), c.map.simulator or "merged"
+            paper = of_paper.get(role)
+            rows.append([role, named, c.cells, c.r, c.r_interval, c.p, c.auc, c.auc_interval])
+            rows[-1] += [paper.r, paper.p, paper.auc] if paper else [None] * 3
+            notes += [f"{role}: no r, {c.reason}."] * bool(c.reason)
+            notes += [f"{role}: no AUC-PRC, {c.auc_reason}."] * bool(c.auc_reason)
+        shares = {c.baseline for c in compared if c.baseline is not None}
+        notes += [
+            f"DT is {twin}, which fails in {share:.0%} of the cells: the AUC-PRC of a map without information."
+            for share in sorted(shares)
+        ]
+        columns = [
+            Column("vs DT"),
+            Column("simulator"),
+            Column("cells", "count"),
+            Column("r", "number"),
+            Column("r, 95 %", "number"),
+            Column("p", "p"),
+            Column("AUC-PRC", "number"),
+            Column("AUC-PRC, 95 %", "number"),
+            Column("paper: r", "number"),
+            Column("paper: p", "p"),
+            Column("paper: AUC-PRC", "number"),
+        ]
+        tables.append(_without_paper(Table(name=name, title=title, columns=columns, rows=rows, notes=notes), 3))
+    return tables
+
+
+def paired_difference_table(paired_differences: Sequence[PairedDifference], siblings: Sequence[str]) -> Table:
+    """Tabulate the differences between the merged map and each sibling's: the paper's claim, with an interval."""
+    columns = [
+        Column("question"),
+        Column("DSS minus"),
+        Column("cells", "count"),
+        Column("r", "number"),
+        Column("r, 95 %", "number"),
+        Column("AUC-PRC", "number"),
+        Column("AUC-PRC, 95 %", "number"),
+    ]
+    rows: list[list[Value]] = []
+    for g in paired_differences:
+        sibling = f"{role_of(g.over.simulator, siblings)} {g.over.simulator}"
+        rows.append([_TITLES[g.value][0].upper(), sibling, g.cells, g.r, g.r_interval, g.auc, g.auc_interval])
+    reasons = dict.fromkeys(caution_of(g.cells, g.failing) for g in paired_differences if g.failing is not None)
+    notes = [
+        *_caution_notes([reason for reason in reasons if reason]),
+        "Above 0: the merged map predicts the twin better. Both maps see the same cells in every resample.",
+    ]
+    return Table(
+        name="paired_differences", title="RQ2 and RQ3: what merging adds", columns=columns, rows=rows, notes=notes
+    )
+
+
+def robustness_table(robustness_checks: Sequence[RobustnessCheck], reasons: Sequence[str] = ()) -> Table:
+    """Tabulate RQ2 and RQ3 computed in other ways.
+
+    Args:
+        robustness_checks: as `ds_analysis.paper.robustness_checks.check_robustness` returns them.
+        reasons: reasons why the numbers allow no conclusion.
+    """
+    columns = [
+        Column("how"),
+        Column("map"),
+        Column("against"),
+        Column("value"),
+        Column("cells", "count"),
+        Column("r", "number"),
+        Column("p", "p"),
+        Column("AUC", "number"),
+    ]
+    rows: list[list[Value]] = [
+        [v.what, v.map.name, v.against.name, v.value.replace("_", " "), v.cells, v.r, v.p, v.auc]
+        for v in robustness_checks
+    ]
+    return Table(
+        name="robustness_checks",
+        title="RQ2 and RQ3 in other ways",
+        columns=columns,
+        rows=rows,
+        notes=_caution_notes(reasons),
+    )
+
+
+def error_tables(
+    comparisons: Sequence[ErrorComparison],
+    robustness_checks: Sequence[ErrorRobustnessCheck],
+    errors: Mapping[str, Array],
+    siblings: Sequence[str],
+    twin: str,
+    network: Network | None,
+) -> list[Table]:
+    """Tabulate RQ1 (paper 4.4.1): the comparison, its robustness checks, and the densities.
+
+    Args:
+        comparisons: as `ds_analysis.paper.steering_error_stats.compare_errors` returns them.
+        robustness_checks: as `ds_analysis.paper.steering_error_stats.check_error_robustness` returns them.
+        errors: simulator -> absolute steering errors, including the twin's.
+        siblings: names of the siblings, in order.
+        twin: name of the twin.
+        network: network in the paper whose numbers are shown for comparison, or None.
+    """
+    of_paper = paper_numbers.RQ1.get(network or ("", "sim"), {})
+    rows: list[list[Value]] = []
+    for c in comparisons:
+        role = role_of(c.name, siblings)
+        paper = of_paper.get(role)
+        alike = None if c.alike is None else "yes" if c.alike else "no"
+        rows.append([role, "all siblings" if c.name == MERGED else c.name, c.images])
+        rows[-1] += [c.mean_squared, c.distance, c.p, c.effect, c.power, c.enough and round(c.enough), alike]
+        rows[-1] += [paper.distance, paper.p] if paper else [None] * 2
+    columns = [
+        Column("vs DT"),
+        Column("simulator"),
+        Column("images", "count"),
+        Column("MSE", "number"),
+        Column("distance", "small"),
+        Column("p", "p"),
+        Column("Cohen's d", "number"),
+        Column("power", "number"),
+        Column("enough images", "count"),
+        Column("alike"),
+        Column("paper: distance", "small"),
+        Column("paper: p", "p"),
+    ]
+    own = errors[twin] ** 2
+    notes = [
+        f"DT is {twin}: {len(own)} images, mean squared error {own.mean():.3f}"
+        + (f" (paper: {paper_numbers.MEAN_SQUARED[network]:.2f})." if network in paper_numbers.MEAN_SQUARED else "."),
+        "Alike, by the paper's rule: p above 0.05 and a power of 0.8 or more.",
+    ]
+    main = Table(name="rq1", title="RQ1: steering errors against the twin's", columns=columns, rows=rows, notes=notes)
+    others: list[list[Value]] = [
+        [v.what, role_of(v.name, siblings), v.distance, v.p, v.power] for v in robustness_checks
+    ]
+    heads = [Column("how"), Column("who"), Column("distance", "small"), Column("p", "p"), Column("power", "number")]
+    names = [*siblings, twin]
+    columns_of = {name: densities(errors[name]) for name in names}
+    width = RANGE / BINS
+    bins: list[list[Value]] = [
+        [width * k, width * (k + 1), *(float(columns_of[name][k]) for name in names)] for k in range(BINS)
+    ]
+    edges = [Column("error from", "number"), Column("to", "number")]
+    return [
+        _without_paper(main, 2),
+        Table(name="rq1_robustness_checks", title="RQ1 in other ways", columns=heads, rows=others),
+        Table(
+            name="rq1_densities",
+            title="RQ1: densities of the steering errors",
+            columns=[*edges, *(Column(name, "number") for name in names)],
+            rows=bins,
+        ),
+    ]
+
+
+def _without_paper(table: Table, columns: int) -> Table:
+    """Drop the paper's columns if all are empty, because the paper does not test this network."""
+    if any(value is not None for row in table.rows for value in row[-columns:]):
+        return table
+    rows = [row[:-columns] for row in table.rows]
+    return Table(name=table.name, title=table.title, columns=table.columns[:-columns], rows=rows, notes=table.notes)

@@ -1,0 +1,1 @@
+"""Predicts failures on a simulator, or a car, that few or no tests were driven on, beside its baselines."""

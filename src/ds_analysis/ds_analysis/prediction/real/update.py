@@ -1,0 +1,154 @@
+"""What real drives change: predictions before and after them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ds_analysis.prediction.margins import margin
+from ds_analysis.prediction.outcome_table import OutcomeTable
+from ds_analysis.prediction.real.records import RealDrive, RecordError
+from ds_analysis.prediction.real.worth import Worth, worth_of
+from ds_analysis.prediction.span import Span, span_of
+from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction
+from ds_analysis.prediction.verdicts import CellVerdict, Verdicts, judge
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangedCell:
+    """A cell whose verdict the drives changed."""
+
+    cell: tuple[int, ...]
+    before: str
+    after: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Update:
+    """What real drives change.
+
+    Attributes:
+        drives: the drives.
+        before: verdicts without them.
+        after: verdicts with them.
+        span: whether the car is outside of what the siblings span.
+        failures_before: predicted share of tests that fail on the car, without the drives.
+        failures_after: the same with them.
+        width_before: mean width of the 90 % intervals of the cells' failure rates, without the drives.
+        width_after: the same with them.
+        worth: what the drives are worth in other drives, and whether to go on.
+    """
+
+    drives: Sequence[RealDrive]
+    before: Verdicts
+    after: Verdicts
+    span: Span
+    failures_before: float
+    failures_after: float
+    width_before: float
+    width_after: float
+    worth: Worth
+
+    @property
+    def changed(self) -> list[ChangedCell]:
+        """Cells whose verdict changed."""
+        return [
+            ChangedCell(cell=one.cell, before=one.verdict, after=two.verdict)
+            for one, two in zip(self.before.cells, self.after.cells, strict=True)
+            if one.verdict != two.verdict
+        ]
+
+    @property
+    def sentence(self) -> str:
+        """What changed, in one line."""
+        failed = sum(drive.failed for drive in self.drives)
+        return (
+            f"{len(self.drives)} real drives, {failed} failed: expected failures {self.failures_before:.0%} before, "
+            f"{self.failures_after:.0%} after; intervals of cells {self.width_before:.2f} wide before, "
+            f"{self.width_after:.2f} after; {len(self.changed)} cells changed their verdict"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {
+            "drives": [asdict(drive) for drive in self.drives],
+            "before": self.before.document(),
+            "after": self.after.document(),
+            "changed": [asdict(one) for one in self.changed],
+            "span": self.span.document(),
+            "failures": [self.failures_before, self.failures_after],
+            "interval_width": [self.width_before, self.width_after],
+            "worth": self.worth.document(),
+            "sentence": self.sentence,
+        }
+
+
+def margin_drives(table: OutcomeTable, drives: Sequence[RealDrive]) -> list[MarginDrive]:
+    """Convert real drives to margins.
+
+    Raises:
+        RecordError: a test is not among the table's.
+    """
+    rows = {test_id: row for row, test_id in enumerate(table.test_ids)}
+    found = []
+    for drive in drives:
+        if drive.test_id not in rows:
+            raise RecordError(f"the real drive of {drive.test_id!r:.60} is of no test here: remove it from the drives")
+        row = rows[drive.test_id]
+        lateral = drive.max_lateral_position
+        known = None if lateral is None or drive.failed else np.array([lateral])
+        found.append(
+            MarginDrive(
+                row=row,
+                failed=drive.failed,
+                margin=None if known is None else float(margin(known, table.half_lanes[row : row + 1])[0]),
+            )
+        )
+    return found
+
+
+def update(
+    table: OutcomeTable,
+    prediction: TwinPrediction,
+    drives: Sequence[RealDrive],
+    features: Sequence[str],
+    *,
+    tolerated: float,
+) -> Update:
+    """Compare predictions before and after real drives.
+
+    Args:
+        table: outcomes of the siblings.
+        prediction: without the drives.
+        drives: the real drives.
+        features: names of the map's axes.
+        tolerated: failure rate up to which a cell counts as safe.
+
+    Raises:
+        RecordError: a drive is of no test of the table.
+    """
+    known = prediction.updated(margin_drives(table, drives))
+    before, after = (judge(table, one, features, tolerated=tolerated) for one in (prediction, known))
+    return Update(
+        drives=tuple(drives),
+        before=before,
+        after=after,
+        span=span_of(known),
+        failures_before=_expected(before),
+        failures_after=_expected(after),
+        width_before=_width(before.cells),
+        width_after=_width(after.cells),
+        worth=worth_of(table, prediction, known),
+    )
+
+
+def _expected(verdicts: Verdicts) -> float:
+    return float(np.mean([one.probability for one in verdicts.tests]))
+
+
+def _width(cells: Sequence[CellVerdict]) -> float:
+    widths = [one.interval[1] - one.interval[0] for one in cells if one.interval is not None]
+    return float(np.mean(widths)) if widths else 0.0

@@ -1,0 +1,1 @@
+"""What a sibling adds: failures against road features, and against other siblings' failures."""

@@ -1,0 +1,205 @@
+"""Everything that outcomes on the same roads say about what a sibling adds, as a document and as tables."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ds_analysis.common.cross_validation import REPEATS
+from ds_analysis.common.table import Column, Table
+from ds_analysis.siblings.baseline import Baseline, Score, baseline_of
+from ds_analysis.siblings.departures import KINDS, Departures, departures_of
+from ds_analysis.siblings.information import AddedInformation, information_about
+from ds_analysis.siblings.nesting import Nesting, nestings
+from ds_analysis.siblings.outcomes import Outcomes
+from ds_analysis.siblings.residuals import ResidualCorrelation, residual_correlations
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiblingAnalysis:
+    """What each sibling adds.
+
+    Attributes:
+        departures: how failures leave the lane, per simulator.
+        nesting: how far failures lie inside each other, per pair.
+        baselines: how well road features alone predict the failures, per simulator.
+        residuals: correlations of lateral positions beyond the best feature, per pair.
+        information: what each sibling adds about another simulator.
+    """
+
+    departures: Sequence[Departures]
+    nesting: Sequence[Nesting]
+    baselines: Sequence[Baseline]
+    residuals: Sequence[ResidualCorrelation]
+    information: Sequence[AddedInformation]
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {
+            "departures": [asdict(one) for one in self.departures],
+            "nesting": [asdict(one) for one in self.nesting],
+            "baselines": [{**asdict(one), "chosen": dict(one.chosen)} for one in self.baselines],
+            "residual_correlations": [asdict(one) for one in self.residuals],
+            "information": [
+                {**asdict(one), "verdict": one.verdict, "sentence": one.sentence} for one in self.information
+            ],
+        }
+
+    @property
+    def feature(self) -> str:
+        """Feature that was chosen for most failures, over all simulators; a bend of the driven lane if none was."""
+        votes: Counter[str] = Counter()
+        for one in self.baselines:
+            votes.update({name: one.failures * share for name, share in one.chosen.items()})
+        return max(votes, key=lambda name: votes[name], default="lane_curvature_max_right")
+
+    @property
+    def sentences(self) -> list[str]:
+        """What each sibling adds, one line each."""
+        return [one.sentence for one in self.information]
+
+
+def analyse(outcomes: Outcomes, about: Sequence[str], *, repeats: int = REPEATS) -> SiblingAnalysis:
+    """Analyse outcomes on the same roads.
+
+    Args:
+        outcomes: outcomes of one driver on all simulators.
+        about: simulators whose failures the others are to predict, such as the twin.
+        repeats: divisions into folds over which cross-validated losses are averaged.
+    """
+    return SiblingAnalysis(
+        departures=departures_of(outcomes),
+        nesting=nestings(outcomes),
+        baselines=[baseline_of(outcomes, name, repeats=repeats) for name in outcomes.simulators],
+        residuals=residual_correlations(outcomes, repeats=repeats),
+        information=[
+            one
+            for name in about
+            for one in information_about(
+                outcomes, name, [other for other in outcomes.simulators if other != name], repeats=repeats
+            )
+        ],
+    )
+
+
+def analysis_tables(found: SiblingAnalysis) -> list[Table]:
+    """Tabulate an analysis, in the order of its attributes."""
+    return [
+        _departure_table(found.departures),
+        _nesting_table(found.nesting),
+        _baseline_table(found.baselines),
+        _residual_table(found.residuals),
+        _information_table(found.information),
+    ]
+
+
+def outcome_rows(outcomes: Outcomes) -> list[dict[str, Any]]:
+    """Every road with its features and its outcomes, as JSON values."""
+    return [
+        {
+            "road_id": road.road_id,
+            "lane": road.lane,
+            **dict(zip(outcomes.feature_names, map(float, outcomes.features[k]), strict=True)),
+            "failed": dict(zip(outcomes.simulators, map(bool, outcomes.failed[k]), strict=True)),
+            "max_lateral_position": dict(zip(outcomes.simulators, map(float, outcomes.lateral[k]), strict=True)),
+        }
+        for k, road in enumerate(outcomes.roads)
+    ]
+
+
+def _departure_table(departures: Sequence[Departures]) -> Table:
+    return Table(
+        name="sibling_departures",
+        title="How failures leave the lane: wide is out of a bend, to cut is into it",
+        columns=[Column("simulator"), Column("failures", "count"), *(Column(kind, "count") for kind in KINDS)],
+        rows=[(one.simulator, one.failures, *(one.counts[kind] for kind in KINDS)) for one in departures],
+        notes=[one.sentence for one in departures if one.sentence],
+    )
+
+
+def _nesting_table(nesting: Sequence[Nesting]) -> Table:
+    return Table(
+        name="sibling_nesting",
+        title="Do failures lie inside each other? Roads on which both, one or none fails",
+        columns=[
+            Column("pair"), Column("both", "count"), Column("first only", "count"), Column("second only", "count"),
+            Column("neither", "count"), Column("second fails where first does", "number"), Column("95 %", "number"),
+            Column("first fails where second does", "number"), Column("95 % of that", "number"),
+        ],
+        rows=[
+            (
+                f"{one.first}, {one.second}", one.both, one.only_first, one.only_second, one.neither,
+                one.second_given_first, one.second_given_first_interval, one.first_given_second,
+                one.first_given_second_interval,
+            )
+            for one in nesting
+        ],
+    )  # fmt: skip
+
+
+def _baseline_table(baselines: Sequence[Baseline]) -> Table:
+    rows = []
+    for one in baselines:
+        chosen = ", ".join(f"{name} ({share:.0%})" for name, share in one.chosen.items())
+        start = (one.simulator, one.failures, one.roads, one.entropy)
+        rows.append((*start, "best single feature", *_score_row(one.best), chosen))
+        rows.append((*start, "all features", *_score_row(one.all), ""))
+    return Table(
+        name="sibling_baseline",
+        title="The undriven baseline: failures predicted without driving, from road features and conditions",
+        columns=[
+            Column("failures on"), Column("failures", "count"), Column("roads", "count"), Column("entropy", "number"),
+            Column("predicted from"), Column("AUC-ROC", "number"), Column("95 %", "number"),
+            Column("Brier score", "number"), Column("95 % of Brier", "number"), Column("bits left", "number"),
+            Column("chosen on other roads"),
+        ],
+        rows=rows,
+        notes=[one.caution for one in baselines if one.caution],
+    )  # fmt: skip
+
+
+def _score_row(score: Score | None) -> tuple[Any, ...]:
+    if score is None:
+        return (None,) * 5
+    return score.auc, score.auc_interval, score.brier, score.brier_interval, score.bits
+
+
+def _residual_table(residuals: Sequence[ResidualCorrelation]) -> Table:
+    return Table(
+        name="sibling_residuals",
+        title="What is left: correlation of lateral positions beyond the best feature",
+        columns=[
+            Column("pair"), Column("largest per road", "number"), Column("95 %", "number"),
+            Column("beyond the best feature", "number"), Column("95 % of it", "number"),
+            Column("per place, beyond curvature", "number"), Column("95 % of that", "number"),
+        ],
+        rows=[
+            (
+                f"{one.first}, {one.second}", one.plain, one.plain_interval, one.roads, one.roads_interval,
+                one.places, one.places_interval,
+            )
+            for one in residuals
+        ],
+        notes=list(dict.fromkeys(part for one in residuals if one.caution for part in one.caution.split("; "))),
+    )  # fmt: skip
+
+
+def _information_table(information: Sequence[AddedInformation]) -> Table:
+    return Table(
+        name="sibling_information",
+        title="Information that each sibling adds, bits a road",
+        columns=[
+            Column("about"), Column("sibling"), Column("beyond"), Column("bits left before", "number"),
+            Column("adds", "number"), Column("95 %", "number"), Column("verdict"),
+        ],
+        rows=[
+            (
+                one.about, one.sibling, ", ".join(("features", *one.beyond)), one.left, one.bits, one.interval,
+                one.verdict,
+            )
+            for one in information
+        ],
+        notes=list(dict.fromkeys(one.caution for one in information if one.caution)),
+    )  # fmt: skip

@@ -1,0 +1,182 @@
+"""Correlation of two simulators' lateral positions after what road features explain is taken out.
+
+Both parts that are taken out are fitted on other roads than those on which they are used (cross-fitting), by isotonic
+regression, which assumes nothing but a direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ds_analysis.common.cross_validation import FOLDS, REPEATS, SEED, Array, best_feature, folds_of
+from ds_analysis.common.families import Indices, are_alone, interval_over_families, parts_of
+from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND
+from ds_analysis.paper.simulator_agreement import GRID
+from ds_analysis.siblings.baseline import Interval, caution_of_failures
+from ds_analysis.siblings.outcomes import Outcomes
+from ds_road.features import lane_curvature
+
+FEWEST_ROADS = 2 * FEWEST_OF_EACH_KIND
+"""Roads that a correlation over roads needs; chosen: as many as the rule for failures needs in all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualCorrelation:
+    """Correlation of two simulators' lateral positions; intervals are 95 % bootstrap intervals over families of roads.
+
+    Attributes:
+        first: name of the first simulator.
+        second: name of the second simulator.
+        plain: Pearson r of the largest absolute lateral positions, over roads.
+        plain_interval: its interval.
+        roads: the same after each simulator's best single feature is taken out, chosen and fitted on other roads; None
+            where failures are too few to choose one.
+        roads_interval: its interval.
+        places: r of the lateral positions at the same places of the roads, after the curvature of the lane at the place
+            is taken out.
+        places_interval: its interval; families are drawn, each with all its places.
+        caution: why a number is missing, or "".
+    """
+
+    first: str
+    second: str
+    plain: float | None
+    plain_interval: Interval | None
+    roads: float | None
+    roads_interval: Interval | None
+    places: float | None
+    places_interval: Interval | None
+    caution: str
+
+
+def residual_correlations(outcomes: Outcomes, *, repeats: int = REPEATS) -> list[ResidualCorrelation]:
+    """Compute the residual correlations of every pair of simulators, in their order."""
+    lateral = {name: outcomes.largest_lateral(name) for name in outcomes.simulators}
+    cautions = {name: caution_of_failures(outcomes, name) for name in outcomes.simulators}
+    by_road = {
+        name: None if cautions[name] else _road_residuals(outcomes, name, repeats) for name in outcomes.simulators
+    }
+    by_place = _place_residuals(outcomes)
+    found = []
+    for first, second in combinations(outcomes.simulators, 2):
+        plain, plain_interval = _correlation(lateral[first], lateral[second], outcomes.families)
+        one, other = by_road[first], by_road[second]
+        roads, roads_interval = (
+            (None, None) if one is None or other is None else _correlation(one, other, outcomes.families)
+        )
+        places, places_interval = _clustered_correlation(by_place[first], by_place[second], outcomes.families)
+        few = f"{len(outcomes.roads)} roads, expected {FEWEST_ROADS}" if len(outcomes.roads) < FEWEST_ROADS else ""
+        found.append(
+            ResidualCorrelation(
+                first=first,
+                second=second,
+                plain=plain,
+                plain_interval=plain_interval,
+                roads=roads,
+                roads_interval=roads_interval,
+                places=places,
+                places_interval=places_interval,
+                caution="; ".join(text for text in (few, cautions[first], cautions[second]) if text),
+            )
+        )
+    return found
+
+
+def _road_residuals(outcomes: Outcomes, simulator: str, repeats: int) -> Array:
+    """Largest lateral positions minus what the best single feature predicts, (roads,), m; mean over the repeats."""
+    failed, lateral, features = outcomes.failures(simulator), outcomes.largest_lateral(simulator), outcomes.features
+    residuals = np.empty((repeats, len(lateral)))
+    for repeat in range(repeats):
+        for train, test in folds_of(failed, outcomes.families, SEED + repeat):
+            used = features[:, best_feature(features[train], failed[train])]
+            residuals[repeat, test] = lateral[test] - _isotonic(used[train], lateral[train], used[test])
+    return np.asarray(residuals.mean(axis=0))
+
+
+def _place_residuals(outcomes: Outcomes) -> dict[str, list[Array]]:
+    """Per simulator and road the lateral positions minus what the curvature at the place predicts, m."""
+    longest = [max((len(outcomes.profiles[name][k]) for name in outcomes.simulators), default=0)
+               for k in range(len(outcomes.roads))]  # fmt: skip
+    curvatures = [
+        lane_curvature(road.lane_centre, np.arange(1.0, count + 1.0) * GRID)
+        for road, count in zip(outcomes.roads, longest, strict=True)
+    ]
+    found: dict[str, list[Array]] = {}
+    for name in outcomes.simulators:
+        profiles = outcomes.profiles[name]
+        residuals = [np.empty(0)] * len(profiles)
+        for train, test in _parts(outcomes.families):
+            x, at = (
+                np.concatenate([np.empty(0), *(curvatures[k][: len(profiles[k])] for k in part)])
+                for part in (train, test)
+            )
+            y = np.concatenate([np.empty(0), *(profiles[k] for k in train)])
+            if not len(x) or not len(at):
+                continue
+            predicted = np.split(_isotonic(x, y, at), np.cumsum([len(profiles[k]) for k in test])[:-1])
+            for k, expected in zip(test, predicted, strict=True):
+                residuals[k] = profiles[k] - expected
+        found[name] = residuals
+    return found
+
+
+def _parts(families: Indices) -> list[tuple[Indices, Indices]]:
+    """Divide roads into `FOLDS` parts, in no order, each family in one of them; training and test indices."""
+    if not are_alone(families):
+        parts = parts_of(families, FOLDS, SEED)
+        return [(np.flatnonzero(parts != part), np.flatnonzero(parts == part)) for part in np.unique(parts)]
+    order = np.random.default_rng(SEED).permutation(len(families))
+    return [(np.setdiff1d(order, part), np.sort(part)) for part in np.array_split(order, FOLDS)]
+
+
+def _isotonic(x: Array, y: Array, at: Array) -> Array:
+    """Fit a monotone function, rising or falling as Spearman's rank correlation has it, and predict others by it."""
+    from sklearn.isotonic import IsotonicRegression
+
+    rising = bool(np.corrcoef(_ranks(x), _ranks(y))[0, 1] >= 0.0) if np.ptp(x) and np.ptp(y) else True
+    return np.asarray(IsotonicRegression(increasing=rising, out_of_bounds="clip").fit(x, y).predict(at))
+
+
+def _ranks(values: Array) -> Array:
+    from scipy.stats import rankdata
+
+    return np.asarray(rankdata(values), np.float64)
+
+
+def _correlation(one: Array, other: Array, families: Indices) -> tuple[float | None, Interval | None]:
+    if len(one) < FEWEST_ROADS or not np.ptp(one) or not np.ptp(other):
+        return None, None
+    return _pearson(one, other), interval_over_families((one, other), _pearson, families)
+
+
+def _pearson(one: Array, other: Array) -> float:
+    """Pearson r; NaN where a resample is constant."""
+    return float(np.corrcoef(one, other)[0, 1]) if np.ptp(one) and np.ptp(other) else float("nan")
+
+
+def _clustered_correlation(
+    ones: Sequence[Array], others: Sequence[Array], families: Indices
+) -> tuple[float | None, Interval | None]:
+    """Pearson r over all places of all roads, and its interval over families, from sums per road."""
+    sums = np.array([_sums(one, other) for one, other in zip(ones, others, strict=True)]).reshape(-1, 6)
+    if (sums[:, 0] > 0).sum() < FEWEST_ROADS:
+        return None, None
+    found = _of_sums(*sums.T)
+    return (None, None) if np.isnan(found) else (found, interval_over_families(tuple(sums.T), _of_sums, families))
+
+
+def _sums(one: Array, other: Array) -> tuple[float, ...]:
+    both = min(len(one), len(other))
+    x, y = one[:both], other[:both]
+    return float(both), float(x.sum()), float(y.sum()), float(x @ x), float(y @ y), float(x @ y)
+
+
+def _of_sums(n: Array, x: Array, y: Array, xx: Array, yy: Array, xy: Array) -> float:
+    """Pearson r from sums over the places of each road; NaN where it is not defined."""
+    count, sum_x, sum_y = n.sum(), x.sum(), y.sum()
+    spread = (count * xx.sum() - sum_x**2) * (count * yy.sum() - sum_y**2)
+    return float((count * xy.sum() - sum_x * sum_y) / np.sqrt(spread)) if spread > 0.0 else float("nan")

@@ -1,0 +1,72 @@
+"""Populations of simulators with known boundaries, simulated by hand, for the tests of predictions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_analysis.prediction.outcome_table import OutcomeTable, State
+from ds_road import Road, generate
+from ds_sim.conditions.model import DEFAULT
+
+Array = NDArray[np.float64]
+ROAD: Road = generate(np.random.default_rng(3), max_angle=200)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """Parameters behind a table: coefficients (simulators, p) of margins, test effects (tests,), residual spreads."""
+
+    coefficients: Array
+    effects: Array
+    sigma: float
+    omega: float
+    margins: Array
+
+
+def made_up(
+    seed: int,
+    *,
+    tests: int = 150,
+    siblings: int = 3,
+    mean: tuple[float, ...] = (-0.5, 0.3, 0.2, -0.2, 0.1),
+    tau: tuple[float, float] = (0.3, 0.12),
+    omega: float = 0.3,
+    sigma: float = 0.25,
+    family: int = 5,
+    twin: Array | None = None,
+) -> tuple[OutcomeTable, Truth]:
+    """Draw simulators, tests and outcomes; the last simulator plays the twin, with given coefficients if any."""
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(tests, len(mean) - 1))
+    spread = np.concatenate(([tau[0]], np.full(len(mean) - 1, tau[1])))
+    coefficients = np.array(mean) + spread * rng.normal(size=(siblings + 1, len(mean)))
+    if twin is not None:
+        coefficients[-1] = twin
+    effects = omega * rng.normal(size=tests)
+    predictors = np.column_stack((np.ones(tests), features))
+    margins = predictors @ coefficients.T + effects[:, None] + sigma * rng.normal(size=(tests, siblings + 1))
+    table = table_of_margins(margins, features, family=family)
+    return table, Truth(coefficients=coefficients, effects=effects, sigma=sigma, omega=omega, margins=margins)
+
+
+def table_of_margins(margins: Array, features: Array, *, family: int = 5) -> OutcomeTable:
+    """Make a table whose tests fail where their margin is positive; cells are quarters of the first two features."""
+    tests, simulators = margins.shape
+    bins = np.digitize(features[:, : min(2, features.shape[1])], (-1.0, 0.0, 1.0))
+    bins = np.column_stack((bins, np.zeros((tests, 2 - bins.shape[1]), int)))
+    return OutcomeTable(
+        test_ids=tuple(f"a-0-{k:04d}" for k in range(tests)),
+        siblings=tuple("abcdefg"[: simulators - 1]),
+        twin="twin",
+        roads=(ROAD,) * tests,
+        conditions=(DEFAULT,) * tests,
+        cells=tuple((int(a), int(b)) for a, b in bins),
+        feature_names=tuple(f"feature_{k}" for k in range(features.shape[1])),
+        features=features,
+        states=np.where(margins > 0, State.FAILED, State.COMPLETED).astype(np.int8),
+        lateral=np.minimum(2.0 * np.exp(margins), 2.0),
+        families=np.arange(tests) // family,
+    )

@@ -1,0 +1,122 @@
+"""Tests as a table: families by pedigree, and what excluded tests and errors may never do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_campaigns import make_campaign
+
+from ds_analysis.common.families import families_of
+from ds_analysis.prediction.outcome_table import OutcomeTableError, State, table_of_campaign
+from ds_analysis.siblings.outcomes import ROAD_FEATURES
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
+from ds_orchestrator.search.algorithms import DeepHyperion
+from ds_orchestrator.search.base import SearchSettings
+from ds_orchestrator.store.model import Test
+from ds_road import MutationError, Road, generate, mutate
+from ds_sim.conditions.model import Conditions
+from ds_sim.gates.gate import not_applicable
+from ds_sim.simulator import Outcome
+
+CONFIG = CampaignConfig(search=SearchConfig(population=10, iterations=0, runs=1))
+
+
+def data_of(folder: Path, config: CampaignConfig = CONFIG, per_sibling: int = 8) -> CampaignData:
+    store = make_campaign(folder, config, per_sibling)
+    store.add_error("bullet-0-0001", "bullet", 0, Outcome.SIM_ERROR, "made up")
+    data = read_campaign(store)
+    store.close()
+    return data
+
+
+def test_families_are_those_of_a_recorded_pedigree() -> None:
+    rng = np.random.default_rng(1)
+    roads: list[Road] = []
+    roots: list[int] = []
+    for root in range(6):
+        roads.append(generate(rng, max_angle=220))
+        roots.append(root)
+    while len(roads) < 80:
+        parent = int(rng.integers(len(roads)))
+        try:
+            roads.append(mutate(roads[parent], rng))
+        except MutationError:
+            continue
+        roots.append(roots[parent])
+    assert families_of(roads).tolist() == roots
+
+
+def test_a_search_has_at_most_as_many_families_as_random_roads() -> None:
+    search = DeepHyperion(SearchSettings(population=5, iterations=25), np.random.default_rng(2))
+    roads = []
+    while not search.done:
+        roads.append(search.ask())
+        search.tell(1.0 - 4.0 * roads[-1].curvature)
+    families = families_of(roads)
+    assert families[:5].tolist() == [0, 1, 2, 3, 4] and set(families.tolist()) == {0, 1, 2, 3, 4}
+
+
+def test_a_campaign_becomes_a_table(tmp_path: Path) -> None:
+    data = data_of(tmp_path)
+    table = table_of_campaign(data)
+    assert table.simulators == ("bullet", "softbody", "donkey") and len(table) == 16
+    assert table.feature_names == tuple(ROAD_FEATURES)
+    of_road = [of(data.tests[3].road) for of in ROAD_FEATURES.values()]
+    assert table.features[3].tolist() == of_road
+    for one in data.verdicts:
+        row, column = table.test_ids.index(one.test_id), table.column(one.simulator)
+        assert (table.states[row, column] == State.FAILED) == one.outcome.is_failure
+        assert table.lateral[row, column] == min(one.max_lateral_position, 2.0)
+    # An error that a later attempt fixed leaves the verdict.
+    assert table.known("bullet").all()
+    assert table.cells == tuple(data.cells[test_id] for test_id in table.test_ids)
+
+
+def test_excluded_tests_and_errors_never_count(tmp_path: Path) -> None:
+    """The same campaign without the executions of three tests: two excluded, one that only ever ended in errors."""
+    data = data_of(tmp_path)
+    excluded = {
+        ("bullet-0-0000", "bullet"): not_applicable("made up"),
+        ("bullet-0-0002", "donkey"): not_applicable("x"),
+    }
+    gone = {*excluded, ("bullet-0-0001", "bullet")}
+    table = table_of_campaign(
+        CampaignData(
+            config=data.config, tests=data.tests, gates=excluded, errors=data.errors,
+            executions=tuple(e for e in data.executions if (e.test_id, e.simulator) not in gone),
+        )
+    )  # fmt: skip
+    assert [State(s) for s in table.states[:3, 0]][:2] == [State.EXCLUDED, State.ERROR]
+    assert not table.known("bullet")[:2].any() and not table.failed("bullet")[:2].any()
+    assert table.on_siblings.tolist() == [False, False] + [True] * 14
+    assert not table.known("donkey")[2] and (table.lateral[:2, 0] == 0).all()
+
+
+def test_searched_conditions_are_features_on_their_scale(tmp_path: Path) -> None:
+    data = data_of(tmp_path)
+    values = (20.0, 40.0, 80.0)
+    tests = tuple(
+        Test(
+            test_id=t.test_id, sibling=t.sibling, run=t.run, number=t.number, road=t.road, seed=t.seed,
+            conditions=Conditions(visibility=values[k % 3], line_contrast=0.5),
+        )
+        for k, t in enumerate(data.tests)
+    )  # fmt: skip
+    table = table_of_campaign(CampaignData(config=data.config, tests=tests, executions=data.executions))
+    assert table.feature_names[-1] == "visibility"  # line_contrast is the same in all
+    # The reciprocal is the extinction of the air: 1/20 at the range's lower end, 0 at clear air.
+    assert table.features[:3, -1] == pytest.approx([0.0, 0.5, 0.75])
+
+
+def test_another_simulator_can_play_the_twin(tmp_path: Path) -> None:
+    table = table_of_campaign(data_of(tmp_path))
+    turned = table.with_twin("bullet")
+    assert turned.siblings == ("softbody", "donkey") and turned.twin == "bullet"
+    assert (turned.failed("bullet") == table.failed("bullet")).all()
+    with pytest.raises(OutcomeTableError, match="no simulator 'panda', expected one of bullet, softbody, donkey"):
+        table.with_twin("panda")
+    with pytest.raises(OutcomeTableError, match="no test has a verdict yet"):
+        table_of_campaign(CampaignData(config=CONFIG))

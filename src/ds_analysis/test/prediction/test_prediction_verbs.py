@@ -1,0 +1,87 @@
+"""Verbs that predict a car: what they print and write, and one line for bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ds_cli.application import run
+from ds_road import Road, generate, write_roads
+
+ROADS = [generate(np.random.default_rng(seed)) for seed in range(40)]
+
+
+def write_comparison(folder: Path, roads: list[Road] = ROADS) -> Path:
+    """A comparison as `ds siblings compare --out` writes it: failures grow with the curvature of the right lane."""
+    rng = np.random.default_rng(21)
+    names = ("bullet", "softbody", "panda", "donkey")
+    hard = np.array([road.lane_curvature_max_right for road in roads])
+    level = np.array([-0.3, -0.2, -0.1, 0.0])
+    margins = level + 2.0 * (hard / np.median(hard) - 1.0)[:, None] + 0.2 * rng.normal(size=(len(roads), 4))
+    rows = [
+        {
+            "road_id": road.road_id,
+            "failed": {name: bool(margins[k, s] > 0) for s, name in enumerate(names)},
+            "max_lateral_position": {
+                name: float(min(2.0 * np.exp(margins[k, s]), 2.0)) for s, name in enumerate(names)
+            },
+        }
+        for k, road in enumerate(roads)
+    ]
+    folder.mkdir(exist_ok=True)
+    document = {"simulators": dict.fromkeys(names, {}), "outcomes": rows}
+    (folder / "comparison.json").write_text(json.dumps(document))
+    write_roads(roads, folder / "roads.json")
+    return folder
+
+
+@pytest.fixture
+def compared(tmp_path: Path) -> Path:
+    return write_comparison(tmp_path / "compared")
+
+
+def test_a_comparison_is_predicted(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(["predict", str(compared), "--twin", "donkey", "--out", str(out), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["siblings"] == ["bullet", "softbody", "panda"] and document["twin"] == "donkey"
+    assert document == json.loads((out / "prediction.json").read_text())
+    names = {score["predictor"] for score in document["comparison"]["scores"]}
+    assert {"bullet", "softbody", "panda", "product", "mean", "undriven features", "hierarchical model"} <= names
+    assert len(document["verdicts"]["tests"]) == 40
+    assert {"verdicts.png", "cell_verdicts.csv", "predictors_per_test.tex", "predictors_per_cell.csv"} <= {
+        p.name for p in out.iterdir()
+    }
+    assert run(["predict", str(compared), "--twin", "donkey"]) == 0
+    text = capsys.readouterr().out
+    assert "undriven features" in text and "a call is wrong at most 5% of the time" in text
+
+
+def test_without_a_twin_the_car_is_predicted_and_nothing_compared(
+    compared: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["predict", str(compared), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["twin"] is None and document["comparison"] is None and len(document["siblings"]) == 4
+    assert "there is no twin" in document["no_comparison"]
+    assert all(0.0 < test["probability"] < 1.0 for test in document["verdicts"]["tests"])
+
+
+def test_bad_input_is_one_line(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    damaged = tmp_path / "damaged"
+    damaged.mkdir()
+    (damaged / "comparison.json").write_text('{"outcomes": 3}')
+    few = write_comparison(tmp_path / "few", ROADS[:6])
+    for named, arguments in (
+        ("holds no campaign.sqlite and no comparison.json", ["predict", str(tmp_path)]),
+        ("no simulator 'carla', expected one of bullet", ["predict", str(compared), "--twin", "carla"]),
+        ("holds no comparison: expected", ["predict", str(damaged)]),
+        ("expected at least 10: drive more tests", ["predict", str(few)]),
+    ):
+        assert run(arguments) == 2
+        captured = capsys.readouterr()
+        lines = [line for line in captured.err.splitlines() if line.startswith("error")]
+        assert captured.out == "" and len(lines) == 1 and named in lines[0], captured.err

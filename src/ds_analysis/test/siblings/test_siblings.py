@@ -1,0 +1,385 @@
+"""What a sibling adds, on synthetic outcomes whose nesting and information are known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import beta, spearmanr
+from sklearn.metrics import roc_auc_score
+
+from ds_analysis.common.cross_validation import auc_roc, best_feature, predict_failures
+from ds_analysis.paper.simulator_agreement import GRID, lateral_profile
+from ds_analysis.siblings.analysis import analyse, analysis_tables
+from ds_analysis.siblings.baseline import baseline_of
+from ds_analysis.siblings.information import AddedInformation, information_about
+from ds_analysis.siblings.nesting import nestings
+from ds_analysis.siblings.outcomes import ROAD_FEATURES, Outcomes, outcomes_of_runs, recorded_profile
+from ds_analysis.siblings.pictures import draw_failures, draw_matrix
+from ds_analysis.siblings.residuals import residual_correlations
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_road import MutationError, Road, generate, mutate
+from ds_road.features import lane_curvature
+from ds_sim.conditions.model import Conditions
+from ds_sim.lane_tracker import LaneTracker
+from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+from ds_studies import kept_drives
+from ds_studies.kept_drives import KeptDrivesError, drive_kept
+from ds_twin_donkey.parameter_file import FORMAT, write_parameters
+from ds_twin_donkey.parameters import DonkeyParameters
+
+Array = NDArray[np.float64]
+ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(60))
+RIGHT = np.array([road.lane_curvature_max_right for road in ROADS])
+HARD = np.quantile(RIGHT, 0.7)
+
+
+def made_up(lateral: dict[str, Array], *, profiles: dict[str, Sequence[Array]] | None = None) -> Outcomes:
+    """Outcomes of runs that fail where the largest lateral position is 2 m or more."""
+    together = np.column_stack(list(lateral.values()))
+    return Outcomes(
+        simulators=tuple(lateral),
+        roads=ROADS[: len(together)],
+        failed=together >= 2.0,
+        lateral=np.minimum(together, 2.0),
+        profiles=profiles or {name: [np.empty(0)] * len(together) for name in lateral},
+    )
+
+
+def noise(seed: int) -> Array:
+    return np.random.default_rng(seed).normal(size=len(ROADS))
+
+
+def test_a_feature_that_decides_is_found_on_other_roads_and_leaves_nothing_to_add() -> None:
+    """Outcomes are functions of one feature, each simulator with a threshold of its own."""
+    found = analyse(made_up({"a": 2 * RIGHT / (0.9 * HARD), "twin": 2 * RIGHT / HARD}), ["twin"], repeats=1)
+    for one in found.baselines:
+        assert one.best is not None and one.all is not None and not one.caution
+        assert one.best.auc > 0.98 and one.chosen == {"lane_curvature_max_right": 1.0}
+        assert one.best.brier < 0.06 and one.best.bits < 0.25 < one.entropy
+    (added,) = found.information
+    assert added.bits is not None and abs(added.bits) < 0.03 and added.verdict == "nothing shown"
+    assert found.feature == "lane_curvature_max_right"
+
+
+def test_a_sibling_that_equals_the_twin_adds_what_the_features_leave() -> None:
+    """Outcomes that no feature predicts: one bit of entropy, all of it in the sibling. A second one adds nothing."""
+    lateral = np.where(noise(1) > 0, 2.5, 0.5)
+    outcomes = made_up({"same": lateral, "again": lateral, "twin": lateral})
+    base = baseline_of(outcomes, "twin", repeats=1)
+    assert base.entropy == pytest.approx(1.0, abs=0.03)
+    assert base.all is not None and base.all.bits == pytest.approx(1.0, abs=0.15) and base.all.auc < 0.75
+    first, second = information_about(outcomes, "twin", ["same", "again"], repeats=1)
+    assert first.bits is not None and first.left is not None and first.interval is not None
+    assert first.bits == pytest.approx(first.left, abs=0.25) and first.verdict == "adds information"
+    assert first.interval[0] > 0.5
+    assert second.bits is not None and abs(second.bits) < 0.1 and second.beyond == ("same",)
+    assert f"same adds {first.bits:.3f} bits" in first.sentence and "about twin beyond features: adds" in first.sentence
+    assert "beyond features and same: " in second.sentence
+
+
+def test_a_sibling_of_noise_is_not_said_to_add_anything() -> None:
+    """Three of them, beside a twin that fails by a feature and by chance."""
+    twin = 2 * RIGHT / HARD + 0.15 * noise(2)
+    verdicts = [
+        information_about(made_up({"noise": 2 + noise(seed), "twin": twin}), "twin", ["noise"], repeats=1)[0].verdict
+        for seed in range(10, 13)
+    ]
+    assert set(verdicts) == {"nothing shown"}
+
+
+def test_a_condition_that_decides_is_a_feature() -> None:
+    """The twin and a sibling fail where lines are faint; the roads' shapes say nothing."""
+    contrasts = np.random.default_rng(6).uniform(0.05, 1.0, len(ROADS))
+    lateral = 2 * 0.4 / contrasts
+    plain = made_up({"a": lateral, "twin": 1.1 * lateral})
+    outcomes = replace(plain, conditions=tuple(Conditions(line_contrast=one) for one in contrasts.tolist()))
+    assert outcomes.feature_names == (*ROAD_FEATURES, "line_contrast")
+    blind, seeing = baseline_of(plain, "twin", repeats=1), baseline_of(outcomes, "twin", repeats=1)
+    assert blind.best is not None and seeing.best is not None
+    assert blind.best.auc < 0.7 and seeing.best.auc > 0.98 and seeing.chosen == {"line_contrast": 1.0}
+    assert information_about(plain, "twin", ["a"], repeats=1)[0].verdict == "adds information"
+    assert information_about(outcomes, "twin", ["a"], repeats=1)[0].verdict == "nothing shown"
+    assert draw_failures(outcomes, "line_contrast").shape == (460, 1140, 3)
+
+
+def test_roads_are_predicted_from_other_families_than_their_own() -> None:
+    """Near copies of 12 roads, and outcomes that are chance for each family: copies would give them away."""
+    rng = np.random.default_rng(8)
+    roads = []
+    for root in ROADS[:12]:
+        roads.append(root)
+        while len(roads) % 8:
+            with suppress(MutationError):
+                roads.append(mutate(root, rng))
+    fails = np.repeat(np.arange(12) % 2 == 0, 8)
+    lateral = np.where(fails, 2.5, 0.5)[:, None] + 0.01 * rng.normal(size=(96, 2))
+    outcomes = replace(
+        made_up({"a": lateral[:0, 0], "twin": lateral[:0, 1]}),
+        roads=tuple(roads), failed=lateral >= 2.0, lateral=np.minimum(lateral, 2.0),
+        profiles={name: [np.empty(0)] * 96 for name in ("a", "twin")},
+    )  # fmt: skip
+    assert sorted(np.bincount(outcomes.families)) == [8] * 12
+    leaking = predict_failures(outcomes.features, fails, repeats=1).probability[0]
+    honest = baseline_of(outcomes, "twin", repeats=1)
+    assert honest.all is not None and honest.all.auc_interval is not None
+    assert roc_auc_score(fails, leaking) > 0.85 and honest.all.auc < 0.7
+    # A dozen coins: the interval is that of 12 families, far wider than that of 96 roads.
+    low, high = honest.all.auc_interval
+    assert high - low > 0.3
+    few = replace(outcomes, failed=np.column_stack([np.arange(96) // 8 < 4] * 2))
+    assert "roads of 4 families of mutants fail on twin, of 8 do not" in baseline_of(few, "twin").caution
+
+
+def test_too_few_failures_are_too_few_to_say() -> None:
+    lateral = np.where(np.arange(60) < 9, 2.5, 0.5)
+    found = analyse(made_up({"a": lateral[::-1], "twin": lateral}), ["twin"])
+    assert all(one.best is None and one.all is None and not one.chosen for one in found.baselines)
+    assert "9 of 60 roads fail on twin, expected 10 that fail and 10 that do not" in found.baselines[1].caution
+    (added,) = found.information
+    assert (added.bits, added.interval, added.verdict) == (None, None, "too few")
+    assert added.sentence.startswith("what a adds about twin beyond features: too few failures to say: 9 of 60")
+    assert found.residuals[0].roads is None and found.residuals[0].plain is not None
+    for table in analysis_tables(found):
+        assert table.texts() and table.latex() and table.csv()
+    json.dumps(found.document(), allow_nan=False)
+    nothing = analyse(made_up({"a": lateral[:0], "twin": lateral[:0]}), ["a", "twin"])
+    assert nothing.residuals[0].plain is None and "0 roads, expected 20" in nothing.residuals[0].caution
+
+
+def test_the_best_feature_is_that_of_the_largest_rank_correlation() -> None:
+    """With outcomes of two values, the AUC orders features as Spearman's coefficient does, whose ties are the same."""
+    failed = noise(3) + 8 * RIGHT > 1.5
+    values = np.array([[of(road) for of in ROAD_FEATURES.values()] for road in ROADS])
+    distinct = [k for k in range(values.shape[1]) if len(np.unique(values[:, k])) == len(ROADS)]
+    rho = [abs(spearmanr(values[:, k], failed).statistic) for k in distinct]
+    assert best_feature(values[:, distinct], failed) == int(np.argmax(rho))
+    assert best_feature(np.column_stack((values[:, 0], -RIGHT)), RIGHT > HARD) == 1
+
+
+def test_no_prediction_depends_on_the_outcome_that_it_predicts() -> None:
+    """Outcomes of chance have no area beyond chance, however many features there are to choose from."""
+    rng = np.random.default_rng(5)
+    areas = []
+    for _ in range(4):
+        features, failed = rng.normal(size=(60, 30)), rng.random(60) < 0.5
+        probability = predict_failures(features, failed, columns=("best",), repeats=1).probability[0]
+        areas.append(roc_auc_score(failed, probability))
+        assert auc_roc(probability, failed) == pytest.approx(areas[-1], abs=1e-12)
+    assert np.mean(areas) < 0.6
+
+
+def test_what_two_simulators_share_beyond_the_feature_is_their_residual_correlation() -> None:
+    shared = noise(6)
+    outcomes = made_up(
+        {
+            "a": 1.9 * RIGHT / HARD + 0.15 * shared,
+            "b": 1.9 * RIGHT / HARD + 0.15 * shared,
+            "c": 1.9 * RIGHT / HARD + 0.15 * noise(7),
+        }
+    )
+    same, apart, _ = residual_correlations(outcomes, repeats=1)
+    assert same.roads == pytest.approx(1.0) and same.roads_interval is None  # of no width: 1 in every resample
+    assert apart.plain is not None and apart.plain > 0.7
+    assert apart.roads is not None and apart.roads_interval is not None
+    assert abs(apart.roads) < 0.35 and apart.roads_interval[0] < 0.0 < apart.roads_interval[1]
+
+
+def test_per_place_what_curvature_explains_is_taken_out() -> None:
+    """Positions are a function of the curvature at the place, plus a part that two of three simulators share."""
+    rng = np.random.default_rng(8)
+    profiles: dict[str, list[Array]] = {"a": [], "b": [], "c": []}
+    for road in ROADS[:30]:
+        bend = 3.0 * lane_curvature(road.lane_centre, GRID * np.arange(1.0, 200.0))
+        shared = 0.3 * rng.normal(size=199)
+        profiles["a"].append(bend + shared)
+        profiles["b"].append((bend + shared)[:150])
+        profiles["c"].append(bend + 0.3 * rng.normal(size=199))
+    outcomes = made_up({name: np.full(30, 0.5) for name in "abc"}, profiles=dict(profiles))
+    same, apart, _ = residual_correlations(outcomes, repeats=1)
+    assert same.places is not None and same.places > 0.97
+    assert apart.places is not None and abs(apart.places) < 0.06
+    assert apart.places_interval is not None and np.ptp(apart.places_interval) < 0.15
+    assert same.plain is None
+
+
+def test_the_same_outcomes_give_the_same_numbers() -> None:
+    outcomes = made_up({"a": 2 * RIGHT / HARD + 0.2 * noise(1), "twin": 2 * RIGHT / HARD + 0.2 * noise(2)})
+    first, second = (information_about(outcomes, "twin", ["a"], repeats=1) for _ in range(2))
+    assert first == second and first[0].bits is not None
+
+
+def test_a_verdict_needs_an_interval_above_zero() -> None:
+    known = {"about": "t", "sibling": "s", "beyond": (), "left": 0.5, "caution": ""}
+    verdicts = [
+        AddedInformation(**known, bits=0.1, interval=ends).verdict  # type: ignore[arg-type]
+        for ends in ((0.01, 0.2), (-0.01, 0.2), (0.0, 0.2), None)
+    ]
+    assert verdicts == ["adds information", "nothing shown", "nothing shown", "nothing shown"]
+
+
+def test_nesting_is_a_share_with_the_interval_of_clopper_and_pearson() -> None:
+    """20 roads fail on both, 5 on the first alone, 10 on the second alone."""
+    verdicts = [(2.5, 2.5)] * 20 + [(2.5, 0.5)] * 5 + [(0.5, 2.5)] * 10 + [(0.5, 0.5)] * 15
+    one, other = np.array(verdicts).T
+    (found,) = nestings(made_up({"a": one, "b": other}))
+    assert (found.both, found.only_first, found.only_second, found.neither) == (20, 5, 10, 15)
+    assert (found.second_given_first, found.first_given_second) == (20 / 25, 20 / 30)
+    for interval, count, total in (
+        (found.second_given_first_interval, 20, 25),
+        (found.first_given_second_interval, 20, 30),
+    ):
+        assert interval == pytest.approx(
+            (beta(count, total - count + 1).ppf(0.025), beta(count + 1, total - count).ppf(0.975))
+        )
+    (never,) = nestings(made_up({"a": np.full(3, 0.5), "b": np.full(3, 2.5)}))
+    assert never.second_given_first is None and never.second_given_first_interval is None
+    assert never.first_given_second == 0.0 and never.first_given_second_interval is not None
+
+
+def test_nesting_of_near_copies_is_that_of_their_families() -> None:
+    """Of 4 copies each of 10 roads all fail on both simulators: 10 observations, not 40."""
+    copies = tuple(ROADS[k // 4] for k in range(40))
+    alike = np.full((40, 2), True)
+    apart = alike & np.column_stack((np.arange(40) >= 0, np.arange(40) // 4 > 1))
+    made = made_up({"a": np.full(40, 2.5), "b": np.full(40, 2.5)})
+    for failed, ends in ((alike, (beta(10, 1).ppf(0.025), 1.0)), (apart, (0.5, 1.0))):
+        (found,) = nestings(replace(made, roads=copies, failed=failed))
+        assert found.second_given_first == failed[:, 1].mean()
+        assert found.second_given_first_interval == pytest.approx(ends, abs=0.05)
+
+
+def record(road: Road, outcome: Outcome, *, seed: int = 0, offset: float = 0.25) -> RunRecord:
+    """Create a run that drives 30 m with a constant lateral position."""
+    run = RunRecord(road=road, seed=seed, outcome=outcome)
+    for step, arc in enumerate(np.linspace(0.0, 30.0, 31)):
+        vehicle = VehicleState(x=0.0, y=float(arc), yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
+        lane = LaneState(lateral_position=offset, lateral_distance=2.0 - abs(offset),
+                         preview_lateral_position=offset, arc_length=float(arc))  # fmt: skip
+        run.observations.append(
+            Observation(
+                image=NO_IMAGE, step=step, time=step * 0.05, vehicle=vehicle, lane=lane, outcome=Outcome.RUNNING
+            )
+        )
+        run.commands.append(Command(0.0, 0.0))
+    run.commands.pop()
+    return run
+
+
+def test_outcomes_of_runs_leave_out_errors_and_what_lies_beyond_the_lane() -> None:
+    fail, drive, error = Outcome.OUT_OF_BOUNDS, Outcome.COMPLETED, Outcome.SIM_ERROR
+    runs = {
+        "a": [record(road, outcome) for road, outcome in zip(ROADS, (drive, fail, drive), strict=False)],
+        "b": [record(road, outcome, offset=-9.0) for road, outcome in zip(ROADS, (error, fail, drive), strict=False)],
+    }
+    found = outcomes_of_runs(runs)
+    assert found.roads == ROADS[1:3] and found.left_out == 1
+    assert found.failed.tolist() == [[True, True], [False, False]]
+    assert found.lateral.tolist() == [[0.25, 2.0], [0.25, 2.0]]
+    np.testing.assert_array_equal(found.profiles["b"][0], np.full(59, -2.0))
+    assert found.features.shape == (2, len(ROAD_FEATURES))
+
+
+def test_a_stopped_comparison_drives_only_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driven: list[DriveRequest] = []
+    outcomes = {ROADS[0]: Outcome.COMPLETED, ROADS[1]: Outcome.OUT_OF_BOUNDS, ROADS[2]: Outcome.SIM_ERROR}
+
+    def make_up(drive: DriveRequest) -> RunRecord:
+        if len(driven) == 5:
+            raise KeyboardInterrupt
+        driven.append(drive)
+        return record(drive.road, outcomes[drive.road], seed=drive.seed)
+
+    monkeypatch.setattr(kept_drives, "run_drive", make_up)
+    monkeypatch.setattr(kept_drives, "map_in_processes", lambda work, jobs, workers: map(work, jobs))
+    drives = [DriveRequest(name, "autopilot", road, 7) for road in outcomes for name in ("bullet", "donkey")]
+    said: list[str] = []
+
+    def comparison(all_drives: Sequence[DriveRequest] = tuple(drives)) -> list[tuple[RunRecord, bool]]:
+        return list(drive_kept(all_drives, tmp_path / "drives", say=said.append))
+
+    with pytest.raises(KeyboardInterrupt):
+        comparison()
+    del driven[:]
+    found = comparison()
+    # The two errors are driven again.
+    assert driven == drives[4:] and [fresh for _, fresh in found] == [False] * 4 + [True] * 2
+    assert [run.outcome for run, _ in found] == [outcomes[drive.road] for drive in drives]
+    again = record(ROADS[1], Outcome.OUT_OF_BOUNDS, seed=7)
+    assert [o.lane for o in found[2][0].observations] == [o.lane for o in again.observations]
+    # A damaged file is driven again, and so is another seed.
+    (path,) = (tmp_path / "drives" / "bullet").glob(f"{ROADS[0].road_id}-7.run")
+    path.write_bytes(path.read_bytes()[:-3])
+    del driven[:]
+    comparison(drives[:2])
+    comparison([DriveRequest("donkey", "autopilot", ROADS[0], 8)])
+    assert driven == [drives[0], DriveRequest("donkey", "autopilot", ROADS[0], 8)] and said == []
+    settings = tmp_path / "drives" / kept_drives.SETTINGS
+    with pytest.raises(KeptDrivesError, match="holds drives of autopilot, not of dave2: choose another --out"):
+        comparison([DriveRequest("donkey", "dave2", ROADS[0], 7)])
+    settings.write_text(settings.read_text().replace('"code": "', '"code": "0'))
+    comparison(drives[:1])
+    assert len(said) == 1 and "the code has changed" in said[0]
+    settings.write_text("[]")
+    with pytest.raises(KeptDrivesError, match="cannot be read: remove"):
+        comparison(drives[:1])
+
+
+def test_drives_of_a_fitted_car_are_kept_where_its_file_is_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_drives, "run_drive", lambda drive: record(drive.road, Outcome.COMPLETED, seed=drive.seed))
+    monkeypatch.setattr(kept_drives, "map_in_processes", lambda work, jobs, workers: map(work, jobs))
+    kept = []
+    for name, friction in (("here", 0.8), ("there", 0.8), ("other", 0.7)):
+        car = tmp_path / name / "car.yaml"
+        car.parent.mkdir()
+        content = {name: {"value": value} for name, value in asdict(DonkeyParameters(friction=friction)).items()}
+        write_parameters(car, {"format": FORMAT, "parameters": content})
+        (found,) = drive_kept(
+            [DriveRequest(f"donkey@{car}", "autopilot", ROADS[0], 7)], tmp_path / "drives", say=lambda line: None
+        )
+        kept.append(not found[1])
+    assert kept == [False, True, False]
+
+
+def test_the_pictures_show_every_road_of_every_simulator() -> None:
+    """One more failure recolours its column in its simulator's row and its point in its panel, and nothing else."""
+    lateral = np.where(RIGHT > HARD, 2.5, 0.5)
+    changed = lateral.copy()
+    changed[int(np.argmin(RIGHT))] = 2.5
+    feature = "lane_curvature_max_right"
+    before, after = (made_up({"a": lateral, "b": other}) for other in (lateral, changed))
+    one, other = draw_matrix(before, feature), draw_matrix(after, feature)
+    rows, columns = np.nonzero((one != other).any(axis=2))
+    assert 94 <= rows.min() <= rows.max() < 124 and 150 <= columns.min() <= columns.max() < 170
+    one, other = draw_failures(before, feature), draw_failures(after, feature)
+    rows, columns = np.nonzero((one != other).any(axis=2))
+    assert rows.min() >= 230 and one.shape == other.shape == (460, 1140, 3)
+
+
+def test_a_stored_trajectory_has_the_profile_of_its_run() -> None:
+    """A slalom about the lane's centre, by the lane tracker and by the positions alone."""
+    for road in (*ROADS[:3], ROADS[3].in_lane("left")):
+        lane = road.lane_centre
+        lengths = np.hypot(*np.diff(lane, axis=0).T)
+        along = np.linspace(0.0, lengths.sum() - 1.0, 400)
+        right = (road.right_edge - road.left_edge) / 8.0
+        arcs = np.concatenate(([0.0], np.cumsum(lengths)))
+        centre, across = (
+            np.column_stack([np.interp(along, arcs, values[:, k]) for k in (0, 1)]) for values in (lane, right)
+        )
+        path = centre + 0.5 * np.sin(along / 7.0)[:, None] * across
+        tracker = LaneTracker(lane)
+        lateral, arc = np.array([tracker.update(x, y) for x, y in path.tolist()]).T
+        trajectory = np.column_stack((path, np.zeros((400, 2)), lateral))
+        np.testing.assert_allclose(
+            recorded_profile(road, trajectory), lateral_profile(arc, lateral, 2.0), rtol=0, atol=1e-6
+        )

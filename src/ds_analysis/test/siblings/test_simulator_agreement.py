@@ -1,0 +1,100 @@
+"""Comparison of simulators against counts and distances computed by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ds_analysis.paper.simulator_agreement import compare, gaps, most_different, summary
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import drive_all, drive_road, make_driver
+from ds_road import Road
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+
+ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
+
+
+def run(
+    outcome: Outcome = Outcome.COMPLETED, lateral: tuple[float, float] = (0.0, 0.0), length: float = 50.0
+) -> RunRecord:
+    """Create a run whose lateral position changes linearly between two values; its speed varies."""
+    record = RunRecord(road=ROAD, seed=0, outcome=outcome)
+    for step, share in enumerate(np.linspace(0.0, 1.0, 21) ** 2):
+        at = lateral[0] + share * (lateral[1] - lateral[0])
+        record.observations.append(
+            Observation(
+                image=np.empty((0, 0, 3), np.uint8),
+                step=step,
+                time=0.05 * step,
+                vehicle=VehicleState(x=0.0, y=0.0, yaw=0.0, speed=0.0, yaw_rate=0.0, steering_angle=0.0),
+                lane=LaneState(
+                    lateral_position=at,
+                    lateral_distance=2.0 - abs(at),
+                    preview_lateral_position=at,
+                    arc_length=share * length,
+                ),
+                outcome=Outcome.RUNNING,
+            )
+        )
+        record.commands.append(Command(0.0, 0.0))
+    return record
+
+
+def test_kappa_is_that_of_the_textbook_table() -> None:
+    """20 and 15 agreements of 50, 5 and 10 disagreements: observed 0.7, by chance 0.5, kappa 0.4."""
+    fail, drive = Outcome.OUT_OF_BOUNDS, Outcome.COMPLETED
+    verdicts = [(fail, fail)] * 20 + [(fail, drive)] * 5 + [(drive, fail)] * 10 + [(drive, drive)] * 15
+    verdicts += [(Outcome.DRIVER_SILENT, fail), (drive, Outcome.SIM_ERROR)]
+    found = compare({"a": [run(v[0]) for v in verdicts], "b": [run(v[1]) for v in verdicts]})[0]
+    assert (found.both_fail, found.only_first_fails, found.only_second_fails, found.both_complete) == (20, 5, 10, 15)
+    assert found.roads == 50 and found.kappa == pytest.approx(0.4)
+    # Asymptotic standard error by Fleiss, Cohen and Everitt for this table: 0.127.
+    assert found.kappa_interval is not None
+    assert found.kappa_interval == pytest.approx((0.4 - 1.96 * 0.127, 0.4 + 1.96 * 0.127), abs=0.005)
+    assert summary([run(v[1]) for v in verdicts])["errors"] == 1
+
+
+def test_where_there_is_no_kappa_it_says_why() -> None:
+    runs = [run(), run(Outcome.STUCK)]
+    assert compare({"a": [run(), run()], "b": runs})[0].reason.startswith("a completes every road")
+    assert compare({"a": runs, "b": [run(Outcome.STUCK)] * 2})[0].reason.startswith("b fails every road")
+    nothing = compare({"a": [run(Outcome.SIM_ERROR)], "b": [run()]})[0]
+    assert nothing.roads == 0 and nothing.kappa is None and nothing.median_apart is None
+    assert nothing.reason == "no road was driven to a verdict on both"
+
+
+def test_lateral_positions_are_compared_at_the_same_places() -> None:
+    """One drifts to 1 m, the other to -1 m over 50 m: 0.04 m apart per metre, 2 m at the end."""
+    one, other = run(lateral=(0.0, 1.0)), run(lateral=(0.0, -1.0))
+    assert gaps(one, other) == pytest.approx(0.04 * np.arange(0.5, 50.0, 0.5))
+    found = compare({"a": [one], "b": [other]})[0]
+    assert found.median_apart == pytest.approx(1.0)
+    assert found.most_apart == pytest.approx(1.98)
+    assert found.share_apart == pytest.approx(0.75, abs=0.01)
+    assert found.correlation == pytest.approx(-1.0)
+    # A shorter run is compared as far as it went; a car far off the road counts as at the lane's edge.
+    assert len(gaps(one, run(length=20.0))) == 39
+    assert gaps(run(lateral=(9.0, 9.0)), run()).max() == 2.0
+    assert most_different({"a": [run(), one, one], "b": [run(), run(), other]}, 2) == [2, 1]
+
+
+@pytest.mark.long
+def test_workers_drive_as_this_process_does() -> None:
+    """In order, whatever their number, and bit for bit."""
+    simulator = make_simulator("donkey")
+    bend = Road([(125.0, 0.0), (125.0, 25.0), (127.0, 50.0), (133.0, 74.0), (143.0, 97.0), (157.0, 118.0)])
+    here = {}
+    for road in (ROAD, bend):
+        here[road.road_id] = drive_road(simulator, make_driver("autopilot", simulator.spec), road, 5)
+    simulator.close()
+    drives = [DriveRequest("donkey", "autopilot", road, 5) for road in (bend, ROAD, bend)]
+    for workers in (1, 2):
+        there = list(drive_all(drives, workers=workers))
+        assert [r.road.road_id for r in there] == [d.road.road_id for d in drives]
+        for record in there:
+            same = here[record.road.road_id]
+            assert record.outcome is Outcome.COMPLETED
+            assert record.commands == same.commands
+            assert [o.vehicle for o in record.observations] == [o.vehicle for o in same.observations]

@@ -1,0 +1,243 @@
+"""Two networks on the same tests: statistics against other computations, verdicts, summaries, criteria, JUnit."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from compared_drives import NEW, OLD, outcome, pairs
+from scipy.stats import binomtest
+
+from ds_analysis.common.paired_statistics import PairedCounts, adjusted, difference_interval, fewest_changes
+from ds_analysis.comparison.analysis import Comparison, compare_networks
+from ds_analysis.comparison.criteria import Criteria, MaxFailures
+from ds_analysis.comparison.drives import ComparedTest, PairedDrive
+from ds_analysis.comparison.junit import cases_of, junit_of
+from ds_analysis.comparison.markdown import markdown_of
+from ds_analysis.comparison.summary import advice_of, answer_of, cautions_of, sentences_of
+from ds_analysis.comparison.tables import cell_table, document_of, drive_table, simulator_table
+from ds_orchestrator.campaign.config import ConfigError
+from ds_report.comparison_page import colour_of_difference, grids_of, write_comparison_page
+
+
+def compared(drives: list[PairedDrive], **more: Any) -> Comparison:
+    names = list(dict.fromkeys(drive.simulator for drive in drives)) or ["bullet"]
+    given: dict[str, Any] = {"origin": "random", "source": "made up", "simulators": names, **more}
+    return compare_networks(drives, reference=OLD, candidate=NEW, **given)
+
+
+@pytest.mark.parametrize("changes", [(0, 0), (1, 0), (5, 0), (3, 9), (12, 4), (30, 28)])
+def test_p_is_that_of_a_fair_coin_over_the_tests_that_change(changes: tuple[int, int]) -> None:
+    counts = PairedCounts(newly_fail=changes[0], fixed=changes[1], both_fail=7, both_pass=40)
+    expected = binomtest(changes[0], sum(changes), 0.5).pvalue if sum(changes) else 1.0
+    assert counts.p == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("counts", [(12, 4, 10, 74), (30, 28, 20, 122), (3, 15, 40, 60)])
+def test_the_interval_is_close_to_that_of_agresti_and_min(counts: tuple[int, int, int, int]) -> None:
+    """Their closed form adds half an observation to each of the four outcomes (Statistics in Medicine 24, 2005)."""
+    worse, better, *_ = (n + 0.5 for n in counts)
+    n = sum(counts) + 2.0
+    middle = (worse - better) / n
+    half = 1.959964 * math.sqrt(worse + better - (worse - better) ** 2 / n) / n
+    assert difference_interval(*counts) == pytest.approx((middle - half, middle + half), abs=0.012)
+
+
+def test_the_interval_has_width_where_no_test_changes_and_shrinks_with_more_tests() -> None:
+    few, many = difference_interval(0, 0, 2, 8), difference_interval(0, 0, 20, 180)
+    assert few[0] < -0.05 and few[1] > 0.05
+    assert few[0] < many[0] < 0.0 < many[1] < few[1]
+    assert difference_interval(0, 0, 2, 8) == few
+
+
+def test_p_values_are_adjusted_as_their_authors_do() -> None:
+    """Holm 1979: (n - rank) p, never falling; Benjamini and Hochberg 1995, table 1: four of fifteen stay below 5 %."""
+    assert adjusted([0.01, 0.04, 0.03], "holm") == pytest.approx([0.03, 0.06, 0.06])
+    thrombolysis = [
+        0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240, 0.4262, 0.5719, 0.6528, 0.7590,
+        1.0,
+    ]  # fmt: skip
+    assert sum(p < 0.05 for p in adjusted(thrombolysis, "fdr_bh")) == 4
+    assert adjusted([], "holm") == []
+
+
+def test_the_fewest_changes_are_the_first_that_reach_significance() -> None:
+    for family in (1, 3, 6):
+        needed = fewest_changes(family)
+        assert 2 * 0.5**needed * family < 0.05 <= 2 * 0.5 ** (needed - 1) * family
+
+
+def test_a_network_that_newly_fails_often_is_worse_and_is_not_merged() -> None:
+    found = compared([*pairs("bullet", (12, 1, 3, 24)), *pairs("donkey", (1, 1, 3, 35))], twin="donkey")
+    assert [row.verdict for row in found.simulators] == ["worse", "not significant"]
+    assert advice_of(found) == "do not merge" and answer_of(found) == "Merge? No: it is worse."
+    # Two comparisons: Holm doubles the smaller p.
+    assert found.simulators[0].p_adjusted == pytest.approx(2 * binomtest(12, 13, 0.5).pvalue)
+    assert "Worse on bullet: 12 of 40 tests newly fail" in sentences_of(found)[0]
+    assert "donkey (twin)" in sentences_of(found)[1]
+
+
+def test_tests_that_were_searched_against_the_reference_show_no_improvement() -> None:
+    """All that changes is fixed; only where random roads are fixed, too, is the candidate better."""
+    fixed = pairs("bullet", (0, 20, 5, 15))
+    assert compared(fixed).simulators[0].verdict == "better"
+    searched = compared(fixed, origin="reference")
+    assert searched.simulators[0].verdict == "not significant"
+    assert "no evidence that the candidate is better" in cautions_of(searched)[0]
+    with_random = compared(pairs("bullet", (0, 20, 5, 15), unsearched=range(20)), origin="reference")
+    assert with_random.simulators[0].verdict == "better"
+
+
+def test_tests_that_were_searched_against_the_reference_show_what_got_worse() -> None:
+    assert compared(pairs("bullet", (12, 1, 3, 24)), origin="reference").simulators[0].verdict == "worse"
+
+
+def test_one_newly_failing_test_asks_for_a_look() -> None:
+    found = compared(pairs("bullet", (1, 0, 0, 9)))
+    assert advice_of(found) == "look first" and answer_of(found) == "Merge? Look first: 1 drive newly fails."
+    assert "Too few tests change" in cautions_of(found)[-1]
+
+
+def test_too_few_tests_decide_nothing_and_more_of_them_bound_what_may_be_worse() -> None:
+    """With one simulator six tests could show a worse network, with five none could."""
+    assert advice_of(compared(pairs("bullet", (0, 1, 0, 4)))) == "not decided"
+    assert "too few tests" in answer_of(compared(pairs("bullet", (0, 0, 0, 5))))
+    found = compared(pairs("bullet", (0, 0, 2, 58)))
+    assert advice_of(found) == "merge"
+    bound = int(answer_of(found).split("at most ")[1].split()[0])
+    assert bound == math.ceil(100 * difference_interval(0, 0, 2, 58)[1]) and 2 < bound < 6
+
+
+def test_the_interval_contains_the_observed_difference() -> None:
+    for counts in ((1, 0, 0, 0), (0, 2, 0, 0), (0, 0, 1, 0)):
+        low, high = difference_interval(*counts)
+        assert low <= (counts[0] - counts[1]) / sum(counts) <= high
+
+
+def test_missing_drives_are_never_a_reason_to_merge() -> None:
+    found = compared(pairs("bullet", (0, 0, 0, 9)), left_out=[("test-0-0009", "bullet", "SIM_ERROR: gone")])
+    assert advice_of(found) == "not decided" and answer_of(found) == "Merge? Not decided: drives are missing."
+    assert advice_of(compared([])) == "not decided"
+
+
+def test_identical_drives_are_said_to_be_identical() -> None:
+    same = [
+        PairedDrive(
+            test=ComparedTest(name="a-0-0000", road=drive.test.road, seed=0), simulator="bullet",
+            reference=outcome(True, key="same"), candidate=outcome(True, key="same"),
+        )
+        for drive in pairs("bullet", (0, 0, 1, 0))
+    ]  # fmt: skip
+    assert "identically, to the bit" in sentences_of(compared(same))[0]
+    assert answer_of(compared(same)) == "Merge? Nothing changes: every drive is the same."
+
+
+def test_the_worst_changes_come_first() -> None:
+    """First what newly fails on most simulators, then by the lost distance to the lane's edge."""
+    both = [*pairs("bullet", (1, 0, 0, 1)), *pairs("donkey", (1, 0, 0, 1))]
+    alone = pairs("bullet", (1, 1, 0, 0), first=7)
+    order = [drive.test.name for drive in compared([*alone, *both]).drives]
+    assert order[:3] == ["test-0-0000", "test-0-0000", "test-0-0007"] and order[-1] == "test-0-0008"
+
+
+def test_cells_pool_their_own_tests_on_each_simulator() -> None:
+    found = compared([*pairs("bullet", (2, 0, 0, 4)), *pairs("donkey", (0, 0, 0, 6))])
+    numbers = {(one.simulator, one.cell): (one.counts.newly_fail, one.counts.tests) for one in found.cells}
+    assert numbers == {
+        ("bullet", (0, 10)): (1, 3), ("bullet", (1, 10)): (1, 3),
+        ("donkey", (0, 10)): (0, 3), ("donkey", (1, 10)): (0, 3),
+    }  # fmt: skip
+    # One changed test says nothing, however many cells there are.
+    assert all(one.p_adjusted == 1.0 for one in found.cells)
+    assert len(cell_table(found).rows) == 2
+
+
+def test_criteria_name_what_they_miss() -> None:
+    tally = {"bullet": (2, 40), "donkey": (3, 40)}
+    assert Criteria().unmet(tally) == []
+    assert Criteria(fail_on="failure").unmet(tally) == ["tests fail: 2 on bullet, 3 on donkey"]
+    assert Criteria(fail_on="regression").unmet(tally, newly_failing=0) == []
+    assert Criteria(fail_on="regression").unmet(tally, newly_failing=1) == ["1 drive newly fails"]
+    assert Criteria(fail_on="worse").unmet(tally, newly_failing=9) == []
+    assert Criteria(fail_on="worse").unmet(tally, newly_failing=9, worse=["donkey"])
+    # 5 % of 40 tests are 2.
+    limit = Criteria(max_failures=MaxFailures.parse("5%"))
+    assert limit.unmet(tally) == ["3 of 40 tests fail on donkey, expected 5 % at most"]
+    assert Criteria(max_failures=MaxFailures.parse("3")).unmet(tally) == []
+
+
+@pytest.mark.parametrize("text", ["-1", "101%", "5 %", "nan", "inf%", "", "1.5", "5%%", "1e3", "99999999999"])
+def test_a_threshold_without_sense_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(ConfigError, match="expected a share from 0% to 100%, or a number of tests") as error:
+        MaxFailures.parse(text)
+    assert "\n" not in str(error.value)
+
+
+def test_a_criterion_without_its_reference_is_refused() -> None:
+    with pytest.raises(ConfigError, match="needs outcomes to compare with"):
+        Criteria(fail_on="regression").check(has_reference=False)
+
+
+def test_junit_counts_a_known_failure_as_skipped_and_an_error_as_an_error() -> None:
+    found = compared(pairs("bullet", (1, 1, 2, 3)), left_out=[("test-0-0009", "bullet", "SIM_ERROR: \x00 <gone>")])
+    root = ElementTree.fromstring(junit_of("new & old", cases_of(found)).encode())
+    suite = root.find("testsuite")
+    assert suite is not None and suite.get("name") == "bullet"
+    counts = {key: int(suite.get(key, "")) for key in ("tests", "failures", "errors", "skipped")}
+    assert counts == {"tests": 8, "failures": 1, "errors": 1, "skipped": 2}
+    assert [case.get("name") for case in suite.iter("testcase") if case.find("failure") is not None] == ["test-0-0000"]
+    driven = sum(drive.candidate.simulated_seconds for drive in found.drives)
+    times = [float(case.get("time", "")) for case in suite.iter("testcase")]
+    assert sum(times) == pytest.approx(driven, abs=0.01) and float(root.get("time", "")) == pytest.approx(sum(times))
+    assert {case.get("classname") for case in suite.iter("testcase")} == {"bullet"}
+    error = next(suite.iter("error"))
+    assert error.get("message") == "error: SIM_ERROR: ? <gone>"
+
+
+def test_the_markdown_answers_first_and_escapes_names() -> None:
+    found = compared(pairs("bullet", (12, 1, 3, 24)), source="Tests of my_campaign|x")
+    text = markdown_of(found, {"test-0-0000": "worse/test-0-0000.json"}, ["12 tests newly fail"])
+    lines = [line for line in text.splitlines() if line]
+    assert lines[1] == "**Merge? No: it is worse.**" and lines[2].startswith("- Worse on bullet")
+    assert "my\\_campaign\\|x" in text
+    assert "ds drive --sim bullet --driver new --road worse/test-0-0000.json --video test-0-0000-bullet.mp4" in text
+    rows = [line for line in lines if line.startswith("|")]
+    assert all(row.replace("\\|", "").count("|") == rows[0].count("|") for row in rows[:3])
+
+
+def test_the_markdown_lists_cells_only_where_one_changed_significantly() -> None:
+    few, many = (markdown_of(compared(pairs("bullet", (n, 0, 2, 10))), {}) for n in (1, 30))
+    assert "No kind of road stands out: over 2 cells" in few and "p (BH)" not in few
+    assert "No kind of road" not in many and "p (BH)" in many
+
+
+def test_tables_and_json_hold_finite_numbers_alone() -> None:
+    for found in (compared([]), compared(pairs("bullet", (1, 1, 1, 1))), compared(pairs("bullet", (0, 0, 0, 0)))):
+        text = json.dumps(document_of(found, {}), allow_nan=False)
+        assert json.loads(text)["advice"]
+        for table in (simulator_table(found), cell_table(found), drive_table(found), drive_table(found, most=1)):
+            assert table.texts() is not None
+
+
+def test_the_page_shows_newly_failing_roads_and_the_map(tmp_path: Path) -> None:
+    found = compared([*pairs("bullet", (2, 1, 1, 4)), *pairs("<b>donkey", (0, 0, 0, 8))])
+    page = tmp_path / "page.html"
+    write_comparison_page(found, page, {"test-0-0000": "worse/test-0-0000.json"}, ["2 tests newly fail"])
+    text = page.read_text("utf-8")
+    assert text.count("data:image/png;base64,") == 2 and "&lt;b&gt;donkey" in text and "<b>donkey" not in text
+    assert "Pass criterion not met: 2 tests newly fail" in text
+    grid = grids_of(found)[0]
+    assert [[cell.text for cell in cells] for _, cells in grid.rows] == [["+1 −1/4", "+1/4"]]
+    again = tmp_path / "again.html"
+    write_comparison_page(found, again, {"test-0-0000": "worse/test-0-0000.json"}, ["2 tests newly fail"])
+    assert again.read_bytes() == page.read_bytes()
+
+
+def test_no_difference_is_white_and_the_ends_are_red_and_green() -> None:
+    assert colour_of_difference(0.0) == (255, 255, 255)
+    red, green = colour_of_difference(1.0), colour_of_difference(-1.0)
+    assert red[0] > 2 * red[1] and green[1] > green[0] and green[1] > green[2]

@@ -1,0 +1,155 @@
+"""RQ1 against independent formulas: densities, distance, test, effect, power."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
+
+from ds_analysis.paper.open_loop import ErrorsError, architecture_of, predict
+from ds_analysis.paper.paper_tables import error_tables
+from ds_analysis.paper.steering_error_stats import (
+    check_error_robustness,
+    cohens_d,
+    compare_errors,
+    densities,
+    shares,
+)
+from ds_driver.data.dataset import write_drive
+from ds_driver.networks.torch_networks import make_network, save_weights
+from ds_sim.camera.encodings import jpeg
+
+RNG = np.random.default_rng(4)
+ONE = np.abs(RNG.normal(0, 0.12, 400))
+OTHER = np.abs(RNG.normal(0, 0.16, 300))
+TWIN = np.abs(RNG.normal(0, 0.15, 500))
+
+
+def counted(errors: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    return np.array([np.sum((errors >= 0.04 * k) & (errors < 0.04 * (k + 1))) for k in range(15)])
+
+
+def test_densities_are_the_authors_and_shares_the_papers() -> None:
+    errors = np.array([0.01, 0.02, 0.05, 0.59, 0.7])  # the last is beyond the range
+    assert densities(errors)[[0, 1, 14]] == pytest.approx([2 / 4 / 0.04, 1 / 4 / 0.04, 1 / 4 / 0.04])
+    assert shares(errors)[[0, 1, 14]] == pytest.approx([2 / 5, 1 / 5, 1 / 5])
+    np.testing.assert_allclose(densities(ONE), counted(ONE) / counted(ONE).sum() / 0.04)
+    assert densities(ONE).sum() * 0.04 == pytest.approx(1.0)
+
+
+def test_distance_is_the_area_between_the_distribution_functions() -> None:
+    """Paper 4.3.1: the integral of |CDF_A - CDF_B|, here of steps at the bins' right ends."""
+    (row, _) = compare_errors({"a": ONE}, TWIN)
+    one, twin = (counted(e) / counted(e).sum() for e in (ONE, TWIN))
+    assert row.distance == pytest.approx(0.04 * np.abs(np.cumsum(one) - np.cumsum(twin))[:-1].sum())
+    assert row.p == pytest.approx(wilcoxon(one, twin).pvalue)
+    assert row.mean_squared == pytest.approx(np.mean(ONE**2)) and row.beyond == np.mean(ONE > 0.6)
+
+
+def test_the_siblings_together_are_their_errors_one_after_the_other() -> None:
+    rows = compare_errors({"a": ONE, "b": OTHER}, TWIN)
+    assert [(r.name, r.images) for r in rows] == [("a", 400), ("b", 300), ("merged", 700)]
+    (alone, _) = compare_errors({"x": np.concatenate((ONE, OTHER))}, TWIN)
+    assert rows[2].distance == alone.distance and rows[2].power == alone.power
+
+
+def test_effect_and_power_are_the_textbooks() -> None:
+    """Power of a t test by the non-central t distribution; the authors count both samples' errors for each sample."""
+    (row, _) = compare_errors({"a": ONE}, TWIN)
+    pooled = math.sqrt((399 * ONE.var(ddof=1) + 499 * TWIN.var(ddof=1)) / 898)
+    effect = (ONE.mean() - TWIN.mean()) / pooled
+    assert row.effect == pytest.approx(effect) == cohens_d(ONE, TWIN)
+
+    def power(n: float, m: float) -> float:
+        shift, freedom = effect / math.sqrt(1 / n + 1 / m), n + m - 2
+        limit = t.ppf(0.975, freedom)
+        return float(nct.sf(limit, freedom, shift) + nct.cdf(-limit, freedom, shift))
+
+    assert row.power == pytest.approx(power(900, 900), abs=1e-6)
+    (true,) = [v for v in check_error_robustness({"a": ONE}, TWIN) if "power" in v.what and v.name == "a"]
+    assert true.power == pytest.approx(power(400, 500), abs=1e-6)
+    # Sample size by the normal approximation: 2 ((z_0.975 + z_0.8) / d)^2.
+    assert row.enough == pytest.approx(2 * ((norm.ppf(0.975) + norm.ppf(0.8)) / effect) ** 2, rel=0.02)
+
+
+def test_other_ways_use_the_errors_themselves() -> None:
+    (raw,) = [v for v in check_error_robustness({"a": ONE}, TWIN) if "no bins" in v.what and v.name == "a"]
+    assert raw.distance == pytest.approx(wasserstein_distance(ONE, TWIN)) and raw.p is not None
+
+
+def test_equal_errors_have_no_test_and_no_effect() -> None:
+    for row in compare_errors({"a": TWIN}, TWIN):
+        assert (row.distance, row.p, row.power, row.enough, row.alike) == (0.0, None, None, None, None)
+        assert row.effect == 0.0
+    constant = np.full(5, 0.1)
+    assert compare_errors({"a": constant}, constant)[0].effect is None
+
+
+@pytest.mark.parametrize("bad", [[], [0.1, float("nan")], [-0.1], [[0.1]]])
+def test_invalid_errors_are_refused(bad: list[float]) -> None:
+    with pytest.raises(ErrorsError, match="errors of a: expected"):
+        compare_errors({"a": np.array(bad)}, TWIN)
+
+
+def test_a_network_with_only_large_errors_is_refused() -> None:
+    with pytest.raises(ErrorsError, match=r"every error on one of the simulators is above 0\.6"):
+        compare_errors({"a": np.full(9, 0.9)}, TWIN)
+    with pytest.raises(ErrorsError, match="expected at least one sibling"):
+        compare_errors({}, TWIN)
+
+
+def test_predictions_over_a_data_set(tmp_path: Path) -> None:
+    """A network whose only non-zero parameter is the last bias predicts that bias everywhere, beyond full lock."""
+    import torch
+
+    network = make_network("chauffeur")
+    with torch.no_grad():
+        for value in network.parameters():
+            value.zero_()
+        list(network.parameters())[-1].fill_(1.25)
+    save_weights(network, tmp_path / "biased.safetensors", architecture="chauffeur")
+    image = jpeg(np.full((160, 320, 3), 90, np.uint8))
+    for simulator, labels in (("bullet", [0.5, 1.0, 0.75]), ("donkey", [1.0, 0.9])):
+        rows: list[dict[str, object]] = [
+            {
+                "image": image, "steering": label, "throttle": 0.1, "speed": 5.0, "lateral_position": 0.0, "step": k,
+                "simulator": simulator, "road_id": "r", "direction": "forward",
+            }
+            for k, label in enumerate(labels)
+        ]  # fmt: skip
+        write_drive(tmp_path / "data" / simulator / "r-forward.parquet", rows)
+    told: list[str] = []
+    found = predict(
+        tmp_path / "data",
+        str(tmp_path / "biased.safetensors"),
+        lambda done, total, line: told.append(f"{done}/{total}"),
+    )
+    assert found["bullet"].absolute_errors == pytest.approx([0.75, 0.25, 0.5], abs=1e-3)
+    assert found["donkey"].recorded == pytest.approx([1.0, 0.9]) and told == ["5/5"]
+    few = predict(tmp_path / "data", str(tmp_path / "biased.safetensors"), lambda *_: None, images=2)
+    assert few["bullet"].recorded == pytest.approx([0.5, 0.75])
+    with pytest.raises(ErrorsError, match="name a network"):
+        predict(tmp_path / "data", "autopilot", lambda *_: None)
+
+
+def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None:
+    save_weights(make_network("chauffeur"), tmp_path / "mine.safetensors", architecture="chauffeur")
+    assert architecture_of(str(tmp_path / "mine.safetensors")) == "chauffeur"
+    assert {architecture_of(name) for name in ("dave2", "dave2_short", "dave2_short@onnx")} == {"dave2"}
+    assert {architecture_of(name) for name in ("autopilot", "missing.safetensors", "my_driver:Driver")} == {""}
+
+
+def test_the_table_stands_beside_the_papers() -> None:
+    groups = {"bullet": ONE, "softbody": OTHER}
+    rows, others = compare_errors(groups, TWIN), check_error_robustness(groups, TWIN)
+    errors = {**groups, "donkey": TWIN}
+    main, _, bins = error_tables(rows, others, errors, ["bullet", "softbody"], "donkey", ("dave2", "sim"))
+    by_name = {c.name: k for k, c in enumerate(main.columns)}
+    assert [row[by_name["paper: distance"]] for row in main.rows] == [0.04669, 0.02648, 0.03776]
+    assert [row[0] for row in main.rows] == ["DS1", "DS2", "DSS"]
+    assert "(paper: 0.08)" in main.notes[0] and len(bins.rows) == 15
+    plain = error_tables(rows, others, errors, ["bullet", "softbody"], "donkey", None)[0]
+    assert not any(c.name.startswith("paper") for c in plain.columns)

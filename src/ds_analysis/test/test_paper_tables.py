@@ -1,0 +1,152 @@
+"""Tables as CSV that reads back, as LaTeX that compiles, and with the paper's numbers in the right rows."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from ds_analysis.common.table import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
+from ds_analysis.paper.correlation import Correlation, PairedDifference
+from ds_analysis.paper.paper_tables import (
+    correlation_tables,
+    paired_difference_table,
+    robustness_table,
+    role_of,
+)
+from ds_analysis.paper.robustness_checks import RobustnessCheck
+from ds_orchestrator.maps.map_id import MapId
+
+TABLE = Table(
+    name="t",
+    title="50 % of a_b & {c}",
+    columns=[Column("name"), Column("r", "number"), Column("95 %", "number"), Column("p", "p"), Column("n", "count")],
+    rows=[["x, y_1", -0.123456789, (-0.5, 0.25), 3.2e-7, 12], ["z", None, None, 0.025, 3]],
+    notes=["100 % sure"],
+)
+
+
+def test_csv_keeps_every_digit() -> None:
+    rows = list(csv.DictReader(io.StringIO(TABLE.csv())))
+    assert [float(rows[0]["r"]), float(rows[0]["95 %, low"]), float(rows[0]["95 %, high"])] == [
+        -0.123456789,
+        -0.5,
+        0.25,
+    ]
+    assert rows[0]["name"] == "x, y_1" and float(rows[0]["p"]) == 3.2e-7
+    assert rows[1]["r"] == rows[1]["95 %, low"] == "" and rows[1]["n"] == "3"
+
+
+def test_latex_escapes_and_balances() -> None:
+    text = TABLE.latex()
+    assert r"\caption{50 \% of a\_b \& \{c\}}" in text and r"x, y\_1" in text
+    assert (
+        r"$3 \cdot 10^{-7}$" in text
+        and "0.025" in text
+        and "$-0.123$" in text
+        and " -- " in text
+        and "[$-0.500$, $0.250$]" in text
+    )
+    body = text[text.index(r"\toprule") : text.index(r"\bottomrule")]
+    assert [len(re.findall(r"(?<!\\)&", line)) for line in body.splitlines() if line.endswith(r"\\")] == [4, 4, 4]
+    assert text.count(r"\begin") == text.count(r"\end") == 2
+
+
+def test_shown_numbers_are_short() -> None:
+    assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.500, 0.250]", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
+    assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
+    out = io.StringIO()
+    TABLE.show(Console(file=out, width=40))
+    assert "[-0.500, 0.250]" in out.getvalue() and "100 % sure" in out.getvalue()
+
+
+def test_a_p_value_is_never_0() -> None:
+    for value in (0.0, 5e-324, 9e-301):
+        assert shown(value, "p") == "< 1e-300"
+        table = Table(name="t", title="t", columns=[Column("p", "p")], rows=[[value]])
+        assert r"$< 10^{-300}$ \\" in table.latex() and float(table.csv().splitlines()[1]) == value
+    assert [shown(p, "p") for p in (1e-300, 9e-4, 0.001)] == ["1e-300", "9e-04", "0.001"]
+
+
+def test_kept_tables_come_back(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "kept.json"
+    assert read_tables(path) == []
+    keep_tables([TABLE, TABLE], path)
+    for table in read_tables(path):
+        assert (table.texts(), table.csv(), table.latex()) == (TABLE.texts(), TABLE.csv(), TABLE.latex())
+    for broken in ("[", '[{"name": "t"}]', "3"):
+        path.write_text(broken)
+        with pytest.raises(TablesError, match="kept.json cannot be read .*: remove it"):
+            read_tables(path)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"rows": [["x"]]},
+        {"rows": [["x", {"p": 1}]]},
+        {"rows": [["x", [1.0]]]},
+        {"rows": [["x", float("nan")]]},
+        {"columns": [{"name": "a"}, {"name": "b", "style": []}]},
+        {"notes": [1]},
+        {"title": None},
+    ],
+)
+def test_damaged_tables_are_refused(tmp_path: Path, damage: dict[str, object]) -> None:
+    table = {"name": "rq1", "title": "t", "columns": [{"name": "a"}, {"name": "b"}], "rows": [["x", 1]], "notes": []}
+    path = tmp_path / "rq1.json"
+    path.write_text(json.dumps([table]))
+    assert read_tables(path)[0].texts() == [["x", "1"]]
+    path.write_text(json.dumps([table | damage]))
+    with pytest.raises(TablesError, match=r"rq1\.json cannot be read .*: remove it"):
+        read_tables(path)
+
+
+def test_files(tmp_path: Path) -> None:
+    paths = write_tables([TABLE], tmp_path / "new")
+    assert [p.name for p in paths] == ["t.csv", "t.tex"] and all(p.read_text() for p in paths)
+
+
+def found(map_id: MapId, value: str, r: float | None) -> Correlation:
+    return Correlation(
+        map=map_id, value=value, cells=9, r=r, p=None if r is None else 0.01, reason="" if r is not None else "why",
+        r_interval=None if r is None else (r - 0.1, r + 0.1), auc=0.5, auc_interval=(0.2, 0.8), baseline=0.25,
+    )  # fmt: skip
+
+
+def test_the_papers_numbers_are_in_the_campaigns_rows() -> None:
+    ids = [MapId.union("softbody"), MapId.union("bullet"), MapId.merged()]
+    rows = [found(i, v, None if i == MapId.merged() else 0.4) for v in ("probability", "quality_loss") for i in ids]
+    rq2, rq3 = correlation_tables(rows, ["softbody", "bullet"], "donkey", ("epoch", "real"))
+    at = {c.name: k for k, c in enumerate(rq2.columns)}
+    assert [row[0] for row in rq2.rows] == ["DS1", "DS2", "DSS"]
+    assert [row[at["paper: r"]] for row in rq2.rows] == [0.469, 0.521, 0.450]
+    assert [row[at["paper: AUC-PRC"]] for row in rq3.rows] == [0.608, 0.715, 0.651]
+    assert any("DSS: no r, why" in note for note in rq2.notes) and any("25%" in note for note in rq2.notes)
+    ours, _ = correlation_tables(rows, ["softbody", "bullet"], "donkey", None)
+    assert len(ours.columns) == len(rq2.columns) - 3
+    # A third sibling has no counterpart in the paper.
+    assert role_of("x", ["a", "b", "x"]) == "DS3" and role_of("", ["a"]) == "DSS"
+
+
+def test_what_merging_adds_names_the_sibling() -> None:
+    gain = PairedDifference(
+        over=MapId.union("y"), value="quality_loss", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17
+    )
+    assert paired_difference_table([gain], ["x", "y"]).texts() == [
+        ["RQ3", "DS2 y", "9", "-0.100", "[-0.300, 0.100]", "0.000", ""]
+    ]
+
+
+def test_robustness_checks_are_one_row_each() -> None:
+    table = robustness_table(
+        [RobustnessCheck(what="w", map=MapId.merged(), against=MapId.twin("d"), value="quality_loss", cells=4, r=0.5)],
+        ["too few cells fail"],
+    )
+    assert table.rows == [["w", "merged", "twin_d", "quality loss", 4, 0.5, None, None]]
+    assert "No conclusion: too few cells fail" in table.notes[0]

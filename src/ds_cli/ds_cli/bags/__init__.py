@@ -1,0 +1,1 @@
+"""`ds bag`: recorded runs."""

@@ -1,0 +1,280 @@
+"""`ds bag`: inspect, replay, re-simulate, pack and repair rosbag2 recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ds_cli.options import Camera, ImageRows, JsonFlag, RecordedSteering, SteeringFactor, Trust, rows_of
+from ds_cli.output import Interrupted, Result, answer, countdown, end, say
+
+app = typer.Typer()
+bag_app = typer.Typer(help="Inspect, replay, re-simulate, pack and repair rosbag2 recordings.", no_args_is_help=True)
+app.add_typer(bag_app, name="bag")
+
+Truth = Literal["recorded", "autopilot"]
+By = Literal["cell", "run"]
+BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.")]
+
+
+def bag_info(folder: Path) -> Result:
+    """Describe a bag: outcome, road, versions and topics."""
+    from rich.text import Text
+
+    from ds_bags.info import describe, in_words
+    from ds_bags.limits import printable
+
+    document = describe(folder)
+
+    def show() -> None:
+        for line in in_words(document):
+            print(line)
+        table = Table("topic", "type", "messages")
+        for topic in document["topics"]:
+            # Names from a file are text, not markup.
+            table.add_row(*(Text(printable(topic[key])) for key in ("name", "type", "messages")))
+        Console().print(table)
+
+    return Result(document=document, show=show)
+
+
+def bag_recover(folder: Path, out: Path | None) -> Result:
+    """Recover a bag whose writer was killed."""
+    from ds_bags.recovery import recover
+
+    found = recover(folder, out)
+    document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(found).items()}
+
+    def show() -> None:
+        print(
+            f"{found.folder}: {found.messages} messages over {found.seconds:.2f} s; the last {found.lost_bytes} bytes "
+            f"of {found.source} could not be recovered. The damaged file is kept."
+        )
+
+    return Result(document=document, show=show)
+
+
+def bag_redrive(
+    folder: Path, sim: str | None, *, video: Path | None, seed: int | None = None, trusted: Collection[str] = ()
+) -> Result:
+    """Re-simulate a bag's run, compare it with the recording, and show it as a video.
+
+    Raises:
+        ds_bags.layout.BagError: the bag cannot be read, or holds no run of this project.
+        ds_sim.video.VideoError: the video's name or folder does not suit.
+        Interrupted: the user stopped it; nothing is written.
+    """
+    from ds_bags.verification import verify_bag
+    from ds_sim.video import check_path
+
+    if video is not None:
+        check_path(video)
+    try:
+        found = verify_bag(folder, sim, seed=seed, trusted=trusted)
+        same = found.step is None
+        if video is not None and same:
+            _write_video(folder, found.simulator, video, seed, trusted)
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    shown = str(video) if video is not None and same else None
+    document = {"bag": str(folder), "same": same, "video": shown} | asdict(found)
+
+    def show() -> None:
+        images = f", and so are {found.images} images" if found.images else ""
+        print(f"{found.frames} frames on {found.simulator} are identical to the recorded ones{images}")
+        if shown:
+            print(f"video: {shown}")
+
+    if not same:
+        no_video = "; no video was written" if video is not None else ""
+        say(f"error: {found.simulator} leaves the recorded run at step {found.step}, {found.difference}{no_video}")
+    return Result(document=document, show=show if same else lambda: None, error=not same)
+
+
+def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, trusted: Collection[str]) -> None:
+    """Render a bag's run; its images come from the re-simulation, as most bags hold none."""
+    from ds_bags.reader import BagReader, read_run
+    from ds_driver.networks.network_driver import translation_of
+    from ds_sim.resimulation import resimulate
+    from ds_sim.video import write_video
+
+    with BagReader(folder) as bag:
+        recorded = read_run(bag, simulator=simulator, seed=seed, trusted=trusted)
+        name = bag.facts.get("driver") or "recorded commands"
+    try:
+        translate = translation_of(name, simulator)
+    except ValueError as error:  # the drive is shown without
+        translate = None
+        say(f"no translated images: {error}")
+    driver = Path(name).name
+    say(f"rendering {video}")
+    run = recorded.run
+    frames = resimulate(simulator, run)
+    write_video(video, f"{simulator}, {driver}", run.road, frames, run.commands, run.conditions, translate)
+
+
+def bag_pack(campaign: Path, out: Path, by: By) -> Result:
+    """Pack a campaign's bags, one pack per map cell or search run."""
+    from ds_bags.packs import pack
+    from ds_orchestrator.campaign.bag_groups import groups_of
+
+    progress, packs = countdown(), []
+    groups = groups_of(campaign, by, say=say)
+    try:
+        for done, (name, bags) in enumerate(groups.items(), start=1):
+            packs.append(pack(bags, out / name, {"campaign": campaign.resolve().name, "group": name}))
+            progress(done, len(groups), f"{name}: {len(bags)} bags")
+    except KeyboardInterrupt:
+        raise Interrupted(f"{len(packs)} of {len(groups)} packs are in {out}" if packs else "") from None
+    before = sum(file.stat().st_size for bags in groups.values() for bag in bags for file in bag.iterdir())
+    document: dict[str, Any] = {
+        "packs": [{"folder": str(one.folder), "bags": one.bags, "bytes": one.bytes} for one in packs],
+        "bags": sum(one.bags for one in packs),
+        "bytes": sum(one.bytes for one in packs),
+        "bytes_before": before,
+    }
+
+    def show() -> None:
+        print(
+            f"{document['bags']} bags ({before / 1e6:.1f} MB) are in {len(packs)} packs "
+            f"({document['bytes'] / 1e6:.1f} MB) in {out}. The bags are kept; `ds bag unpack` recreates them."
+        )
+
+    return Result(document=document, show=show)
+
+
+def bag_unpack(folder: Path, out: Path, only: str | None) -> Result:
+    """Unpack the bags of a pack."""
+    from ds_bags.packs import unpack
+
+    made = [str(path) for path in unpack(folder, out, only)]
+    return Result(document={"bags": made}, show=lambda: print("\n".join(made)))
+
+
+@bag_app.command("info")
+def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
+    """Describe a bag: outcome, road, versions and topics.
+
+    A bag of another project is described as far as it is a rosbag2 or ROS 1 bag.
+    """
+    answer(bag_info(folder), as_json)
+
+
+@bag_app.command("recover")
+def recover_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the bag, or its hidden partial folder.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to write; DIR_recovered if left out.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Recover a bag whose writer was killed."""
+    answer(bag_recover(folder, out), as_json)
+
+
+@bag_app.command("replay")
+def replay_command(
+    folder: BagFolder,
+    rate: Annotated[str, typer.Option(help="Speed as a factor of real time, such as 0.5, or max.")] = "1",
+    topics: Annotated[
+        list[str] | None, typer.Option(help="Topic to publish; * matches anything. May be repeated.")
+    ] = None,
+    wait: Annotated[float, typer.Option(min=0.0, help="Wait at most this many seconds for a subscriber.")] = 3.0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Publish a bag to the graph, with /clock.
+
+    Space pauses and resumes, s or the right arrow steps, q quits.
+    """
+    from ds_cli.bags.replay import bag_replay, rate_of
+
+    answer(
+        bag_replay(folder, rate_of(rate), [name for entry in topics or [] for name in entry.split(",")], wait), as_json
+    )
+
+
+@bag_app.command("redrive")
+def redrive_command(
+    folder: BagFolder,
+    sim: Annotated[str | None, typer.Option(help="Simulator in place of the recorded one.")] = None,
+    video: Annotated[Path | None, typer.Option(help="Video of the run to write, .mp4.")] = None,
+    trust: Trust = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the run, if the bag has lost it.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Re-simulate a recorded run and compare it with the recording, bit by bit.
+
+    Re-simulation gives the recorded road, seed and commands to the simulator again. No driver takes part, so it shows
+    whether this installation reproduces the run, and what the camera saw, even if the bag holds no images. Exit status
+    1 if a frame differs.
+    """
+    end(bag_redrive(folder, sim, video=video, seed=seed, trusted=trust or []), as_json)
+
+
+@bag_app.command("drive")
+def drive_command(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Bags with images, and Donkey Car tubs.")],
+    driver: Annotated[str, typer.Option(help="Network: dave2, or a .safetensors or .yaml file.")] = "dave2",
+    out: Annotated[Path | None, typer.Option(help="Folder for errors.png, answers.csv and summary.json.")] = None,
+    camera: Camera = None,
+    steering: RecordedSteering = None,
+    factor: SteeringFactor = 1.0,
+    rows: ImageRows = None,
+    truth: Annotated[
+        Truth, typer.Option(help="Reference: the recorded steering, or what the autopilot would steer.")
+    ] = "recorded",
+    limit: Annotated[int | None, typer.Option(min=1, help="Images of each recording at most.")] = None,
+    attach: Annotated[bool, typer.Option(help="Ask the driver node that runs in this ROS domain.")] = False,
+    namespace: Annotated[str, typer.Option(help="Namespace of that node's simulator.")] = "/ds1",
+    trust: Trust = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show recorded images to a network (open loop), and compare its steering with the recorded one.
+
+    Prints steering errors, their density and distances between recordings.
+    """
+    from ds_cli.bags.open_loop import bag_drive
+    from ds_driver.data.recordings import Reading
+
+    reading = Reading(
+        camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth, trusted=tuple(trust or ())
+    )
+    if not attach:
+        answer(bag_drive(folders, driver, reading, out, limit), as_json)
+        return
+    from ds_driver.ros.driver_client import DriverClient
+
+    with DriverClient(namespace) as node:
+        node.wait_for_driver()
+        answer(bag_drive(folders, "attached", reading, out, limit, node), as_json)
+
+
+@bag_app.command("pack")
+def pack_command(
+    campaign: Annotated[Path, typer.Argument(metavar="DIR", help="Campaign folder.")],
+    out: Annotated[Path, typer.Option(help="Folder for the packs.")],
+    by: Annotated[
+        By, typer.Option(help="One pack per cell of the campaign's feature map, or per run of its search.")
+    ] = "cell",
+    as_json: JsonFlag = False,
+) -> None:
+    """Pack a campaign's many bags into a few.
+
+    Any rosbag2 reader opens a pack; each run has its topics under its own name.
+    """
+    answer(bag_pack(campaign, out, by), as_json)
+
+
+@bag_app.command("unpack")
+def unpack_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a pack.")],
+    out: Annotated[Path, typer.Option(help="Folder for the bags.")],
+    bag: Annotated[str | None, typer.Option(help="Unpack only the bag of this name.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Unpack the bags of a pack, byte for byte as they were."""
+    answer(bag_unpack(folder, out, bag), as_json)

@@ -1,0 +1,201 @@
+"""`ds suite`: freezes the tests of a campaign that tell most, and drives them with another network in minutes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ds_cli.campaign.compare_plan import network_named
+from ds_cli.campaign.compare_results import write_comparison
+from ds_cli.campaign.engine_options import (
+    EngineName,
+    Listen,
+    Scheduler,
+    TlsCa,
+    TlsCert,
+    TlsKey,
+    Unencrypted,
+    Workers,
+    cluster_of,
+    with_engine_without_ros,
+)
+from ds_cli.campaign.pass_options import (
+    FailOn,
+    Junit,
+    Markdown,
+    MaxFailures,
+    check_writable,
+    criteria_of,
+    unmet_by,
+)
+from ds_cli.options import Backend, DriverName, Folder, JsonFlag, Trust, driver_named
+from ds_cli.output import Interrupted, Result, answer, end, say
+
+if TYPE_CHECKING:
+    from ds_analysis.comparison.criteria import Criteria
+    from ds_orchestrator.engines.cluster import ClusterOptions
+
+app = typer.Typer()
+suite_app = typer.Typer(help="Freeze tests into a regression suite, and run it.", no_args_is_help=True)
+app.add_typer(suite_app, name="suite")
+
+SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE.json", help="Suite of `ds suite make`.")]
+
+
+def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
+    """Write a suite of a campaign's tests that tell most.
+
+    Raises:
+        ds_studies.suite.suite_file.SuiteError: the file exists, or the campaign has no test to choose.
+    """
+    from ds_analysis.comparison.summary import count
+    from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.search.features import feature_of
+    from ds_studies.suite.selection import suite_of
+    from ds_studies.suite.suite_file import SuiteError, write_suite
+
+    check_writable(out)
+    if out.exists() and not force:
+        raise SuiteError(f"{out} exists already: choose another --out, or --force")
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    suite = suite_of(folder, data, most=tests)
+    write_suite(suite, out)
+    reasons = [reason for test in suite.tests for reason in test.why]
+    counts = {reason: reasons.count(reason) for reason in ("failing", "boundary", "cell")}
+    drives = sum(len(test.outcomes) for test in suite.tests)
+    document = {"suite": str(out), "tests": len(suite.tests), "drives": drives, "why": counts}
+
+    def show() -> None:
+        axes = [feature_of(name) for name in suite.features]
+        table = Table("test", "why", "cell", *suite.simulators)
+        for test in suite.tests:
+            bins = zip(axes, test.cell or (), strict=False)
+            cell = ",".join(axis.label(bin_) for axis, bin_ in bins)
+            outcomes = (f"{test.outcomes[name].fitness:+.2f} m" for name in suite.simulators)
+            table.add_row(test.name, ", ".join(test.why), cell, *outcomes)
+        Console().print(table)
+        sizes = f"{count(len(suite.tests), 'test')}, {count(drives, 'drive')}"
+        print(f"{sizes}, with the margins of {suite.driver}; below 0 it fails.")
+        print(out)
+
+    return Result(document=document, show=show)
+
+
+def run_suite_file(
+    path: Path,
+    driver: str,
+    out: Path,
+    criteria: Criteria,
+    *,
+    engine: str | None,
+    workers: int | None,
+    cluster: ClusterOptions,
+    trusted: Collection[str],
+    junit: Path | None,
+    markdown: Path | None,
+    update: Path | None,
+) -> Result:
+    """Drive a suite, compare with its outcomes, and write every result.
+
+    Raises:
+        ds_studies.suite.suite_file.SuiteError: the file is no suite, or was changed.
+        Interrupted: the user stopped it; finished drives are kept.
+    """
+    from ds_cli.progress import ScreenListener
+    from ds_orchestrator.campaign.executor import Stopped
+    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.engines.fingerprint import code_sha256
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.registry import received_simulator
+    from ds_studies.suite.run_suite import run_suite, settings_of_suite, with_outcomes
+    from ds_studies.suite.suite_file import read_suite, write_suite
+
+    check_writable(junit, markdown, update)
+    suite = read_suite(path)
+    for name in suite.simulators:
+        received_simulator(name, confirmed=trusted, option="--trust")
+    candidate = network_named(driver, suite.simulators)
+    code = code_sha256()
+    changed = suite.code_sha256 != code
+    if changed:
+        say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
+    make_folder(out)
+    settings = with_engine_without_ros(settings_of_suite(suite, driver), workers, engine, cluster)
+    source = f"The {len(suite.tests)} tests of the suite {path.name} on {', '.join(suite.simulators)}" + (
+        ", made with other code of the simulators" if changed else ""
+    )
+    try:
+        found, executions = run_suite(
+            suite, settings, candidate, out / "drives", Progress(listen=ScreenListener, say=say),
+            source=source,
+        )  # fmt: skip
+    except (KeyboardInterrupt, Stopped):
+        raise Interrupted(f"finished drives are in {out}: the same command goes on") from None
+    if update is not None and not found.left_out:
+        write_suite(with_outcomes(suite, candidate, executions, code), update)
+        say(f"{update} expects the outcomes of {driver}")
+    return write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown)
+
+
+@suite_app.command("make")
+def suite_make_command(
+    folder: Folder,
+    out: Annotated[Path, typer.Option(metavar="SUITE.json", help="File to write.")] = Path("suite.json"),
+    tests: Annotated[int, typer.Option(min=1, max=2000, help="Largest number of tests.")] = 30,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Freeze the tests of a campaign that tell most: failing ones, boundary ones, and one of every cell.
+
+    The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
+    """
+    answer(make_suite(folder, out, tests, force=force), as_json)
+
+
+@suite_app.command("run")
+def suite_run_command(
+    suite: SuiteFile,
+    driver: DriverName,
+    backend: Backend = "auto",
+    out: Annotated[
+        Path, typer.Option(help="Folder for drives and results; a run that was stopped there goes on.")
+    ] = Path("suite_run"),
+    fail_on: FailOn = None,
+    max_failures: MaxFailures = None,
+    junit: Junit = None,
+    markdown: Markdown = None,
+    update: Annotated[
+        Path | None,
+        typer.Option(metavar="SUITE.json", help="Write the suite with this network's outcomes, to be expected now."),
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = None,
+    scheduler: Scheduler = None,
+    listen: Listen = "127.0.0.1",
+    tls_ca: TlsCa = None,
+    tls_cert: TlsCert = None,
+    tls_key: TlsKey = None,
+    unencrypted: Unencrypted = False,
+    trust: Trust = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Drive a suite's tests with a network, and compare with the outcomes in the suite.
+
+    Without ROS unless --engine says otherwise. Exit status: 0 done, 1 a drive ended in an error, 2 bad input, 3 a pass
+    criterion is not met.
+    """
+    result = run_suite_file(
+        suite, driver_named(driver, backend, "cpu"), out,
+        criteria_of(fail_on, max_failures, has_reference=True), engine=engine, workers=workers,
+        cluster=cluster_of(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted), trusted=trust or [],
+        junit=junit, markdown=markdown, update=update,
+    )  # fmt: skip
+    end(result, as_json)

@@ -1,0 +1,378 @@
+"""Checks the installation, and prints the command that fixes each problem. It changes nothing.
+
+Standard library only, so that it runs before anything is installed: `python3 -m ds_cli.doctor`. By default
+libraries are looked up, not imported, which takes a tenth of a second instead of ten; `--imports` imports them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, requires
+from pathlib import Path
+from typing import NamedTuple
+
+WHEEL = "digital-siblings"
+"""Name of the wheel that holds all packages."""
+SUPPORTED_PYTHONS = ((3, 11), (3, 12))
+"""Versions for which the pinned requirements exist."""
+SMALLEST_WEIGHTS = 2**20
+"""Bytes; a smaller weights file is truncated, or a pointer to one (chosen: Dave-2 as float16 has 5.8 MB)."""
+
+_SET_UP = "make setup"
+_INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
+"""Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
+_RENDERER = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
+EXTRAS = {
+    "openvino": ("openvino", "--backend openvino and openvino-bf16, and for .tflite files"),
+    "distributed": ("dask", "--engine dask"),
+}
+"""Optional library -> its file in requirements/, and what it is for."""
+_MODULES = {
+    "commonroad-vehicle-models": "vehiclemodels",
+    "opencv-python-headless": "cv2",
+    "pyyaml": "yaml",
+    "scikit-learn": "sklearn",
+}
+"""Distributions whose module has another name; a test compares them with the installed metadata."""
+IMPORT_TIME = 120.0
+"""Seconds that all imports together may take; chosen: ten times what they take on a busy laptop."""
+_LOOK_UP = """
+import importlib, importlib.metadata as metadata, importlib.util, json, sys
+really = len(sys.argv) > 2
+found = {}
+for distribution, module in json.loads(sys.argv[1]).items():
+    try:
+        if really:
+            importlib.import_module(module)
+        elif importlib.util.find_spec(module.partition(".")[0]) is None:
+            raise ImportError(f"no module {module}")
+        found[distribution] = [metadata.version(distribution), ""]
+    except metadata.PackageNotFoundError:
+        found[distribution] = ["", f"no metadata of {distribution}: it is installed in part"]
+    except Exception as error:
+        found[distribution] = ["", (str(error) or repr(error)).splitlines()[0]]
+print()
+print(json.dumps(found))
+"""
+
+
+class Check(NamedTuple):
+    """Result of one check.
+
+    Attributes:
+        name: of what was checked.
+        ok: true if it is as it should be.
+        detail: what was found, one line.
+        fix: command that fixes the problem; "" if there is none.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    fix: str
+
+
+def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
+    """Check everything, in the order in which problems would be fixed.
+
+    Args:
+        root: the repository; found from this file's place if left out.
+        imports: import every library instead of looking it up.
+    """
+    root = root or repository()
+    if not (root / "requirements/project.txt").is_file() and (of_wheel := diagnose_wheel(imports=imports)) is not None:
+        return of_wheel
+    python = root / ".venv/bin/python"
+    checks = check_system()
+    if not python.is_file():
+        return [*checks, Check("environment", False, ".venv is not there yet", _SET_UP)]
+    pins = read_pins(root / "requirements/project.txt")
+    if uses_sourced_ros(root):
+        del pins["numpy"]  # that ROS brings the NumPy that its modules were built for
+    modules = {name: module_of(name) for name in pins}
+    extras = {name: read_pins(root / f"requirements/{file}.txt")[name] for name, (file, _) in EXTRAS.items()}
+    wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg", **{name: name for name in extras}}
+    found = look_up(python, wanted, imports=imports)
+    return [
+        *checks,
+        Check("environment", True, str(python.parent.parent), ""),
+        *check_ros(root, found),
+        *check_libraries(pins, found),
+        *check_extras(extras, found),
+        check_renderer(),
+        check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
+    ]
+
+
+def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
+    """Check the libraries that the wheel asks for; extras and ROS are optional.
+
+    Args:
+        imports: import every library instead of looking it up.
+
+    Returns:
+        The checks; None if no wheel is installed.
+    """
+    try:
+        wanted = requires(WHEEL) or []
+    except PackageNotFoundError:
+        return None
+    extras: dict[str, str] = {}
+    needed = []
+    for requirement in wanted:
+        name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0].lower()
+        if extra := re.search(r"extra == ['\"](\w+)['\"]", requirement):
+            extras[name] = extra[1]
+        else:
+            needed.append(name)
+    modules = {name: module_of(name).replace("-", "_") for name in [*needed, *extras]}
+    found = look_up(Path(sys.executable), {**modules, "rclpy": "rclpy"}, imports=imports)
+    checks = [check_system()[0]]
+    for name in needed:
+        version, problem = found[name]
+        fix = f"python -m pip install {WHEEL}" if problem else ""
+        checks.append(Check(name, not problem, problem or version, fix))
+    for name, group in extras.items():
+        version, problem = found[name]
+        absent = f"not installed; optional: python -m pip install '{WHEEL}[{group}]'"
+        checks.append(Check(f"{name} (optional)", True, absent if problem else version, ""))
+    version, problem = found["rclpy"]
+    nodes = "not installed; optional: nodes and ds drive need ROS 2 and a built checkout (make setup)"
+    checks.append(Check("ROS 2 (optional)", True, nodes if problem else f"rclpy {version}", ""))
+    weights = check_weights(Path(__file__).parents[1] / "ds_driver/models/dave2.safetensors")
+    if weights.fix:
+        weights = weights._replace(fix="python -m pip install --force-reinstall --no-deps WHEEL.whl")
+    return [*checks, check_renderer(), weights]
+
+
+def module_of(distribution: str) -> str:
+    """Name of a distribution's module."""
+    return _MODULES.get(distribution, distribution)
+
+
+def repository() -> Path:
+    """The repository that this file belongs to, also if the package is a link to it."""
+    for folder in Path(__file__).resolve().parents:
+        if (folder / "requirements/project.txt").is_file():
+            return folder
+    return Path(os.environ.get("DS_ROOT", Path.cwd()))
+
+
+def uses_sourced_ros(root: Path) -> bool:
+    """True if set-up found an installed ROS 2 and built on it."""
+    note = root / ".venv/.setup/ros-prefix"
+    return note.is_file() and bool(note.read_text())
+
+
+def check_system(
+    version: tuple[int, int] = sys.version_info[:2],
+    which: Callable[[str], str | None] = shutil.which,
+) -> list[Check]:
+    """Check what must come from the operating system.
+
+    Args:
+        version: of the interpreter, major and minor.
+        which: finds a program by its name.
+    """
+    series = "python3" if Path("/usr/bin/python3").exists() else f"python{version[0]}.{version[1]}"
+    compiler = next((path for name in ("c++", "g++", "clang++") if (path := which(name))), None)
+    header = Path(sysconfig.get_paths()["include"]) / "Python.h"
+    has_venv = importlib.util.find_spec("ensurepip") is not None
+    shown = ".".join(map(str, version))
+    return [
+        _check("Python", version in SUPPORTED_PYTHONS, shown, f"{shown}: 3.11 or 3.12 is needed", _apt("python3")),
+        _check("C++ compiler", compiler is not None, compiler or "", "none found", _apt("g++")),
+        _check("Python headers", header.is_file(), str(header), f"{header} is missing", _apt(f"{series}-dev")),
+        _check("venv module", has_venv, "there", "ensurepip is missing", _apt(f"{series}-venv")),
+    ]
+
+
+def check_ros(root: Path, found: Mapping[str, tuple[str, str]]) -> list[Check]:
+    """Check ROS and the workspace.
+
+    Args:
+        root: the repository.
+        found: what `look_up` found, with `rclpy` and `ds-interfaces` in it.
+    """
+    version, problem = found["rclpy"]
+    own_interfaces, reason = found["ds-interfaces"]
+    built = (root / "ros_ws/install/setup.bash").is_file()
+    advice = f"{_SET_UP}; then use ./ds, or: source ros_ws/install/setup.bash"
+    return [
+        _check("ROS 2", not problem, f"rclpy {version}", problem, advice),
+        _check("workspace", built and not reason, own_interfaces or "built", reason or "not built", advice),
+    ]
+
+
+def check_libraries(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) -> list[Check]:
+    """Check that each library is there and has the pinned version.
+
+    Args:
+        pins: distribution and version, as pinned.
+        found: distribution, and its version or why it cannot be used.
+    """
+    checks = []
+    for name, pinned in pins.items():
+        version, problem = found[name]
+        if not problem and version.partition("+")[0] != pinned:
+            problem = f"{version} is installed, {pinned} is pinned"
+        checks.append(_check(name, not problem, version, problem, _INSTALL))
+    return checks
+
+
+def check_extras(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) -> list[Check]:
+    """Check the optional libraries: they may be absent, but not of another version.
+
+    Args:
+        pins: distribution and version, as pinned.
+        found: distribution, and its version or why it cannot be used.
+    """
+    checks = []
+    for name, pinned in pins.items():
+        version, problem = found[name]
+        file, purpose = EXTRAS[name]
+        detail = f"not installed; optional, for {purpose}" if problem else version
+        wrong = f"{version} is installed, {pinned} is pinned"
+        fix = f".venv/bin/python -m pip install --no-deps -r requirements/{file}.txt"
+        checks.append(
+            _check(f"{name} (optional)", bool(problem) or version.split("-")[0] == pinned, detail, wrong, fix)
+        )
+    return checks
+
+
+def check_renderer(load: Callable[[str], object] = ctypes.CDLL) -> Check:
+    """Check for the libraries with which the simulator `panda` renders; everything else works without them."""
+    try:
+        for library in ("libEGL.so.1", "libEGL_mesa.so.0"):
+            load(library)
+    except OSError as error:
+        detail = f"{' '.join(str(error).split())}; optional, for the simulator panda: {_RENDERER}"
+        return Check("renderer (optional)", True, detail, "")
+    return Check("renderer (optional)", True, "Mesa's EGL", "")
+
+
+def check_weights(file: Path) -> Check:
+    """Check that the shipped network is there, and complete as far as its size tells."""
+    size = file.stat().st_size if file.is_file() else 0
+    found = f"{file.name}, {size / 2**20:.1f} MB"
+    problem = f"{found}: truncated, or not fetched" if size else f"{file.name} is missing"
+    return _check(
+        "network weights",
+        size >= SMALLEST_WEIGHTS,
+        found,
+        problem,
+        "git checkout -- src/ds_driver, or ./ds train",
+    )
+
+
+def read_pins(requirements: Path) -> dict[str, str]:
+    """Read distribution (lower case) and version of the direct requirements: the part above the dependencies."""
+    pins = {}
+    for line in requirements.read_text().splitlines():
+        if line.startswith("# their dependencies"):
+            break
+        name, separator, version = line.partition("#")[0].strip().partition("==")
+        if separator:
+            pins[name.lower()] = version
+    return pins
+
+
+def look_up(python: Path, modules: Mapping[str, str], *, imports: bool = False) -> dict[str, tuple[str, str]]:
+    """Look up libraries in a process of its own: its interpreter may be another one, and some libraries print.
+
+    Args:
+        python: the interpreter.
+        modules: distribution and the name of its module.
+        imports: import the modules too.
+
+    Returns:
+        For each distribution its version and "", or "" and why it cannot be used.
+    """
+    command = [str(python), "-c", _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else [])]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=IMPORT_TIME)
+    except subprocess.TimeoutExpired:
+        return dict.fromkeys(modules, ("", f"the interpreter was still importing after {IMPORT_TIME:g} s"))
+    except OSError as error:
+        return dict.fromkeys(modules, ("", f"the interpreter does not start: {error.strerror}"))
+    try:
+        found = json.loads(answer.stdout.splitlines()[-1])
+    except (IndexError, ValueError):
+        reason = f"the interpreter ended with status {answer.returncode} while importing"
+        return dict.fromkeys(modules, ("", reason))
+    return {name: (version, problem) for name, (version, problem) in found.items()}
+
+
+def to_json(checks: Iterable[Check]) -> str:
+    """One JSON document: `ok`, and the list of all checks."""
+    listed = [check._asdict() for check in checks]
+    return json.dumps({"ok": all(check["ok"] for check in listed), "checks": listed}, indent=2)
+
+
+def show(checks: Sequence[Check]) -> None:
+    """Print one line per check, and below a failed one what fixes it."""
+    colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
+    width = max(len(check.name) for check in checks)
+    for check in checks:
+        state = "ok    " if check.ok else "FAILED"
+        if colour:
+            state = f"\033[{32 if check.ok else 31}m{state}\033[0m"
+        print(f"{state}  {check.name:<{width}}  {check.detail}".rstrip())
+        if check.fix:
+            print(f"{'':8}{'':<{width}}  type: {check.fix}")
+    failed = sum(not check.ok for check in checks)
+    print(f"{failed} of {len(checks)} checks failed" if failed else f"all {len(checks)} checks passed")
+
+
+_HELP = """\
+Usage: ds doctor [--imports] [--json]
+
+Check the installation and print the command that fixes each problem. Changes nothing.
+
+  --imports   Import every library instead of looking it up; takes some ten seconds.
+  --json      Print one JSON document.
+
+Exit status: 0 all is well, 1 something is missing."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check and print a table, with `--json` one JSON document.
+
+    Returns:
+        Exit status: 0 all is well, 1 something is missing, 2 an unknown argument.
+    """
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    if any(argument in ("-h", "--help") for argument in given):
+        print(_HELP)
+        return 0
+    unknown = [argument for argument in given if argument not in ("--json", "--imports")]
+    if unknown:
+        print(f"error: ds doctor: unknown argument {unknown[0]}; see ds doctor --help", file=sys.stderr)
+        return 2
+    checks = diagnose(imports="--imports" in given)
+    if "--json" in given:
+        print(to_json(checks))
+    else:
+        show(checks)
+    return 0 if all(check.ok for check in checks) else 1
+
+
+def _check(name: str, ok: bool, found: str, problem: str, fix: str) -> Check:
+    return Check(name, ok, found if ok else problem, "" if ok else fix)
+
+
+def _apt(package: str) -> str:
+    return f"{'' if os.geteuid() == 0 else 'sudo '}apt-get install -y {package}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""`ds evaluate`: how well the siblings predict the twin, in the paper's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from contextlib import closing, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from ds_cli.options import JsonFlag, Trust
+from ds_cli.output import Interrupted, Result, answer, countdown
+
+if TYPE_CHECKING:
+    from ds_analysis.common.table import Table
+    from ds_analysis.paper.paper_tables import Network
+
+app = typer.Typer()
+
+
+def evaluation(
+    folder: Path,
+    *,
+    data: Path | None,
+    images: int | None,
+    out: Path | None,
+    everything: bool,
+    trusted: Collection[str] = (),
+) -> Result:
+    """The tables of a campaign: RQ2 and RQ3, and RQ1 if there is a data set.
+
+    Raises:
+        ds_analysis.paper.open_loop.ErrorsError: the campaign has no twin, or the data set lacks images.
+    """
+    from ds_analysis.common.table import keep_tables
+    from ds_analysis.paper.campaign_evaluation import (
+        correlations_of,
+        maps_of,
+        network_of,
+        paired_differences_of,
+        tables_of,
+    )
+    from ds_analysis.paper.open_loop import ErrorsError
+    from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.folder import open_store
+    from ds_report.build import RQ1
+    from ds_report.sections import sibling_section
+
+    with closing(open_store(folder)) as store:
+        campaign = read_campaign(store)
+    config, maps = campaign.config, maps_of(campaign)
+    if config.twin is None:
+        raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
+    tables: list[Table] = []
+    if data is not None:
+        from ds_driver.networks.received import received_driver
+
+        received_driver(config.driver, confirmed=trusted)
+        tables += _offline_tables(
+            data, config.driver, config.siblings, config.twin, images, network_of(config), trusted
+        )
+        keep_tables(tables, folder / RQ1)
+    tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
+    tables += siblings.tables if (siblings := sibling_section(campaign)) else []
+    return tables_result(tables, out or folder / "evaluation", everything=everything)
+
+
+def open_loop_evaluation(
+    data: Path,
+    driver: str,
+    *,
+    siblings: list[str] | None,
+    twin: str,
+    images: int | None,
+    out: Path | None,
+    everything: bool,
+    trusted: Collection[str] = (),
+) -> Result:
+    """RQ1 of any network on any data set."""
+    from ds_analysis.paper.open_loop import architecture_of, kind_of
+    from ds_analysis.paper.paper_tables import NETWORKS
+
+    architecture = architecture_of(driver)
+    network: Network | None = (architecture, kind_of(driver)) if architecture in NETWORKS else None
+    tables = _offline_tables(data, driver, siblings, twin, images, network, trusted)
+    return tables_result(tables, out, everything=everything)
+
+
+def _offline_tables(
+    data: Path,
+    driver: str,
+    siblings: list[str] | None,
+    twin: str,
+    images: int | None,
+    network: Network | None,
+    trusted: Collection[str],
+) -> list[Table]:
+    from ds_analysis.paper.open_loop import ErrorsError, predict
+    from ds_analysis.paper.paper_tables import error_tables
+    from ds_analysis.paper.steering_error_stats import check_error_robustness, compare_errors
+
+    try:
+        found = predict(data, driver, countdown(), images=images, trusted=trusted)
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    names = siblings if siblings is not None else [name for name in found if name != twin]
+    missing = [name for name in (*names, twin) if name not in found]
+    if missing:
+        raise ErrorsError(f"{data} has no images of {', '.join(missing)}: it has those of {', '.join(found)}")
+    errors = {name: found[name].absolute_errors for name in (*names, twin)}
+    of_siblings = {name: errors[name] for name in names}
+    compared, other_ways = compare_errors(of_siblings, errors[twin]), check_error_robustness(of_siblings, errors[twin])
+    return error_tables(compared, other_ways, errors, names, twin, network)
+
+
+def is_detail(table: Table) -> bool:
+    """True for a table that checks another one or lists what a figure shows: printed with --all only."""
+    return any(word in table.name for word in ("robustness", "variants", "densities", "sibling_"))
+
+
+def tables_result(tables: list[Table], out: Path | None, *, everything: bool) -> Result:
+    """Write tables to a folder, and print the main ones, or everything."""
+    from ds_analysis.common.table import document_of, write_tables
+
+    document: dict[str, Any] = dict(document_of(tables))
+    if out is not None:
+        write_tables(tables, out)
+
+    def show() -> None:
+        console = Console()
+        for table in tables:
+            if everything or not is_detail(table):
+                table.show(console)
+        hidden = [table.title for table in tables if is_detail(table)]
+        if hidden and not everything:
+            print(f"Not shown without --all: {'; '.join(hidden)}")
+        if out is not None:
+            print(f"{out}: every table as CSV and LaTeX")
+
+    return Result(document=document, show=show)
+
+
+Images = Annotated[int | None, typer.Option(min=1, help="Images of each simulator at most.")]
+Everything = Annotated[bool, typer.Option("--all", help="Print the robustness checks and densities too.")]
+
+
+@app.command("evaluate")
+def evaluate_command(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[DIR]", help="Campaign; left out, --driver is compared on --data alone.")
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Data set of `ds collect`, for RQ1.")] = None,
+    driver: Annotated[
+        str | None, typer.Option(help="Without DIR: shipped network or weights file; dave2 if left out.")
+    ] = None,
+    siblings: Annotated[
+        str | None, typer.Option(help="Without DIR: simulators, separated by commas; all but the twin if left out.")
+    ] = None,
+    twin: Annotated[str | None, typer.Option(help="Without DIR: simulator that acts as the twin; else donkey.")] = None,
+    images: Images = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for CSV and LaTeX; DIR/evaluation if left out.")] = None,
+    everything: Everything = False,
+    trust: Trust = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).
+
+    The paper's tables, with its numbers beside those of this campaign. With --data and no campaign, RQ1 of any network:
+    its steering errors on the siblings' images against those on the twin's, without driving. With --json, CSV and
+    LaTeX, all tables.
+    """
+    if folder is not None:
+        if given := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
+            raise typer.BadParameter(f"--{given[0]} is the campaign's: leave it out, or leave out {folder}")
+        from ds_orchestrator.store.folder_files import locked, make_folder
+
+        if out is not None:
+            make_folder(out)
+        with locked(folder) if out is None or data is not None else nullcontext():
+            found = evaluation(folder, data=data, images=images, out=out, everything=everything, trusted=trust or [])
+    elif data is None:
+        raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
+    else:
+        found = open_loop_evaluation(
+            data,
+            driver or "dave2",
+            siblings=None if siblings is None else siblings.split(","),
+            twin=twin or "donkey",
+            images=images,
+            out=out,
+            everything=everything,
+            trusted=trust or [],
+        )
+    answer(found, as_json)

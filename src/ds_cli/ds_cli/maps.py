@@ -1,0 +1,197 @@
+"""`ds maps`: a campaign's feature maps as coloured grids in the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ds_cli.options import Folder, JsonFlag
+from ds_cli.output import Result, answer
+
+if TYPE_CHECKING:
+    from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
+
+Shown = Literal["probability", "quality"]
+LONGEST_AXIS = 40
+"""Bins up to which an axis shows the empty ones between its ends; chosen: a screen's height."""
+_RAMP = ((46, 125, 50), (249, 168, 37), (198, 40, 40))
+"""Background at 0, 0.5 and 1: green, amber, red, all dark or light enough for the text on them."""
+
+app = typer.Typer()
+
+
+def maps(
+    folder: Path,
+    name: str = "merged",
+    shown: Shown = "probability",
+    axes: Sequence[str] | None = None,
+) -> Result:
+    """Every map of a campaign as JSON values; one of them as a grid.
+
+    Args:
+        folder: campaign folder.
+        name: of the map that is shown.
+        shown: what colours the cells.
+        axes: features that span the maps; those of the configuration if None.
+
+    Raises:
+        ds_orchestrator.campaign.config.ConfigError: the campaign has no map of this name.
+    """
+    from ds_analysis.paper.campaign_evaluation import maps_of
+    from ds_analysis.paper.exclusions import exclusion_lines
+    from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.config import ConfigError
+    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.maps.feature_map import slices_of, to_json
+
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    every = maps_of(data, features=axes)
+    if axes is not None and not any(made.cells or made.excluded for made in every.values()):
+        raise ConfigError(
+            f"no test in {folder} has a cell over {','.join(axes)}: expected other --axes, or tests driven"
+        )
+    found = {map_id.name: feature_map for map_id, feature_map in every.items()}
+    if name not in found:
+        raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
+
+    def show() -> None:
+        console = Console()
+        for part in slices_of(found[name]):
+            for grid in grids(part, shown, console.width):
+                console.print(grid)
+        for line in legend(found[name], shown):
+            console.print(line, highlight=False)
+        for excluded in exclusion_lines(data):
+            console.print(excluded, highlight=False)
+        others = ", ".join(other for other in found if other != name)
+        console.print(f"Other maps, with --map NAME: {others}", highlight=False)
+        if axes is None and data.config.further_axes:
+            further = "; ".join(",".join(other) for other in data.config.further_axes)
+            console.print(f"Other axes, with --axes A,B: {further}", highlight=False)
+
+    return Result(document=to_json(every), show=show)
+
+
+def axes_named(text: str) -> list[str]:
+    """Features in a text, separated by commas.
+
+    Raises:
+        ds_orchestrator.search.features.FeatureError: one is unknown, or there are not two or three different ones.
+    """
+    from ds_orchestrator.search.features import FeatureError, base_of, feature_of
+    from ds_sim.extension import confirm, is_extension
+
+    names = [name.strip() for name in text.split(",")]
+    confirm(base for base in map(base_of, names) if is_extension(base))
+    if not 2 <= len({base_of(feature_of(name).name) for name in names}) == len(names) <= 3:
+        raise FeatureError(f"--axes {text[:80]}: expected two or three different features, separated by commas")
+    return names
+
+
+def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
+    """A map of two features as one grid, or as several side by side in columns where it is wider than the terminal.
+
+    Args:
+        feature_map: its first feature runs to the right, the second one upwards.
+        shown: what colours a cell.
+        width: characters of a line.
+    """
+    from ds_orchestrator.search.features import feature_of
+
+    across, up = (feature_of(name) for name in feature_map.features)
+    shown_cells = (*feature_map.cells, *feature_map.excluded)
+    columns = _axis(cell[0] for cell in shown_cells)
+    rows = _axis(cell[1] for cell in shown_cells)[::-1]
+    head = max(len(up.title), *(len(up.label(row)) for row in rows), 1) if rows else len(up.title)
+    at_once = max(1, (width - head - 4) // 8)
+    made = []
+    for start in range(0, max(len(columns), 1), at_once):
+        part = columns[start : start + at_once]
+        table = Table(
+            title=f"{feature_map.title}: {_TITLES[shown]}", caption=f"{across.title} →", box=SIMPLE, pad_edge=False,
+            padding=(0, 1), title_justify="left",
+        )  # fmt: skip
+        table.add_column(f"{up.title} ↑", justify="right", no_wrap=True)
+        for column in part:
+            table.add_column(across.label(column), justify="center", min_width=6, no_wrap=True)
+        for row in rows:
+            boxes = (
+                _box(feature_map.cells.get((column, row)), shown, feature_map.excluded.get((column, row), 0))
+                for column in part
+            )
+            table.add_row(up.label(row), *boxes)
+        made.append(table)
+    return made
+
+
+_TITLES = {"probability": "failure probability", "quality": "lack of driving quality"}
+
+
+def legend(feature_map: FeatureMap, shown: Shown) -> list[Text]:
+    """What colours and numbers mean, and the sum of the cells."""
+    ramp = Text("0 ")
+    for step in range(11):
+        ramp.append("  ", style=f"on {_colour(step / 10)}")
+    ramp.append(f" 1  {_TITLES[shown]}; · no test")
+    cells = feature_map.cells.values()
+    failing = sum(cell.probability > 0.0 for cell in cells)
+    counts = [cell.failures for cell in cells if cell.failures is not None]
+    numbers = "Failures/tests in each cell" if counts and shown == "probability" else "Value in each cell"
+    lines = [ramp, Text(f"{numbers}; {failing} of {len(feature_map.cells)} filled cells have a probability above 0.")]
+    if feature_map.excluded:
+        count = sum(feature_map.excluded.values())
+        lines.append(Text(f"-n: n tests of the cell are excluded by the gates and in no other number; {count} in all."))
+    return lines
+
+
+def _axis(bins: Iterable[int]) -> Sequence[int]:
+    """The bins of an axis in order, empty ones between them included unless there are too many."""
+    filled = sorted(set(bins))
+    if filled and filled[-1] - filled[0] < LONGEST_AXIS:
+        return range(filled[0], filled[-1] + 1)
+    return filled
+
+
+def _box(cell: MapCell | None, shown: Shown, excluded: int) -> Text:
+    apart = f" -{excluded}" if excluded else ""
+    if cell is None:
+        return Text(f"·{apart}", style="dim")
+    value = cell.probability if shown == "probability" else cell.quality_loss
+    text = f"{value:.2f}" if cell.failures is None or shown == "quality" else f"{cell.failures}/{cell.tests}"
+    return Text(f"{text:^6}", style=f"bold white on {_colour(value)}").append(apart, style="not bold dim")
+
+
+def _colour(value: float) -> str:
+    """Background of a value in [0, 1]."""
+    place = min(max(value, 0.0), 1.0) * (len(_RAMP) - 1)
+    left = min(int(place), len(_RAMP) - 2)
+    mixed = (round(a + (b - a) * (place - left)) for a, b in zip(_RAMP[left], _RAMP[left + 1], strict=True))
+    return "rgb({},{},{})".format(*mixed)
+
+
+@app.command("maps")
+def maps_command(
+    folder: Folder,
+    name: Annotated[str, typer.Option("--map", help="Map to show.")] = "merged",
+    value: Annotated[Shown, typer.Option(help="What colours the cells: probability or quality.")] = "probability",
+    axes: Annotated[
+        str | None,
+        typer.Option(help="Two or three features that span the maps, separated by commas; as configured if left out."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show a campaign's feature maps as coloured grids.
+
+    One map at a time: `merged`, unless --map names another one. With --json, all of them.
+    """
+    named = None if axes is None else axes_named(axes)
+    answer(maps(folder, name, value, named), as_json)

@@ -1,0 +1,143 @@
+"""Options and arguments that several verbs of `ds` share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ds_sim.extension import confirm
+
+SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey")
+"""Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
+
+ALL = "all"
+"""Name that stands for every shipped simulator."""
+
+
+def _complete_simulator(incomplete: str) -> list[str]:
+    return [name for name in SHIPPED_SIMULATORS if name.startswith(incomplete)]
+
+
+def _complete_driver(incomplete: str) -> list[str]:
+    return [
+        name
+        for name in ("autopilot", "dave2", "dave2_b", "dave2_short", "chauffeur", "epoch")
+        if name.startswith(incomplete)
+    ]
+
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+OutFolder = Annotated[Path, typer.Option(help="Campaign folder; a campaign that was stopped there is resumed.")]
+AttachFlag = Annotated[bool, typer.Option(help="Start no nodes: use those that run in this ROS domain.")]
+Wait = Annotated[
+    float, typer.Option(min=1.0, max=3600.0, help="With --attach: wait at most this many seconds for the nodes.")
+]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Campaign folder.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of the random roads.")]
+MaxAngle = Annotated[int, typer.Option(min=1, max=360, help="Maximum angle of random roads, degrees.")]
+Lane = Annotated[
+    Literal["right", "left"] | None,
+    typer.Option(help="Lane in which to drive; that of the road file if left out, or right."),
+]
+Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas.")]
+Simulator = Annotated[
+    str,
+    typer.Option(
+        help="Simulator: bullet, softbody, panda, donkey, donkey@FILE (fitted parameters), or module:Class.",
+        autocompletion=_complete_simulator,
+    ),
+]
+
+Workers = Annotated[
+    int | None, typer.Option(min=1, max=64, help="Processes that drive; one for each processor if left out.")
+]
+
+DriverName = Annotated[
+    str,
+    typer.Option(
+        help="Driver: autopilot, dave2, a .safetensors or .yaml file, or module:Class.",
+        autocompletion=_complete_driver,
+    ),
+]
+Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
+Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
+
+Camera = Annotated[str | None, typer.Option(help="Image topic, where a bag has several.")]
+RecordedSteering = Annotated[
+    str | None, typer.Option(help="Recorded steering as TOPIC:FIELD, such as /cmd:drive.steering_angle.")
+]
+SteeringFactor = Annotated[
+    float, typer.Option(help="Factor that scales the recorded steering to -1 (full left) to +1 (full right).")
+]
+ImageRows = Annotated[str | None, typer.Option(help="Image rows to keep, as FIRST:LAST; the lower part if left out.")]
+
+
+def _confirm(names: list[str] | None) -> list[str] | None:
+    confirm(names or ())
+    return names
+
+
+Trust = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--trust",
+        metavar="NAME",
+        callback=_confirm,
+        help="Name in the folder that may run code of its own, such as module:Class; repeatable.",
+    ),
+]
+
+
+def rows_of(text: str | None) -> tuple[int, int] | None:
+    """Parse `FIRST:LAST`.
+
+    Raises:
+        typer.BadParameter: the text is not two numbers with a colon between them.
+    """
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    if colon and first.isdecimal() and last.isdecimal() and len(text) < 20:
+        return int(first), int(last)
+    raise typer.BadParameter(f"--rows {text!r}: expected FIRST:LAST, such as 40:120")
+
+
+def simulators_of(text: str) -> list[str]:
+    """Parse simulator names separated by commas, and check that each can be made.
+
+    Raises:
+        ds_sim.registry.UnknownSimulatorError: a name stands for no simulator, or is given twice.
+    """
+    from ds_sim.registry import UnknownSimulatorError, make_simulator
+
+    names = text.split(",")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UnknownSimulatorError(f"simulator {', '.join(twice)} is named twice in {text!r}: name each once")
+    for name in names:
+        make_simulator(name).close()
+    return names
+
+
+def every_or_named(text: str) -> list[str]:
+    """Parse simulator names as `simulators_of` does; `all` stands for every shipped simulator."""
+    return simulators_of(",".join(SHIPPED_SIMULATORS) if text == ALL else text)
+
+
+def driver_named(driver: str, backend: str, device: str) -> str:
+    """Join a driver's name and its backend, as in `dave2@onnx`.
+
+    Raises:
+        ds_driver.networks.backends.BackendError: backend or device are unknown, do not go together, or are given for
+            the autopilot, which runs no network.
+    """
+    from ds_driver.closed_loop.drive_request import AUTOPILOT
+    from ds_driver.networks.backends import BackendError
+    from ds_driver.networks.driver_name import DriverName
+
+    named = str(DriverName.parse(driver).on(backend, device))
+    if driver == AUTOPILOT and named != driver:
+        raise BackendError("the autopilot runs no network: leave out --backend and --device")
+    return named

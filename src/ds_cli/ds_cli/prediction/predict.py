@@ -1,0 +1,123 @@
+"""`ds predict`: where the car fails, is safe, or is disputed, and how well such predictions do on a driven twin."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from ds_cli.options import JsonFlag
+from ds_cli.output import Result, answer, say
+
+if TYPE_CHECKING:
+    from ds_analysis.common.table import Table
+    from ds_analysis.prediction.verdicts import Verdicts
+
+app = typer.Typer()
+
+TestsFolder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Folder of a campaign, or of `ds siblings compare --out`.")
+]
+TwinName = Annotated[
+    str | None,
+    typer.Option(help="Simulator that plays the twin, all others the siblings; the campaign's own if left out."),
+]
+
+
+def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | None) -> Result:
+    """Predict a simulator that was never driven from the siblings, and compare predictors if its outcomes are known.
+
+    Raises:
+        ds_analysis.prediction.outcome_table.OutcomeTableError: the folder allows no prediction.
+    """
+    from ds_analysis.common.table import write_tables
+    from ds_analysis.prediction.coverage import forecast_cells
+    from ds_analysis.prediction.outcome_table import OutcomeTableError
+    from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
+    from ds_analysis.prediction.self_check import check_in_turn
+    from ds_analysis.prediction.sources import read_source
+    from ds_analysis.prediction.twin_prediction import predict_twin
+    from ds_analysis.prediction.verdict_picture import draw_verdicts
+    from ds_analysis.prediction.verdicts import cell_table, judge
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.camera.encodings import png
+
+    if out is not None:
+        make_folder(out)
+    source = read_source(folder, twin=twin)
+    table = source.table
+    say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
+    prediction = predict_twin(table)
+    verdicts = judge(table, prediction, source.features, tolerated=tolerated)
+    check = check_in_turn(table)
+    tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts)), *([check.table()] if check.siblings else [])]
+    document: dict[str, Any] = {
+        "siblings": list(table.siblings),
+        "twin": table.twin,
+        "population": prediction.population.document(),
+        "verdicts": verdicts.document(),
+        "self_check": check.document(),
+        "comparison": None,
+        "forecasts": [],
+    }
+    try:
+        comparison = compare_predictors(table, prediction)
+    except OutcomeTableError as error:
+        if twin is not None:
+            raise
+        document["no_comparison"] = str(error)
+    else:
+        tables += comparison_tables(comparison)
+        document["comparison"] = comparison.document()
+        document["forecasts"] = [one.document() for one in forecast_cells(table, prediction)]
+    if out is not None:
+        write_tables(tables, out)
+        (out / "prediction.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        if any(one.tests for one in verdicts.cells):
+            title = f"Predicted failures{f' on {table.twin}' if table.twin else ''}, never driven"
+            (out / "verdicts.png").write_bytes(png(draw_verdicts(verdicts, title)))
+
+    def show() -> None:
+        console = Console()
+        for one in tables:
+            one.show(console)
+        if "no_comparison" in document:
+            print(f"predictors are not compared: {document['no_comparison']}")
+        print(verdicts.sentence)
+        if not check.siblings:
+            print(check.sentence)
+        if check.warning:
+            print(f"warning: {check.warning}")
+        if out is not None:
+            print(out / "prediction.json")
+
+    return Result(document=document, show=show)
+
+
+def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
+    """Format the bins of every cell, one text per axis."""
+    from ds_orchestrator.search.features import feature_of
+
+    axes = [feature_of(name) for name in verdicts.features]
+    return [tuple(axis.label(bin_) for axis, bin_ in zip(axes, one.cell, strict=True)) for one in verdicts.cells]
+
+
+@app.command("predict")
+def predict_command(
+    folder: TestsFolder,
+    twin: TwinName = None,
+    tolerated: Annotated[
+        float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")
+    ] = 0.1,
+    out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Predict where a car, or a simulator that was never driven, fails.
+
+    Each cell fails, is safe, disputed or untested; the siblings' outcomes are all that is used. Where the campaign has
+    a twin, every predictor is scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
+    """
+    answer(predict(folder, twin=twin, tolerated=tolerated, out=out), as_json)

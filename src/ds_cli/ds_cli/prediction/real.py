@@ -1,0 +1,289 @@
+"""`ds real`: a small budget of drives on a real car."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from ds_cli.options import JsonFlag
+from ds_cli.output import Result, answer, say
+from ds_cli.prediction.predict import TestsFolder, cell_labels
+
+if TYPE_CHECKING:
+    from ds_analysis.prediction.real.proposal import Proposed
+    from ds_analysis.prediction.real.records import RealDrive
+    from ds_analysis.prediction.real.update import Update
+    from ds_analysis.prediction.sources import Source
+    from ds_analysis.prediction.twin_prediction import TwinPrediction
+
+app = typer.Typer()
+real_app = typer.Typer(help="Choose, record and use a few drives on a real car.", no_args_is_help=True)
+app.add_typer(real_app, name="real")
+
+Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
+
+
+def propose_drives(folder: Path, *, drives: int, scale: float | None) -> Result:
+    """Choose the drives on the car that would tell most, and write what a person needs for them.
+
+    Raises:
+        ds_analysis.prediction.outcome_table.OutcomeTableError: the folder allows no prediction.
+        ds_analysis.prediction.real.selection.BudgetError: more drives than tests.
+        ds_analysis.prediction.real.records.RecordError: earlier files are damaged, or of another scale.
+    """
+    from ds_analysis.common.table import Column, Table
+    from ds_analysis.prediction.real.proposal import SCALE, propose, read_proposed, write_proposal
+    from ds_analysis.prediction.real.records import read_drives
+    from ds_analysis.prediction.real.selection import expected_error
+    from ds_analysis.prediction.real.update import margin_drives
+    from ds_analysis.prediction.real.worth import LEAST_GAIN
+
+    source, prediction = _fitted(folder)
+    known = read_drives(folder)
+    chosen_scale = scale or read_proposed(folder).scale or SCALE
+    updated = prediction.updated(margin_drives(source.table, known))
+    found = propose(source.table, updated, drives, scale=chosen_scale)
+    paths = write_proposal(folder, found)
+    expected = expected_error(source.table, updated)
+    table = Table(
+        name="proposal",
+        title=f"Drives on the car that tell most, after {len(known)} real drives",
+        columns=[
+            Column("test"), Column("P(fails)", "number"), Column("gain", "small"),
+            Column("siblings that fail", "count"),
+            Column("conditions"), Column("decides"),
+        ],
+        rows=[
+            (
+                one.test_id, one.probability, one.gain, list(one.siblings.values()).count("failed"),
+                ", ".join(f"{name} {value}" for name, value in one.to_set.items()), one.sentence,
+            )
+            for one in found
+        ],
+        notes=[
+            "gain: expected reduction of the mean squared error of all predictions by the drive, after those above; "
+            f"that error is expected to be {expected:.4f} now: stop when a drive gains less than "
+            f"{100 * LEAST_GAIN:.0f} % of it"
+        ],
+    )  # fmt: skip
+
+    def show() -> None:
+        table.show(Console())
+        for path in paths:
+            print(path)
+
+    document = {
+        "drives": [one.document() for one in found],
+        "expected_squared_error": expected,
+        "files": [str(path) for path in paths],
+    }
+    return Result(document=document, show=show)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What the command line says about drives, where the file does not.
+
+    Attributes:
+        who: who drove.
+        when: date, ISO 8601.
+        test: test that a bag or tub recorded.
+        outcome: verdict on a bag or tub.
+        topic: odometry of a bag, or `TOPIC:FIELD` of a lateral position.
+    """
+
+    who: str | None
+    when: str | None
+    test: str | None
+    outcome: str | None
+    topic: str | None
+
+
+def record_drives(folder: Path, file: Path, given: Given, *, tolerated: float) -> Result:
+    """Add real drives to those of a folder, and show what they change.
+
+    Raises:
+        ds_analysis.prediction.real.records.RecordError: a row is wrong, or of a test that was never proposed.
+    """
+    from ds_analysis.prediction.real.proposal import read_proposed
+    from ds_analysis.prediction.real.recordings import is_recording
+    from ds_analysis.prediction.real.records import RecordError, added, read_csv, read_drives, write_drives
+
+    proposed = read_proposed(folder)
+    if proposed.scale is None:
+        raise RecordError(f"nothing was proposed for {folder}: run `ds real propose {folder} --drives 6` first")
+    if is_recording(file):
+        new = [_recorded(file, proposed, given)]
+    else:
+        new = read_csv(file, proposed.half_lanes, scale=proposed.scale, who=given.who, when=given.when)
+    path = write_drives(folder, added(read_drives(folder), new))
+    say(f"{len(new)} drives recorded in {path}")
+    return update_prediction(folder, tolerated=tolerated, out=None)
+
+
+def _recorded(path: Path, proposed: Proposed, given: Given) -> RealDrive:
+    """The drive that a bag or tub recorded."""
+    from ds_analysis.prediction.real.recordings import read_recording
+    from ds_analysis.prediction.real.records import RecordError, drive_of
+
+    if given.test not in proposed.roads:
+        known = ", ".join(sorted(proposed.roads)[:6])
+        raise RecordError(f"{path}: which proposed test is it? expected --test with one of {known}")
+    road, scale = proposed.roads[given.test], proposed.scale or 1.0
+    found = read_recording(path, road, scale=scale, topic=given.topic)
+    outcome = given.outcome or found.outcome(road.lane_width / 2)
+    if outcome is None:
+        driven = "" if found.share is None else f" after {found.share:.0%} of the road"
+        raise RecordError(f"{path}: the recording tells no verdict{driven}: expected --outcome, such as completed")
+    values = {
+        "test_id": given.test, "outcome": outcome, "who": given.who or "", "when": given.when or found.when,
+        "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale), "note": "",
+    }  # fmt: skip
+    return drive_of(values, proposed.half_lanes, scale, path.name)
+
+
+def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Result:
+    """Predict the car before and after its recorded drives.
+
+    Raises:
+        ds_analysis.prediction.real.records.RecordError: there are no drives, or they are damaged.
+    """
+    from ds_analysis.prediction.real.records import FOLDER, RecordError, read_drives
+    from ds_analysis.prediction.real.update import update
+    from ds_analysis.prediction.verdict_picture import draw_verdicts
+    from ds_driver.whole_files import write_json, write_whole
+    from ds_sim.camera.encodings import png
+
+    drives = read_drives(folder)
+    if not drives:
+        raise RecordError(f"{folder} has no real drives: record some with `ds real record {folder} FILE.csv`")
+    source, prediction = _fitted(folder)
+    found = update(source.table, prediction, drives, source.features, tolerated=tolerated)
+    document: dict[str, Any] = found.document()
+    path = (folder / FOLDER if out is None else out) / "update.json"
+    write_json(path, document)
+    for name, of in (("before", found.before), ("after", found.after)):
+        if any(one.tests for one in of.cells):
+            picture = png(draw_verdicts(of, f"The car, {name} {len(drives)} real drives"))
+            write_whole(path.with_name(f"{name}.png"), picture)
+    return Result(document=document, show=lambda: _show(found, path))
+
+
+def _fitted(folder: Path) -> tuple[Source, TwinPrediction]:
+    from ds_analysis.prediction.sources import read_population
+    from ds_analysis.prediction.twin_prediction import predict_twin
+
+    source = read_population(folder)
+    say(f"{len(source.table)} tests on {', '.join(source.table.siblings)}: fitting the population of simulators")
+    return source, predict_twin(source.table)
+
+
+def _show(found: Update, path: Path) -> None:
+    from ds_analysis.common.table import Column, Table
+
+    labels = dict(zip((one.cell for one in found.after.cells), cell_labels(found.after), strict=True))
+    before, after = ({one.cell: one for one in of.cells} for of in (found.before, found.after))
+    table = Table(
+        name="changed_cells",
+        title="Cells whose verdict the drives changed",
+        columns=[
+            *(Column(name) for name in found.after.features), Column("before"), Column("rate before", "number"),
+            Column("after"), Column("rate after", "number"), Column("90 %", "number"),
+        ],
+        rows=[
+            (
+                *labels[one.cell], one.before, before[one.cell].rate, one.after, after[one.cell].rate,
+                after[one.cell].interval,
+            )
+            for one in found.changed
+        ],
+    )  # fmt: skip
+    if found.changed:
+        table.show(Console())
+    for name, of in (("before", found.before), ("after", found.after)):
+        print(f"{name}: {of.sentence}")
+    print(found.sentence)
+    for line in found.worth.sentences:
+        print(line)
+    if found.span.warning:
+        print(f"warning: {found.span.warning}")
+    print(path)
+
+
+@real_app.command("propose")
+def propose_command(
+    folder: TestsFolder,
+    drives: Annotated[int, typer.Option(min=1, help="Number of drives.")] = 6,
+    scale: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=100.0, help="Scale of the car: 16 for 1:16; that of earlier proposals, or 16."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Choose the drives on the car that would tell most, and write roads to tape out, conditions and what each decides.
+
+    Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
+    """
+    from ds_orchestrator.store.folder_files import locked
+
+    with locked(folder):
+        result = propose_drives(folder, drives=drives, scale=scale)
+    answer(result, as_json)
+
+
+@real_app.command("record")
+def record_command(
+    folder: TestsFolder,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE.csv|BAG|TUB", help="CSV: test_id, outcome, who, when, max_lateral_position (m), note."
+        ),
+    ],
+    who: Annotated[str | None, typer.Option(help="Who drove, where the file does not say.")] = None,
+    when: Annotated[str | None, typer.Option(help="Date, where the file does not say, as 2026-03-01.")] = None,
+    test: Annotated[str | None, typer.Option(help="Proposed test that a bag or tub recorded.")] = None,
+    outcome: Annotated[
+        str | None, typer.Option(help="Verdict on a bag or tub: completed, failed, out_of_bounds, stuck or timeout.")
+    ] = None,
+    topic: Annotated[
+        str | None, typer.Option(help="Odometry of a bag, or TOPIC:FIELD of the lateral position, m of the car's.")
+    ] = None,
+    tolerated: Tolerated = 0.1,
+    as_json: JsonFlag = False,
+) -> None:
+    """Record outcomes of proposed drives, apart from simulated ones, and show what they change.
+
+    From a CSV with a row per drive; from a rosbag2 recording of one drive, by its odometry from the start of the road
+    or a topic with the lateral position; or from a Donkey Car tub with --outcome.
+    """
+    from ds_orchestrator.store.folder_files import locked
+
+    given = Given(who=who, when=when, test=test, outcome=outcome, topic=topic)
+    with locked(folder):
+        result = record_drives(folder, file, given, tolerated=tolerated)
+    answer(result, as_json)
+
+
+@real_app.command("update")
+def update_command(
+    folder: TestsFolder,
+    tolerated: Tolerated = 0.1,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for update.json, before.png, after.png; DIR/real if left out.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show predictions before and after the recorded drives, and whether the car is outside the siblings' span."""
+    from ds_orchestrator.store.folder_files import locked, make_folder
+
+    if out is not None:
+        make_folder(out)
+    with locked(folder) if out is None else nullcontext():
+        result = update_prediction(folder, tolerated=tolerated, out=out)
+    answer(result, as_json)

@@ -1,0 +1,126 @@
+"""Progress on standard error: of a campaign, and of one drive."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ds_cli.output import duration, say
+from ds_orchestrator.campaign.eta import Eta
+from ds_orchestrator.store.model import Execution, Test
+from ds_sim.gates.gate import Gate
+
+EVERY = 5.0
+"""Seconds between two lines about a drive where there is no terminal; chosen."""
+
+
+class ScreenListener:
+    """Shows a campaign's stage, executions, failures and time left: a bar on a terminal, lines elsewhere."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._lock = threading.Lock()
+        self._total = 0
+        self._failures = 0
+        self._left = Eta()
+        self.done = 0
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[failures]} failures"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._progress.add_task("starting", total=None, failures=0, left="")
+
+    def __enter__(self) -> ScreenListener:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def stage(self, name: str) -> None:
+        """Show the stage."""
+        with self._lock:
+            self._left.begin(time.monotonic())
+        self._progress.update(self._task, description=name)
+        if not self._console.is_terminal:
+            say(f"stage: {name}")
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """Set the number of executions of each stage on each simulator."""
+        with self._lock:
+            self._left.expect(stages)
+            self._total = sum(sum(stage.values()) for stage in stages)
+        self._progress.update(self._task, total=self._total)
+
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+        """Count an execution; one that was in the store took no time, so it does not count for the time left."""
+        with self._lock:
+            self.done += 1
+            # A test is driven on its own sibling by the search, elsewhere by the stage after that.
+            self._left.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
+            self._failures += isinstance(execution, Execution) and execution.outcome.is_failure
+            seconds = self._left.seconds()
+            left = "" if seconds is None else f"about {duration(seconds)} left"
+            self._progress.update(self._task, completed=self.done, failures=self._failures, left=left)
+            if not self._console.is_terminal and fresh:
+                outcome = _outcome(execution)
+                line = f"{self.done}/{self._total} {test.test_id} on {simulator}: {outcome}"
+                print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
+
+
+def _outcome(execution: Execution | Gate | None) -> str:
+    if isinstance(execution, Gate):
+        return f"{execution.state.value}, {execution.message}"
+    return execution.outcome.name.lower() if execution else "error"
+
+
+class DriveProgress:
+    """Shows how far a drive is along its road: a bar on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, description: str) -> None:
+        console = Console(stderr=True)
+        self._live = console.is_terminal
+        self._description = description
+        self._said = time.monotonic()
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TextColumn("{task.fields[state]}"),
+            console=console,
+            disable=not self._live,
+            transient=True,
+        )
+        self._task = self._progress.add_task(description, total=1.0, state="")
+
+    def __enter__(self) -> DriveProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def update(self, step: int, driven: float, lateral_position: float) -> None:
+        """Show a feedback of the simulator.
+
+        Args:
+            step: frames so far.
+            driven: part of the road, in [0, 1].
+            lateral_position: m from the lane's centre, positive to the right.
+        """
+        state = f"frame {step}, {lateral_position:+.2f} m off the lane's centre"
+        self._progress.update(self._task, completed=driven, state=state)
+        if not self._live and time.monotonic() - self._said >= EVERY:
+            self._said = time.monotonic()
+            say(f"{self._description}: {driven:.0%}, {state}")

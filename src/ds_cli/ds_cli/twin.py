@@ -1,0 +1,126 @@
+"""`ds twin fit`: the twin's parameters from recorded drives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ds_cli.options import JsonFlag
+from ds_cli.output import Interrupted, Result, answer, duration, say
+
+MISFIT = 2.0
+"""Residuals over noise above which the fit warns; chosen: the noise itself is known to some tens of a percent."""
+app = typer.Typer()
+twin_app = typer.Typer(help="Fit the digital twin to recorded drives.", no_args_is_help=True)
+app.add_typer(twin_app, name="twin")
+
+
+TYPICAL = (4, 4, 8)
+"""Iterations of the three phases of a fit that usually suffice, measured on drives of the twin: for the time left."""
+COST = (1.0, 2.5, 6.0)
+"""Relative duration of their iterations, measured likewise."""
+
+
+class FitProgress:
+    """Prints a fit's messages with the time so far and an estimate of the time left.
+
+    Args:
+        now: steady clock, s.
+        out: prints a line.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic, out: Callable[[str], None] = say) -> None:
+        self._now, self._out = now, out
+        self._began = self._phase_began = now()
+        self._phase, self._iterations = 0, 0
+        self._unit = 0.0
+
+    def __call__(self, line: str) -> None:
+        """Print a message of the fit."""
+        now = self._now()
+        if line.startswith("phase "):
+            self._phase, self._iterations, self._phase_began = int(line.split()[1]), 0, now
+        elif line.startswith("iteration ") and self._phase:
+            self._iterations += 1
+            # Seconds of an iteration of the first phase, from the present phase.
+            self._unit = (now - self._phase_began) / self._iterations / COST[self._phase - 1]
+        left = self.seconds_left()
+        self._out(
+            f"[{duration(now - self._began)}] {line}" + ("" if left is None else f"; about {duration(left)} left")
+        )
+
+    def seconds_left(self) -> float | None:
+        """Estimated seconds left; None before the first iteration."""
+        if not self._unit:
+            return None
+        at_least_one = max(TYPICAL[self._phase - 1] - self._iterations, 1)
+        rest = zip(TYPICAL[self._phase :], COST[self._phase :], strict=True)
+        return self._unit * (at_least_one * COST[self._phase - 1] + sum(count * cost for count, cost in rest))
+
+
+def fit_twin(paths: list[Path], out: Path, start: Path | None, *, window: float, evaluations: int) -> Result:
+    """Fit the twin to recorded drives; writes the parameter file and, beside it, `fit.png`.
+
+    Raises:
+        ds_twin_donkey.windows.FitError: the drives are too short, or determine no parameter.
+        Interrupted: the user stopped it; nothing is written.
+    """
+    from ds_twin_donkey.fit import FitSettings, fit
+    from ds_twin_donkey.fit_picture import draw_fit
+    from ds_twin_donkey.logs import read_log
+    from ds_twin_donkey.parameter_file import document_of, read_parameters, write_parameters
+
+    logs = [read_log(path) for path in paths]
+    begin = read_parameters(start)[0] if start else None
+    out.parent.mkdir(parents=True, exist_ok=True)
+    drives = [drive for log in logs for drive in log.drives]
+    try:
+        found = fit(drives, begin, FitSettings(window_seconds=window, max_evaluations=evaluations), FitProgress())
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    for name, ratio in found.misfit.items():
+        if ratio > MISFIT:
+            say(
+                f"warning: {name}: the residuals are {ratio:.1f} times the noise of the drives: "
+                "the model does not follow them, and the intervals are too narrow"
+            )
+    document = document_of(found, logs)
+    write_parameters(out, document)
+    picture = out.parent / "fit.png"
+    draw_fit(found, picture)
+    document |= {"file": str(out), "picture": str(picture)}
+
+    def show() -> None:
+        table = Table("parameter", "value", "95 % interval", "unit", "")
+        for name, row in document["parameters"].items():
+            if row["status"] != "held":
+                interval = " to ".join(f"{value:.4g}" for value in row.get("interval_95", []))
+                table.add_row(name, f"{row['value']:.4g}", interval, row["unit"], row["status"])
+        Console().print(table)
+        print(f"{out}\n{picture}")
+
+    return Result(document=document, show=show)
+
+
+@twin_app.command("fit")
+def twin_fit_command(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Bags and Donkey Car tubs of recorded drives.")],
+    out: Annotated[Path, typer.Option(help="Parameter file to write; fit.png goes beside it.")] = Path(
+        "parameters.yaml"
+    ),
+    start: Annotated[Path | None, typer.Option(help="Parameter file to start from; nominal if left out.")] = None,
+    window: Annotated[float, typer.Option(min=1.0, max=30.0, help="Length of a fitted window, s.")] = 10.0,
+    evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of the model per round at most.")] = 40,
+    as_json: JsonFlag = False,
+) -> None:
+    """Fit the digital twin's parameters to recorded drives.
+
+    `--sim donkey@FILE` then drives with them.
+    """
+    answer(fit_twin(logs, out, start, window=window, evaluations=evaluations), as_json)

@@ -1,0 +1,222 @@
+"""The verbs of `ds`: the overview that `ds --help` prints, and tab completion.
+
+Standard library only: both have to work before anything is installed, and at once. The completion scripts ask `ds`
+itself for candidates, through the protocol of typer: `_DS_COMPLETE` names the shell.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+PACKAGE = "ds_cli"
+
+
+class Verb(NamedTuple):
+    """A verb of `ds`.
+
+    Attributes:
+        name: as typed.
+        module: module of this package that defines it, imported on first use.
+        summary: one line, the first of its help text.
+        verbs: names of the verbs within a verb such as `bag`; empty for a plain one.
+    """
+
+    name: str
+    module: str
+    summary: str
+    verbs: tuple[str, ...] = ()
+
+
+GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
+    (
+        "Drive",
+        (
+            Verb("drive", "drives", "Drive one road with one driver on one simulator."),
+            Verb("assess", "networks", "Measure how many unseen roads a network completes on each simulator."),
+            Verb("sensitivity", "drives", "Find how strong each operating condition must be for a driver to fail."),
+            Verb("serve", "serving", "Serve a simulator to clients of another one's protocol.", ("donkey",)),
+            Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
+        ),
+    ),
+    (
+        "Test",
+        (
+            Verb("demo", "campaign.group", "Run a small campaign with the shipped network, from search to report."),
+            Verb(
+                "campaign",
+                "campaign.group",
+                "Prepare, run, resume, inspect and compare campaigns.",
+                ("init", "run", "resume", "status", "roads", "compare", "export"),
+            ),
+            Verb("runs", "campaign.group", "List the campaigns below a folder."),
+            Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
+            Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
+            Verb("maps", "maps", "Show a campaign's feature maps as coloured grids."),
+            Verb(
+                "evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."
+            ),
+            Verb(
+                "predict",
+                "prediction.predict",
+                "Predict where a car, or a simulator that was never driven, fails.",
+            ),
+            Verb(
+                "real",
+                "prediction.real",
+                "Choose, record and use a few drives on a real car.",
+                ("propose", "record", "update"),
+            ),
+            Verb("report", "campaign.group", "Rebuild a campaign's maps, tables and HTML report."),
+        ),
+    ),
+    (
+        "Roads and recordings",
+        (
+            Verb(
+                "road",
+                "roads",
+                "Generate, mirror, check, draw, export and import roads.",
+                ("generate", "mirror", "check", "show", "export", "import"),
+            ),
+            Verb(
+                "bag",
+                "bags.group",
+                "Inspect, replay, re-simulate, pack and repair rosbag2 recordings.",
+                ("info", "recover", "replay", "redrive", "drive", "pack", "unpack"),
+            ),
+        ),
+    ),
+    (
+        "Networks and the twin",
+        (
+            Verb("collect", "networks", "Collect labelled driving data with the autopilot."),
+            Verb("import", "networks", "Import recorded drives of a real car into a data set."),
+            Verb("train", "networks", "Train one network for all simulators of a data set."),
+            Verb("models", "networks", "List the shipped networks and their success rates."),
+            Verb(
+                "sim2real",
+                "sim2real",
+                "Make simulated images look like photographs of a real track.",
+                ("train", "show", "assess", "translate", "reality"),
+            ),
+            Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
+        ),
+    ),
+    (
+        "This installation",
+        (
+            Verb("doctor", "", "Check the installation and print the command that fixes each problem."),
+            Verb("completion", "", "Print the tab completion script for bash, zsh or fish."),
+        ),
+    ),
+)
+"""Heading of each group -> its verbs, in the order of the overview."""
+
+VERBS = {verb.name: verb for _, verbs in GROUPS for verb in verbs}
+
+
+def overview(*, colour: bool = False) -> str:
+    """The text of `ds --help`.
+
+    Args:
+        colour: set headings and names in bold with ANSI escapes.
+    """
+
+    def bold(text: str) -> str:
+        return f"\033[1m{text}\033[0m" if colour else text
+
+    width = max(map(len, VERBS)) + 4
+    lines = [
+        f"{bold('Usage:')} ds VERB [OPTIONS] [ARGUMENTS]",
+        "",
+        "Test a driving network on digital siblings: several cheap simulators that together",
+        "predict how it drives on a digital twin of the real car.",
+    ]
+    for heading, verbs in GROUPS:
+        lines += ["", bold(f"{heading}:")]
+        for verb in verbs:
+            summary = verb.summary + (f" Verbs: {', '.join(verb.verbs)}." if verb.verbs else "")
+            first, *rest = textwrap.wrap(summary, 88 - width)
+            lines.append(f"  {bold(verb.name)}{' ' * (width - 2 - len(verb.name))}{first}")
+            lines += [" " * width + line for line in rest]
+    lines += [
+        "",
+        bold("Options:"),
+        f"  {'-h, --help':<{width}}Show this overview, or with a verb its arguments and options.",
+        f"  {'--version':<{width}}Show the version.",
+        "",
+        "Results go to standard output (with --json as one JSON document), progress to standard",
+        "error. Exit status: 0 done, 1 a run ended in an error, 2 bad input, 3 a pass criterion such",
+        "as --fail-on is not met.",
+    ]
+    return "\n".join(lines)
+
+
+def uses_colour() -> bool:
+    """True if standard output is a terminal that wants colours (https://no-color.org)."""
+    return sys.stdout.isatty() and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb"
+
+
+COMPLETION_VARIABLE = "_DS_COMPLETE"
+"""Environment variable in which a shell asks for candidates."""
+
+_BASH = """\
+_ds_completion() {
+    local IFS=$'\\n'
+    COMPREPLY=( $( env COMP_WORDS="${COMP_WORDS[*]}" COMP_CWORD=$COMP_CWORD _DS_COMPLETE=complete_bash \\
+        DS 2>/dev/null ) )
+    return 0
+}
+complete -o default -F _ds_completion ds ./ds
+"""
+_ZSH = """\
+#compdef ds
+_ds_completion() {
+  eval $(env _TYPER_COMPLETE_ARGS="${words[1,$CURRENT]}" _DS_COMPLETE=complete_zsh DS 2>/dev/null)
+}
+compdef _ds_completion ds ./ds
+"""
+_FISH = """\
+complete --command ds --no-files --arguments "(env _DS_COMPLETE=complete_fish \
+_TYPER_COMPLETE_FISH_ACTION=get-args _TYPER_COMPLETE_ARGS=(commandline -cp) DS 2>/dev/null)" \
+--condition "env _DS_COMPLETE=complete_fish _TYPER_COMPLETE_FISH_ACTION=is-args \
+_TYPER_COMPLETE_ARGS=(commandline -cp) DS 2>/dev/null"
+"""
+SCRIPTS = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
+_COMPLETION_HELP = """\
+Usage: ds completion bash|zsh|fish
+
+Print the tab completion script of a shell. For this session:
+
+  bash, zsh:  source <(./ds completion bash)
+  fish:       ./ds completion fish | source
+
+For every session, add that line to ~/.bashrc, ~/.zshrc or ~/.config/fish/config.fish, with the
+path of this checkout's `ds`."""
+
+
+def completion(arguments: Sequence[str], program: Path | None) -> int:
+    """Print the script of a shell.
+
+    Args:
+        arguments: of `ds completion`.
+        program: the checkout's `ds`; None calls the one on the PATH.
+
+    Returns:
+        Exit status: 0, or 2 for another shell.
+    """
+    if list(arguments) in (["-h"], ["--help"]):
+        print(_COMPLETION_HELP)
+        return 0
+    if len(arguments) != 1 or arguments[0] not in SCRIPTS:
+        given = " ".join(arguments) or "no shell"
+        print(f"error: ds completion: {given}, expected one of {', '.join(SCRIPTS)}", file=sys.stderr)
+        return 2
+    print(SCRIPTS[arguments[0]].replace("DS 2>", f"{shlex.quote(str(program)) if program else 'ds'} 2>"), end="")
+    return 0

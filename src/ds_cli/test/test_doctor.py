@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import json
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from ds_cli import doctor
+from ds_cli.doctor import Check
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+def by_name(checks: list[Check]) -> dict[str, Check]:
+    return {check.name: check for check in checks}
+
+
+def test_an_old_python_without_a_compiler_gets_the_commands_to_type() -> None:
+    checks = by_name(doctor.check_system(version=(3, 10), which=lambda _: None))
+    assert not checks["Python"].ok
+    assert "3.10" in checks["Python"].detail
+    assert not checks["C++ compiler"].ok
+    assert checks["C++ compiler"].fix.endswith("apt-get install -y g++")
+
+
+def test_passing_checks_need_no_fix() -> None:
+    checks = doctor.check_system(version=(3, 12), which=lambda name: f"/usr/bin/{name}")
+    assert all(check.ok != bool(check.fix) for check in checks)
+    assert by_name(checks)["C++ compiler"].detail == "/usr/bin/c++"
+
+
+@pytest.mark.parametrize("imports", [False, True])
+def test_libraries_are_looked_up_and_keep_standard_output_clean(
+    capfd: pytest.CaptureFixture[str], imports: bool
+) -> None:
+    wanted = {"numpy": "numpy", "no-such-thing": "no_such_thing"}
+    found = doctor.look_up(Path(sys.executable), wanted, imports=imports)
+    version, problem = found["numpy"]
+    assert not problem and version.split(".")[0].isdigit()
+    assert "no_such_thing" in found["no-such-thing"][1]
+    assert capfd.readouterr().out == ""
+
+
+def test_an_installed_library_that_cannot_be_imported_is_found_by_importing_it(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text("raise OSError('libbroken.so: cannot open shared object file')\n")
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={tmp_path} exec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    assert "libbroken.so" in doctor.look_up(python, {"broken": "broken"}, imports=True)["broken"][1]
+
+
+def test_a_missing_renderer_is_no_problem_but_named() -> None:
+    def no_library(name: str) -> object:
+        raise OSError(f"{name}: cannot open shared object file")
+
+    found = doctor.check_renderer(no_library)
+    assert found.ok and "libEGL.so.1" in found.detail and "apt-get install -y libegl1" in found.detail
+
+
+def test_a_healthy_environment_passes() -> None:
+    """The environment of the tests: every library has its pinned version, and its module the right name."""
+    pins = doctor.read_pins(REPOSITORY / "requirements/project.txt")
+    owners = metadata.packages_distributions()
+    modules = {name: doctor.module_of(name) for name in pins}
+    for name, module in modules.items():
+        found = {owner.lower().replace("-", "_") for owner in owners.get(module, [])}
+        assert name.replace("-", "_") in found, f"{module} does not belong to {name}"
+    checks = doctor.check_libraries(pins, doctor.look_up(Path(sys.executable), modules))
+    assert [check for check in checks if not check.ok] == []
+
+
+def test_no_advice_deletes_the_environment() -> None:
+    (check,) = doctor.check_libraries({"torch": "2.13.0"}, {"torch": ("", "no module torch")})
+    assert check.fix == "rm -rf .venv/.setup && make setup"
+
+
+def test_an_interpreter_that_dies_is_reported_for_each_library(tmp_path: Path) -> None:
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\nexit 139\n")
+    broken.chmod(0o755)
+    assert "139" in doctor.look_up(broken, {"numpy": "numpy"})["numpy"][1]
+
+
+@pytest.mark.parametrize(
+    ("installed", "ok"), [(("2.13.0+cpu", ""), True), (("2.14.0", ""), False), (("", "no module"), False)]
+)
+def test_a_library_must_have_the_pinned_version(installed: tuple[str, str], ok: bool) -> None:
+    (check,) = doctor.check_libraries({"torch": "2.13.0"}, {"torch": installed})
+    assert check.ok is ok
+    assert bool(check.fix) is not ok
+
+
+@pytest.mark.parametrize(
+    ("installed", "ok", "told"),
+    [
+        (("2026.4.1-22982-releases", ""), True, "2026.4.1"),
+        (("", "no module"), True, "not installed; optional"),
+        (("2025.1", ""), False, "2026.4.1 is pinned"),
+    ],
+)
+def test_an_extra_may_be_absent_but_not_another_version(installed: tuple[str, str], ok: bool, told: str) -> None:
+    (check,) = doctor.check_extras({"openvino": "2026.4.1"}, {"openvino": installed})
+    assert check.ok is ok and told in check.detail and bool(check.fix) is not ok
+
+
+def test_pins_are_those_of_the_direct_requirements() -> None:
+    pins = doctor.read_pins(REPOSITORY / "requirements/project.txt")
+    assert pins["torch"] == "2.13.0"
+    assert "sympy" not in pins
+
+
+def test_torn_weights_are_noticed(tmp_path: Path) -> None:
+    file = tmp_path / "dave2.safetensors"
+    assert "missing" in doctor.check_weights(file).detail
+    file.write_bytes(b"version https://example.invalid/pointer")
+    assert "truncated" in doctor.check_weights(file).detail
+    file.write_bytes(bytes(doctor.SMALLEST_WEIGHTS))
+    assert doctor.check_weights(file).ok
+
+
+def test_without_an_environment_the_answer_is_make_setup(tmp_path: Path) -> None:
+    checks = by_name(doctor.diagnose(tmp_path))
+    assert checks["environment"] == Check("environment", False, ".venv is not there yet", "make setup")
+
+
+def test_json_is_one_document(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(doctor, "repository", lambda: tmp_path)
+    assert doctor.main(["--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert document["ok"] is False
+    assert {"name", "ok", "detail", "fix"} == set(document["checks"][0])
+
+
+def test_an_unknown_argument_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert doctor.main(["--yaml"]) == 2
+    assert "--yaml" in capsys.readouterr().err

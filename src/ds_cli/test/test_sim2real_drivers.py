@@ -1,0 +1,91 @@
+"""Drivers that see translated images, in campaigns and elsewhere: checked at the start, and sent to other machines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ds_analysis.paper.campaign_evaluation import network_of
+from ds_analysis.paper.open_loop import predict
+from ds_driver.data.dataset import drive_path, keep_import, write_drive
+from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
+from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
+from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.torch_networks import make_network, save_weights
+from ds_driver.sim2real.generator_file import load_generator, save_generator
+from ds_driver.sim2real.networks import Generator
+from ds_driver.sim2real.shape import GeneratorShape
+from ds_driver.sim2real.window import Window
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.engines.parcel import parcel_of
+from ds_orchestrator.engines.preflight import check_driver
+from ds_sim.camera.encodings import jpeg
+
+SHAPE = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network that was trained on translated images of bullet, and its generator beside it."""
+    folder = tmp_path_factory.mktemp("network")
+    path, window = folder / "sim2real" / "bullet.safetensors", Window(54, 160, 0, 320)
+    path.parent.mkdir()
+    torch.manual_seed(1)
+    tensors = {name: value.numpy() for name, value in Generator(SHAPE).state_dict().items()}
+    save_generator(path, tensors, simulator="bullet", shape=SHAPE, window=window, real_window=window)
+    digests = {"bullet": load_generator(path).sha256}
+    save_weights(make_network("dave2"), folder / "net.safetensors", architecture="dave2", generators=digests)
+    return folder / "net.safetensors"
+
+
+def test_a_simulator_without_a_generator_is_noticed_before_anything_is_driven(weights: Path) -> None:
+    check_driver(str(weights), ["bullet"])
+    with pytest.raises(DriverError, match="no generator for images of donkey"):
+        check_driver(str(weights), ["bullet", "donkey"])
+    check_driver(f"{weights}+none", ["bullet", "donkey"])
+
+
+def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
+    short = CampaignConfig(driver="dave2@onnx", sim2real="some/folder")  # type: ignore[arg-type]
+    assert short == CampaignConfig(driver="dave2+some/folder@onnx") and short.identity() != CampaignConfig().identity()
+    assert network_of(short) == ("dave2", "real") == network_of(CampaignConfig(driver=str(weights)))
+    assert network_of(CampaignConfig()) == ("dave2", "sim") == network_of(CampaignConfig(driver="dave2+none"))
+    for driver in ("autopilot", "dave2+other"):
+        with pytest.raises(ValueError, match="leave sim2real out"):
+            CampaignConfig(driver=driver, sim2real="some/folder")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("driver", ["{0}", "{0}@onnx", "dave2+{1}", "{0}+none", "dave2_short+{1}@onnx"])
+def test_another_machine_gets_the_generators_of_a_driver(weights: Path, tmp_path: Path, driver: str) -> None:
+    name = driver.format(weights, weights.parent / "sim2real")
+    parcel = parcel_of(name, ["bullet"])
+    parcel.unpack(tmp_path)
+    there = parcel.name_there(name, tmp_path)
+    assert there != name and str(weights.parent) not in there
+    assert driver_sha256(there) == driver_sha256(name) == parcel.driver_sha256
+    assert there.endswith("@onnx") == name.endswith("@onnx") and there.endswith("+none") == name.endswith("+none")
+
+
+def test_images_of_a_data_set_are_translated_unless_they_are_already(weights: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    image = np.asarray(np.kron(rng.integers(0, 256, (20, 40, 3)), np.ones((8, 8, 1))), np.uint8)
+    for folder in ("plain", "translated"):
+        row: dict[str, object] = {
+            "image": jpeg(image), "steering": 0.5, "speed": 1.0, "step": 0, "simulator": "bullet", "road_id": "r",
+            "direction": "forward",
+        }  # fmt: skip
+        write_drive(drive_path(tmp_path / folder, "bullet", "r", "forward"), [row])
+    keep_import(tmp_path / "translated", "bullet", {"sim2real": "0"})
+    found = {
+        name: float(predict(tmp_path / name, str(weights), lambda done, total, line: None)["bullet"].answered[0])
+        for name in ("plain", "translated")
+    }
+    from ds_driver.data.dataset import decode
+
+    driver, seen = NetworkDriver(str(weights)), decode(jpeg(image))
+    assert found["plain"] == pytest.approx(driver.steering(seen, Crop(54, 0), "bullet"))
+    assert found["translated"] == pytest.approx(driver.steering(seen, Crop(), NOT_SIMULATED))
+    assert found["plain"] != found["translated"]

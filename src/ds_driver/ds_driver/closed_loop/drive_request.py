@@ -1,0 +1,71 @@
+"""One drive as it is asked for, of this process, of others on this machine, or of other machines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ds_road import Road
+from ds_road.files import road_from_json, road_to_json
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.text import from_json, to_json
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome, Reason
+
+AUTOPILOT = "autopilot"
+
+
+@dataclass(frozen=True)
+class DriveRequest:
+    """One road to drive.
+
+    Attributes:
+        simulator: name known to `ds_sim.registry`.
+        driver: `autopilot`, or any name accepted by `ds_driver.networks.network_driver.NetworkDriver`.
+        road: road to drive.
+        seed: seed of the run.
+        conditions: operating conditions of the run.
+        probed: measure the contrast of the lines; see `ds_sim.gates`.
+    """
+
+    simulator: str
+    driver: str
+    road: Road
+    seed: int
+    conditions: Conditions = DEFAULT
+    probed: bool = False
+
+    def ended(self, outcome: Outcome, message: str, reason: Reason = Reason.NONE) -> RunRecord:
+        """Make the record of a drive that ended without a frame."""
+        return RunRecord(
+            road=self.road, seed=self.seed, conditions=self.conditions, outcome=outcome, message=message, reason=reason
+        )
+
+
+def request_to_json(request: DriveRequest) -> dict[str, Any]:
+    """Convert a request to a JSON value."""
+    return {
+        "simulator": request.simulator,
+        "driver": request.driver,
+        "road": road_to_json(request.road),
+        "seed": request.seed,
+        "conditions": to_json(request.conditions),
+        "probed": request.probed,
+    }
+
+
+def request_from_json(value: Mapping[str, Any]) -> DriveRequest:
+    """Convert what `request_to_json` made to an equal request.
+
+    Raises:
+        ValueError: the road or the conditions cannot be.
+    """
+    return DriveRequest(
+        simulator=value["simulator"],
+        driver=value["driver"],
+        road=road_from_json(value["road"]),
+        seed=value["seed"],
+        conditions=from_json(value["conditions"]),
+        probed=value["probed"],
+    )

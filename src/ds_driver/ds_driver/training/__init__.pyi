@@ -1,3 +1,0 @@
-from .trainer import TrainingError, TrainingPlan, train
-
-__all__ = ["TrainingError", "TrainingPlan", "train"]

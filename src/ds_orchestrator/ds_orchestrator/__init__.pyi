@@ -1,0 +1,84 @@
+from .campaign.campaign_data import CampaignData, read_campaign
+from .campaign.config import CampaignConfig, ConfigError, OperatorsConfig, SearchConfig, parse_config, read_config
+from .campaign.drive_settings import DriveSettings
+from .campaign.engine import Engine
+from .campaign.executor import CampaignError, Executor, Listener, Stopped
+from .campaign.folder import config_of, open_store, prepare_folder
+from .campaign.runner import Campaign
+from .campaign.status import Stage, stages_of
+from .engines.drive_tests import GivenDrives, Progress, drive_tests
+from .maps.algebra import merge, pool, union
+from .maps.campaign_maps import MapPlan, build_maps
+from .maps.feature_map import FeatureMap, MapCell
+from .maps.frame import maps_frame
+from .maps.map_id import MapId, map_ids
+from .maps.merge_operators import OPERATORS, MergeOperator, jeffreys_interval
+from .search.algorithms import SEARCHES, DeepHyperion, DeepHyperionCS, RandomSearch
+from .search.archive import Archive, Elite
+from .search.base import Candidate, Search, SearchSettings
+from .search.condition_space import ConditionSpace, SearchedCondition
+from .search.features import FEATURES, Cell, cell_of, feature_of
+from .store.folder_files import LockError, locked
+from .store.model import Execution, Test
+from .store.sqlite_file import StoreError
+from .store.store import Store
+
+__all__ = [
+    "Archive",
+    "Campaign",
+    "CampaignConfig",
+    "CampaignData",
+    "CampaignError",
+    "Candidate",
+    "Cell",
+    "ConditionSpace",
+    "ConfigError",
+    "DeepHyperion",
+    "DeepHyperionCS",
+    "DriveSettings",
+    "Elite",
+    "Engine",
+    "Execution",
+    "Executor",
+    "FEATURES",
+    "FeatureMap",
+    "GivenDrives",
+    "Listener",
+    "LockError",
+    "MapCell",
+    "MapId",
+    "MapPlan",
+    "MergeOperator",
+    "OPERATORS",
+    "OperatorsConfig",
+    "Progress",
+    "RandomSearch",
+    "SEARCHES",
+    "Search",
+    "SearchConfig",
+    "SearchSettings",
+    "SearchedCondition",
+    "Stage",
+    "Stopped",
+    "Store",
+    "StoreError",
+    "Test",
+    "build_maps",
+    "cell_of",
+    "config_of",
+    "drive_tests",
+    "feature_of",
+    "jeffreys_interval",
+    "locked",
+    "map_ids",
+    "maps_frame",
+    "merge",
+    "open_store",
+    "parse_config",
+    "pool",
+    "prepare_folder",
+    "read_campaign",
+    "read_config",
+    "stages_of",
+    "union",
+]

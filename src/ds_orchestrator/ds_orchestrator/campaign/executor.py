@@ -1,0 +1,269 @@
+"""Executes tests on simulators: takes known outcomes from the store, and drives what is missing with an engine."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
+from itertools import zip_longest
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_bags.run_writer import write_bag
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import Engine
+from ds_orchestrator.campaign.gatekeeper import GateError, Gatekeeper
+from ds_orchestrator.store import rows
+from ds_orchestrator.store.model import DriveArrays, Execution, Test
+from ds_orchestrator.store.store import Store
+from ds_sim.gates.gate import Gate
+from ds_sim.registry import label_of
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Reason
+
+PATIENCE = 5
+"""A simulator counts as broken after this many consecutive tests without an outcome, retries included; chosen: two or
+three may be coincidence."""
+
+
+class Stopped(Exception):
+    """Campaign that was stopped by request."""
+
+
+class CampaignError(RuntimeError):
+    """Campaign that cannot continue because a simulator is broken."""
+
+
+class Listener(Protocol):
+    """Callbacks on a campaign's progress; called from several threads."""
+
+    def stage(self, name: str) -> None:
+        """Handle the start of a stage."""
+        ...
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """Handle the expected executions: per stage, simulator -> their number, finished ones included."""
+        ...
+
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+        """Handle the end of an execution.
+
+        Args:
+            test: test that was driven.
+            simulator: name of the simulator.
+            execution: outcome; why the test is excluded there; or None if every attempt ended in an error.
+            fresh: False if the execution was read from the store.
+        """
+        ...
+
+
+class SilentListener:
+    """A listener that ignores every event."""
+
+    def stage(self, name: str) -> None:
+        """See `Listener.stage`."""
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """See `Listener.expect`."""
+
+    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+        """See `Listener.finished`."""
+
+
+class Executor:
+    """Executes tests, as many in parallel as the engine has capacity for; results do not depend on their number.
+
+    Args:
+        settings: how tests are driven.
+        folder: for bags.
+        store: finished executions are read from it, new ones added.
+        engine: drives the roads.
+        listener: receives every finished execution.
+
+    Attributes:
+        given_up: tests whose search continued without their outcome, in an earlier session.
+        failed_executions: number of executions that ended in an error after all attempts.
+    """
+
+    def __init__(self, settings: DriveSettings, folder: Path, store: Store, engine: Engine, listener: Listener) -> None:
+        self._settings = settings
+        self._folder = folder
+        self._store = store
+        self._engine = engine
+        self._listener = listener
+        self._gatekeeper = Gatekeeper(settings, store, engine)
+        self._stop = threading.Event()
+        self._lock = threading.Lock()
+        self._unlucky: dict[str, int] = dict.fromkeys(settings.simulators, 0)
+        self.given_up = store.given_up()
+        self.failed_executions = 0
+
+    def stop(self) -> None:
+        """Start no further test."""
+        self._stop.set()
+
+    def execute_all(self, work: Mapping[str, Sequence[Test]]) -> None:
+        """Execute tests.
+
+        Args:
+            work: simulator -> tests to drive there.
+
+        Raises:
+            Stopped: `stop` was called; finished executions are in the store.
+            CampaignError: a simulator gave no outcome for `PATIENCE` tests in a row; the same call goes on there.
+        """
+        self.in_parallel({name: [partial(self.execute, test, name) for test in tests] for name, tests in work.items()})
+
+    def in_parallel(self, work: Mapping[str, Sequence[Callable[[], object]]]) -> None:
+        """Run work on one thread per drive at a time; the first error stops all threads, even during a run.
+
+        Args:
+            work: simulator -> calls that execute tests there.
+        """
+        capacity = self._engine.capacity
+        if capacity is None:
+            queues, threads_each = [_queue(units) for units in work.values()], self._settings.workers
+        else:
+            # In turns, so that all simulators are busy until the end.
+            mixed = [unit for turn in zip_longest(*work.values()) for unit in turn if unit is not None]
+            queues, threads_each = [_queue(mixed)], max(1, min(capacity, len(mixed)))
+        with ThreadPoolExecutor(len(queues) * threads_each) as pool:
+            try:
+                futures = [pool.submit(self._work_off, queue) for queue in queues for _ in range(threads_each)]
+                for future in as_completed(futures):
+                    future.result()
+            except BaseException:
+                self._stop.set()
+                self._engine.stop()
+                raise
+
+    @staticmethod
+    def _work_off(units: SimpleQueue[Callable[[], object]]) -> None:
+        while True:
+            try:
+                unit = units.get_nowait()
+            except Empty:
+                return
+            unit()
+
+    def _check_stop(self) -> None:
+        if self._stop.is_set():
+            raise Stopped
+
+    def execute(self, test: Test, simulator: str) -> Execution | Gate | None:
+        """Return a test's execution on one simulator from the store, or drive it, repeating errors `retries` times.
+
+        A test by which no network can be judged there is not driven: its gate is returned.
+        """
+        self._check_stop()
+        known = self._store.execution(test.test_id, simulator) or self._store.gate(test.test_id, simulator)
+        if isinstance(known, Execution) or (known is not None and not known.is_valid):
+            self._listener.finished(test, simulator, known, fresh=False)
+            return known
+        try:
+            gate = self._gatekeeper.judge(test, simulator, check_stop=self._check_stop)
+        except GateError as error:
+            self._count_unlucky(test, simulator, error.run)
+            self._listener.finished(test, simulator, None, fresh=True)
+            return None
+        if gate is not None and not gate.is_valid:
+            return self._excluded(test, simulator, gate)
+        for attempt in range(self._settings.retries + 1):
+            self._check_stop()
+            run = self._engine.drive(
+                DriveRequest(simulator, self._settings.driver, test.road, test.seed, test.conditions)
+            )
+            if run.reason is Reason.NOT_APPLICABLE:
+                return self._excluded(test, simulator, self._gatekeeper.refused(test, simulator, run.message))
+            if run.outcome.is_error and self._stop.is_set():
+                raise Stopped
+            if run.outcome.is_verdict:
+                execution = self._keep(test, simulator, run)
+                with self._lock:
+                    self._unlucky[simulator] = 0
+                self._listener.finished(test, simulator, execution, fresh=True)
+                return execution
+            self._store.add_error(test.test_id, simulator, attempt, run.outcome, run.message)
+        self._count_unlucky(test, simulator, run)
+        self._listener.finished(test, simulator, None, fresh=True)
+        return None
+
+    def _excluded(self, test: Test, simulator: str, gate: Gate) -> Gate:
+        with self._lock:
+            self._unlucky[simulator] = 0
+        self._listener.finished(test, simulator, gate, fresh=True)
+        return gate
+
+    def _count_unlucky(self, test: Test, simulator: str, run: RunRecord) -> None:
+        """Count a test without an outcome; raise CampaignError after `PATIENCE` of them in a row."""
+        with self._lock:
+            self.failed_executions += 1
+            if test.sibling == simulator and test.test_id in self.given_up:
+                return  # the search continued without it in an earlier session
+            self._unlucky[simulator] += 1
+            if self._unlucky[simulator] < PATIENCE:
+                return
+        raise CampaignError(
+            f"{simulator} gave no outcome for {PATIENCE} tests in a row ({run.outcome.name}: {run.message}): see the "
+            "folder logs, fix the cause, and run the same command again"
+        )
+
+    def _keep(self, test: Test, simulator: str, run: RunRecord) -> Execution:
+        """Write the bag, then the store."""
+        bag = ""
+        if self._settings.record != "none":
+            bag = f"bags/{test.test_id}-on-{label_of(simulator)}"
+            driver, record = self._settings.driver, self._settings.record
+            about = {"test_id": test.test_id, "driver": driver}
+            namespace = self._settings.namespaces[simulator]
+            from ds_driver.networks.network_driver import translation_of
+
+            translate = None if record == "telemetry" else translation_of(driver, simulator)
+            write_bag(self._folder / bag, namespace, simulator, run, about, record, translate=translate)
+        execution = execution_of(test.test_id, simulator, run, bag)
+        self._store.add_execution(execution)
+        return execution
+
+
+def _queue(units: Sequence[Callable[[], object]]) -> SimpleQueue[Callable[[], object]]:
+    queue: SimpleQueue[Callable[[], object]] = SimpleQueue()
+    for unit in units:
+        queue.put(unit)
+    return queue
+
+
+def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") -> Execution:
+    """Convert a run to the form in which the store keeps it."""
+    trajectory = _trajectory_of(run)
+    return Execution(
+        test_id=test_id,
+        simulator=simulator,
+        outcome=run.outcome,
+        message=run.message,
+        fitness=run.fitness,
+        max_lateral_position=run.max_lateral_position,
+        steps=run.steps,
+        simulated_seconds=run.simulated_seconds,
+        trajectory_sha256=rows.trajectory_sha256(trajectory),
+        drive=DriveArrays(trajectory, np.array([c.steering for c in run.commands], dtype=np.float64)),
+        bag=bag,
+    )
+
+
+def trajectory_sha256(run: RunRecord) -> str:
+    """Compute the digest of a run; see `ds_orchestrator.store.rows.trajectory_sha256`."""
+    return rows.trajectory_sha256(_trajectory_of(run))
+
+
+def _trajectory_of(run: RunRecord) -> NDArray[np.float64]:
+    """Return x, y, yaw, speed and lateral position of every step, (steps + 1, 5)."""
+    values = [
+        (o.vehicle.x, o.vehicle.y, o.vehicle.yaw, o.vehicle.speed, o.lane.lateral_position) for o in run.observations
+    ]
+    return np.array(values, dtype=np.float64).reshape(-1, 5)

@@ -1,0 +1,129 @@
+"""Drives given tests with one driver, on any engine; what was driven is kept, so that a stopped run goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.executor import Executor, Listener, SilentListener, Stopped
+from ds_orchestrator.campaign.provenance import record_provenance
+from ds_orchestrator.engines.fingerprint import code_sha256
+from ds_orchestrator.engines.preflight import preflight
+from ds_orchestrator.engines.start import running_engine
+from ds_orchestrator.store.folder_files import locked
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
+from ds_sim.gates.gate import Gate
+
+DRIVES_FILE = "drives.sqlite"
+"""Store of drives of given tests; not a campaign's file, as no search can resume from it."""
+Key = tuple[str, str]
+"""Test and simulator."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Who hears how far the drives are.
+
+    Attributes:
+        listen: makes a listener, which receives every finished drive of one driver on one set of tests.
+        say: called with one line about workers that come and go.
+    """
+
+    listen: Callable[[], AbstractContextManager[Listener]] = lambda: nullcontext(SilentListener())
+    say: Callable[[str], None] = lambda line: None
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenDrives:
+    """What became of given tests.
+
+    Attributes:
+        executions: drives with a verdict.
+        excluded: tests by which no network can be judged.
+        errors: why a drive without a verdict has none.
+    """
+
+    executions: Mapping[Key, Execution] = field(default_factory=dict)
+    excluded: Mapping[Key, Gate] = field(default_factory=dict)
+    errors: Mapping[Key, str] = field(default_factory=dict)
+
+
+def drive_tests(
+    settings: DriveSettings,
+    work: Mapping[str, Sequence[Test]],
+    folder: Path,
+    progress: Progress | None = None,
+    *,
+    gates: Mapping[Key, Gate] | None = None,
+) -> GivenDrives:
+    """Drive given tests, or read from the folder what was driven before.
+
+    Args:
+        settings: how they are driven.
+        work: simulator -> tests.
+        folder: for the drives, created if missing.
+        progress: who hears of it; nobody if None.
+        gates: what is known of the tests' validity, so that the autopilot does not drive them again.
+
+    Raises:
+        ConfigError: something cannot be driven so, or the driver or a simulator's file has changed since the folder
+            began.
+        ds_orchestrator.store.sqlite_file.StoreError: the folder holds drives of another driver or of other tests.
+        ds_orchestrator.campaign.executor.Stopped: the user stopped it; what was finished is kept.
+    """
+    progress = progress or Progress()
+    preflight(settings)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        locked(folder),
+        closing(Store(folder / DRIVES_FILE, config=settings.identity())) as store,
+    ):
+        tests = {test.test_id: test for of in work.values() for test in of}
+        store.check(
+            {test.sibling for test in tests.values()}, settings.simulators,
+            runs=1 + max(test.run for test in tests.values()), budget=1 + max(test.number for test in tests.values()),
+        )  # fmt: skip
+        record_provenance(store, settings, folder)
+        if store.note("code", (code := code_sha256())) != code:
+            progress.say(f"the code has changed since {folder} began: its drives are kept, another --out has none")
+        for test in tests.values():
+            store.add_test(test)
+        for (test_id, simulator), gate in (gates or {}).items():
+            if test_id in tests and simulator in work:
+                store.add_gate(test_id, simulator, gate)
+        if _read(store, work).errors:
+            _drive(settings, work, folder, store, progress)
+        return _read(store, work)
+
+
+def _drive(
+    settings: DriveSettings, work: Mapping[str, Sequence[Test]], folder: Path, store: Store, progress: Progress
+) -> None:
+    try:
+        with (
+            running_engine(settings, logs=folder / "logs", say=progress.say) as engine,
+            progress.listen() as listener,
+        ):
+            own = {name: sum(test.sibling == name for test in of) for name, of in work.items()}
+            listener.expect([own, {name: len(of) - own[name] for name, of in work.items()}])
+            listener.stage("given tests")
+            Executor(settings, folder, store, engine, listener).execute_all(work)
+    except KeyboardInterrupt:
+        raise Stopped from None
+
+
+def _read(store: Store, work: Mapping[str, Sequence[Test]]) -> GivenDrives:
+    wanted = {(test.test_id, name) for name, tests in work.items() for test in tests}
+    executions = {(one.test_id, one.simulator): one for one in store.executions()}
+    excluded = {key: gate for key, gate in store.gates().items() if not gate.is_valid}
+    reasons = {(test, name): f"{outcome}: {message}" for test, name, _, outcome, message in store.errors()}
+    missing = wanted - set(executions) - set(excluded)
+    return GivenDrives(
+        executions={key: one for key, one in executions.items() if key in wanted and one.outcome.is_verdict},
+        excluded={key: gate for key, gate in excluded.items() if key in wanted},
+        errors={key: reasons.get(key, "not driven") for key in missing},
+    )

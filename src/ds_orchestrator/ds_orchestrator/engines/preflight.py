@@ -1,0 +1,66 @@
+"""Checks that tests can be driven as they are to be, before anything starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.graph.availability import check_ros
+from ds_sim.conditions.loading import check_applicable
+from ds_sim.conditions.model import NotApplicableError
+from ds_sim.registry import make_simulator, spec_of
+
+
+def preflight(settings: DriveSettings) -> None:
+    """Check engine, driver, simulators and conditions.
+
+    Raises:
+        ConfigError: an option does not go with the engine, or a simulator cannot realise the conditions.
+        ds_orchestrator.engines.cluster.ClusterError: the cluster's options do not go together.
+        ds_orchestrator.graph.availability.RosMissingError: the engine needs nodes, and ROS is not installed.
+        ValueError: the driver cannot be used; see `check_driver`.
+    """
+    engine = settings.engine
+    if settings.attach and engine != "graph":
+        raise ConfigError(f"engine: {engine} starts no nodes: leave out --attach, or set it to graph")
+    if settings.attach and settings.workers > 1:
+        raise ConfigError(
+            f"workers: {settings.workers} cannot be used with --attach: set it to 1, or leave out --attach"
+        )
+    if engine != "dask" and settings.cluster != ClusterOptions():
+        raise ConfigError(f"engine: {engine} uses no cluster: set it to dask (--engine dask)")
+    if engine == "graph":
+        check_ros()
+    if engine == "dask":
+        settings.cluster.check()
+    check_driver(settings.driver, settings.simulators)
+    for name in settings.simulators:
+        made = make_simulator(name)
+        made.close()
+        try:
+            check_applicable(settings.conditions, made.spec)
+        except NotApplicableError as error:
+            raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
+
+
+def check_driver(driver: str, simulators: Sequence[str]) -> None:
+    """Check a driver's name.
+
+    Args:
+        driver: name of the driver.
+        simulators: names of the simulators that it will drive.
+
+    Raises:
+        ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
+    """
+    if driver == AUTOPILOT:
+        return
+    from ds_driver.networks.network_driver import generators_of, load_pilot
+
+    load_pilot(driver)
+    generators = generators_of(driver)
+    if generators is not None:
+        generators.check(spec_of(name).name for name in simulators)

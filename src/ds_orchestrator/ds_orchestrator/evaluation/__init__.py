@@ -1,8 +1,0 @@
-"""Evaluation: the siblings' maps against the twin's, and steering errors without driving (paper 4.3).
-
-Public names are imported when they are first used; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,409 @@
+"""Drives roads through a graph of ROS nodes; every wait has a limit."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, cast
+
+import rclpy
+from action_msgs.msg import GoalStatus
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.srv import GetSimulatorInfo
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.graph.process_specs import DRIVER_PROCESS, closed_loop_process_name, simulator_process_name
+from ds_orchestrator.graph.supervisor import Supervisor
+from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.registry import spec_of
+from ds_sim.ros import conversions as messages
+from ds_sim.ros.neighbours import FEEDBACK, names_of
+from ds_sim.ros.node_thread import NodeThread
+from ds_sim.ros.runtime import init_ros
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome, Reason
+
+SERVICE_TIME = 20.0
+"""Limit for a simulator's answer to a service or a goal, s."""
+START_TIME = 90.0
+"""Limit for the start of a graph, s; includes importing libraries on a busy machine."""
+BUSY_TIME = 25.0
+"""Limit for another client's run to end, s; ROS discovery drops a killed client after 20 s."""
+QUIET, UNANSWERED = 2.0, 3
+"""Silence, s, after which a simulator that this process did not start is queried, and the number of unanswered queries
+in a row after which it counts as dead; chosen: a dead node is reported in 10 s, within which a loaded one answers."""
+QUERY_TIME = 2.5
+"""Limit for the answer to such a query, s."""
+_NUMBERS = itertools.count()
+
+
+class GraphError(RuntimeError):
+    """Graph that does not start, or holds unexpected simulators."""
+
+
+class GraphClient:
+    """Drives roads through one graph; an `Engine`.
+
+    Args:
+        namespaces: simulator name -> namespace.
+        domain: ROS domain; None for the environment's.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
+        supervisor: supervisor of the graph's processes if this process started them; dead ones are restarted before
+            the next run. None to use running nodes.
+        report: called with one line when a run has to wait for another client.
+    """
+
+    def __init__(
+        self,
+        namespaces: dict[str, str],
+        *,
+        domain: int | None,
+        command_timeout: float,
+        supervisor: Supervisor | None = None,
+        report: Callable[[str], None] = lambda _line: None,
+    ) -> None:
+        self._namespaces = dict(namespaces)
+        self._timeout = command_timeout
+        self._supervisor = supervisor
+        self._report = report
+        self._revival = threading.Lock()
+        self._renewed: dict[str, float] = {}
+        """Monotonic time of the last restart of a process, s."""
+        self._starting: set[str] = set()
+        """Restarted processes whose driver has not answered yet."""
+        self._start_time = START_TIME
+        # A separate context, because one process may drive several graphs, each in its own domain.
+        self._context = Context()
+        init_ros(context=self._context, domain_id=domain)
+        # Several clients may take turns on one simulator and find each other by these names.
+        self._node = Node(f"orchestrator_{os.getpid()}_{next(_NUMBERS)}", context=self._context)
+        self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
+        self._thread = NodeThread(self._node)
+
+    @property
+    def capacity(self) -> int | None:
+        """None: each simulator takes one drive at a time."""
+        return None
+
+    @property
+    def context(self) -> Context:
+        """ROS context in the graph's domain, for further nodes of this process."""
+        return self._context
+
+    def wait_until_ready(self, limit: float = START_TIME, *, only: str | None = None) -> None:
+        """Wait until every simulator, or only one, answers and has a driver.
+
+        Args:
+            limit: longest wait, s.
+            only: name of the only simulator to wait for; all if None.
+
+        Raises:
+            GraphError: the limit has passed; the message says what is missing.
+            ds_orchestrator.graph.supervisor.ProcessError: a process of the supervisor ended.
+        """
+        if only is None:
+            self._start_time = limit
+        deadline = time.monotonic() + limit
+        awaited = [only] if only else list(self._simulators)
+        while missing := [m for name in awaited if (m := self._simulators[name].missing())]:
+            if self._supervisor is not None:
+                self._supervisor.check({p for name in awaited for p in self._processes(name)})
+            if time.monotonic() > deadline:
+                raise GraphError(f"after {limit:.0f} s {missing[0]}: start it, in the same ROS domain")
+            if self._thread.pause(0.05):
+                return
+
+    def check_simulators(self) -> None:
+        """Check that every namespace holds the simulator that is expected there.
+
+        Raises:
+            GraphError: a namespace holds another simulator, or does not answer.
+        """
+        for name, namespace in self._namespaces.items():
+            found, expected = self.info(name).name, spec_of(name).name
+            if found != expected:
+                raise GraphError(f"{namespace} is {found}, expected {expected}: start it under another namespace")
+
+    def info(self, simulator: str) -> GetSimulatorInfo.Response:
+        """Ask a simulator's node for its description.
+
+        Raises:
+            GraphError: the node does not answer.
+        """
+        response = self._thread.ask(self._simulators[simulator].info, GetSimulatorInfo.Request(), SERVICE_TIME)
+        if response is None:
+            raise GraphError(f"{simulator} does not answer get_info within {SERVICE_TIME:.0f} s: is its node alive?")
+        return response
+
+    def execute(
+        self,
+        simulator: str,
+        road: Road,
+        seed: int,
+        conditions: Conditions | None = DEFAULT,
+        *,
+        watch: Watch | None = None,
+    ) -> RunRecord:
+        """Drive a road on a simulator; always returns, and never raises for an error in another process.
+
+        Args:
+            simulator: name of the simulator.
+            road: road to drive.
+            seed: seed of the run.
+            conditions: operating conditions of the run; None for those of the simulator's node.
+            watch: called from another thread with the simulator's feedback.
+        """
+        self._simulators[simulator].watch = watch
+        while True:
+            record = RunRecord(road=road, seed=seed, conditions=conditions or DEFAULT)
+            goal = self._goal(record, explicit=conditions is not None)
+            self._revive()
+            began = time.monotonic()
+            record.outcome, record.message = self._execute(simulator, record, goal)
+            driver = self._driver_of(simulator)
+            if record.commands and self._renewed.get(driver, -math.inf) < began:
+                self._starting -= self._processes(simulator)
+            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for(driver, began, record)):
+                break
+        if self._thread.stopped and record.outcome.is_error:
+            record.outcome = Outcome.CANCELLED
+        return record
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        """See `ds_orchestrator.campaign.engine.Engine`; the driver is that of the graph's nodes."""
+        return self.execute(request.simulator, request.road, request.seed, request.conditions, watch=watch)
+
+    def stop(self) -> None:
+        """End every wait now; active runs end as CANCELLED."""
+        self._thread.stop()
+
+    def close(self) -> None:
+        """Destroy the node and its clients."""
+        # Without destroying its node, a context stays visible in its domain until this process ends.
+        if self._thread.end():
+            for simulator in self._simulators.values():
+                simulator.drive.destroy()
+            self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def _processes(self, simulator: str) -> set[str]:
+        """Names of the processes that a run on a simulator needs."""
+        return {self._simulator_of(simulator), self._driver_of(simulator)}
+
+    def _simulator_of(self, simulator: str) -> str:
+        """Name of the process with a simulator's node; the supervisor need not run it."""
+        namespace = self._namespaces[simulator]
+        together = closed_loop_process_name(namespace)
+        known = () if self._supervisor is None else self._supervisor.names
+        return together if together in known else simulator_process_name(namespace)
+
+    def _driver_of(self, simulator: str) -> str:
+        """Name of the process with a simulator's driver; the supervisor need not run it."""
+        together = closed_loop_process_name(self._namespaces[simulator])
+        return together if self._simulator_of(simulator) == together else DRIVER_PROCESS
+
+    def _restart(self, simulator: str) -> None:
+        """Restart a simulator's process, if the supervisor runs it."""
+        if self._supervisor is not None and not self._thread.stopped:
+            with self._revival:
+                self._renew(self._simulator_of(simulator))
+
+    def _renew(self, process: str) -> None:
+        """Restart a process; the caller holds `_revival`."""
+        assert self._supervisor is not None
+        self._supervisor.restart(process)
+        self._note_restart(process)
+
+    def _note_restart(self, process: str) -> None:
+        self._renewed[process] = time.monotonic()
+        self._starting.add(process)
+
+    def _revive(self) -> None:
+        """Restart every process of the supervisor that has ended."""
+        if self._supervisor is not None:
+            with self._revival:
+                for process in self._supervisor.revive():
+                    self._note_restart(process)
+
+    def _waits_for(self, driver: str, began: float, record: RunRecord) -> bool:
+        """Check whether a restarted driver is still starting; discovery may still list the old one's publisher."""
+        renewed = self._renewed.get(driver, -math.inf)
+        patient = driver in self._starting and began - renewed < START_TIME and not self._thread.stopped
+        # A run from before the new driver, or one that the new driver answered in any way, keeps its outcome.
+        answered = bool(record.commands) or record.reason is Reason.COMMAND_REFUSED
+        return patient and renewed < began and not answered
+
+    def _renew_driver(self, simulator: str, began: float, record: RunRecord) -> None:
+        """Restart the supervisor's driver if it hangs; one that sends invalid commands does not hang.
+
+        It may drive other simulators too, whose runs lose the old process as well: they must not restart it again.
+        """
+        driver = self._driver_of(simulator)
+        if self._supervisor is None or self._thread.stopped or driver not in self._supervisor.names:
+            return
+        if record.reason is Reason.COMMAND_REFUSED or self._waits_for(driver, began, record):
+            return
+        with self._revival:
+            if self._renewed.get(driver, -math.inf) < began:
+                self._renew(driver)
+
+    def _goal(self, record: RunRecord, *, explicit: bool) -> DriveRoad.Goal:
+        """Make the goal of a run; it carries the whole test, so that another client's load_road cannot interfere."""
+        return DriveRoad.Goal(
+            road=messages.road_to_message(record.road),
+            seed=record.seed,
+            conditions=messages.conditions_to_messages(record.conditions, explicit=explicit),
+            command_timeout=self._timeout,
+        )
+
+    def _execute(self, name: str, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
+        simulator = self._simulators[name]
+        began = time.monotonic()
+        try:
+            self.wait_until_ready(self._start_time, only=name)
+        except (GraphError, RuntimeError) as error:
+            return Outcome.SIM_ERROR, str(error)
+        # A goal must not be sent twice, but a service may be called until a simulator that has just started answers.
+        limit = START_TIME if self._simulator_of(name) in self._starting else SERVICE_TIME
+        if self._thread.ask(simulator.info, GetSimulatorInfo.Request(), limit) is None:
+            self._restart(name)
+            return Outcome.SIM_ERROR, f"get_info was not answered within {limit:.0f} s"
+        result = self._drive(name, goal)
+        if isinstance(result, str):
+            return Outcome.SIM_ERROR, result
+        try:
+            _fill(record, result)
+        except ValueError as error:
+            return Outcome.SIM_ERROR, f"the result makes no sense: {error}"
+        if Outcome(result.outcome.value) is Outcome.DRIVER_SILENT:
+            self._renew_driver(name, began, record)
+        return Outcome(result.outcome.value), result.message
+
+    def _drive(self, name: str, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
+        """Send a goal and return its result, or one line on the error.
+
+        Waits for a simulator that drives for another client, and ends a run that lost its client.
+        """
+        simulator = self._simulators[name]
+        deadline, reported = time.monotonic() + BUSY_TIME, False
+        while True:
+            result = self._drive_once(name, goal)
+            if isinstance(result, str) or result.reason.value != Reason.BUSY:
+                return result
+            others = simulator.other_clients()
+            if not others:
+                self._thread.ask(simulator.reset, Trigger.Request(), SERVICE_TIME)
+            elif not reported:
+                reported = True
+                self._report(f"{simulator.namespace} drives for {', '.join(others)}: waiting {BUSY_TIME:.0f} s at most")
+            if time.monotonic() > deadline or self._thread.pause(0.5 if others else 0.2):
+                return result
+
+    def _drive_once(self, name: str, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
+        simulator = self._simulators[name]
+        simulator.alive = time.monotonic()
+        handle = self._thread.call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
+        if handle is None:
+            self._restart(name)
+            return f"the goal was not answered within {SERVICE_TIME:.0f} s"
+        if not handle.accepted:
+            return "the goal was rejected: is this simulator of another version?"
+        result = self._await_result(name, handle)
+        if result is not None:
+            return cast(DriveRoad.Result, result.result)
+        if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
+            self._thread.call(handle.cancel_goal_async, 1.0)
+        if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
+            return f"{', '.join(sorted(dead))} ended during the run"
+        self._restart(name)
+        if self._supervisor is None and not self._thread.stopped:
+            return f"{name} has not answered for {time.monotonic() - simulator.alive:.0f} s: is its node alive?"
+        return "the simulator fell silent during the run"
+
+    def _await_result(self, name: str, handle: Any) -> Any:
+        """Wait for the result of a goal; None if the simulator has shown no sign of life for too long."""
+        future = self._thread.send(handle.get_result_async, SERVICE_TIME)
+        if future is None:
+            return None
+        simulator = self._simulators[name]
+        # A slow driver may use the whole timeout for every frame between two feedback messages.
+        silence = messages.FEEDBACK_EVERY * self._timeout + SERVICE_TIME
+        while not future.done():
+            if self._thread.stopped or time.monotonic() - simulator.alive > silence:
+                return None
+            if self._supervisor is not None and self._processes(name) & set(self._supervisor.dead()):
+                return None
+            self._thread.wait(future, 0.5)
+            if self._supervisor is None and not future.done() and not self._answers(simulator):
+                return None
+        return future.result()
+
+    def _answers(self, simulator: _Simulator) -> bool:
+        """Check whether a simulator that this process did not start gives feedback or answers a query."""
+        if time.monotonic() - max(simulator.alive, simulator.answered) < QUIET:
+            return True
+        request = GetSimulatorInfo.Request()
+        for _ in range(UNANSWERED):
+            asked = time.monotonic()
+            if self._thread.call(lambda: simulator.info.call_async(request), QUERY_TIME) is not None:
+                simulator.answered = time.monotonic()
+                return True
+            if self._thread.stopped or simulator.alive > asked:
+                return True
+        return False
+
+
+class _Simulator:
+    """Clients of one simulator's node."""
+
+    def __init__(self, node: Node, namespace: str) -> None:
+        self._node = node
+        self.namespace = namespace
+        self.info = node.create_client(GetSimulatorInfo, f"{namespace}/get_info")
+        self.reset = node.create_client(Trigger, f"{namespace}/reset")
+        self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
+        self.alive = 0.0
+        """Monotonic time of the last feedback, s."""
+        self.answered = 0.0
+        """Monotonic time of the last answer to a query during a run, s."""
+        self.watch: Watch | None = None
+
+    def on_feedback(self, message: Any) -> None:
+        """Record a sign of life, and pass the feedback on."""
+        self.alive = time.monotonic()
+        if self.watch is not None:
+            feedback = message.feedback
+            self.watch(feedback.step, feedback.progress, feedback.lateral_position)
+
+    def other_clients(self) -> list[str]:
+        """Names of other nodes with a client of the simulator's action."""
+        own = self._node.get_fully_qualified_name()
+        found = self._node.get_subscriptions_info_by_topic(f"{self.namespace}/{FEEDBACK}")
+        return [name for name in names_of(found) if name != own]
+
+    def missing(self) -> str:
+        """Describe in one line what is missing for a run; "" if nothing is."""
+        if not (self.info.service_is_ready() and self.drive.server_is_ready()):
+            return f"there is no simulator in {self.namespace}"
+        if not self._node.count_publishers(f"{self.namespace}/drive"):
+            return f"there is no driver for {self.namespace}"
+        return ""
+
+
+def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
+    """Copy a simulator's result into a record."""
+    record.reason = Reason(result.reason.value)
+    record.observations = messages.observations_of(result.trajectory)
+    record.commands = messages.commands_of(result.trajectory)
+    if record.observations:
+        record.conditions = messages.conditions_from_messages(result.conditions)

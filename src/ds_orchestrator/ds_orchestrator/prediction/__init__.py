@@ -1,8 +1,0 @@
-"""Predicts failures on a simulator, or a car, that few or no tests were driven on, beside its baselines.
-
-Public names are imported when they are first used; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,0 @@
-"""Regression suites: the tests of a campaign that tell most, frozen in a file with their outcomes.
-
-Public names are imported when they are first used; `__init__.pyi` lists them.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,15 @@
+from .build import write_all
+from .findings import Findings, summarise
+from .html_report import write_report
+from .watch.campaign_reader import CampaignReader
+from .watch.server import ServerError, serve
+
+__all__ = [
+    "CampaignReader",
+    "Findings",
+    "ServerError",
+    "serve",
+    "summarise",
+    "write_all",
+    "write_report",
+]

@@ -1,0 +1,130 @@
+"""Writes a campaign's results: maps as JSON and PNG, the comparison with the twin as tables, and the report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from ds_analysis.common.table import read_tables, write_tables
+from ds_analysis.paper.campaign_evaluation import (
+    correlations_of,
+    maps_of,
+    network_of,
+    paired_differences_of,
+    tables_of,
+    write_correlations,
+)
+from ds_analysis.paper.exclusions import excluded_table
+from ds_driver import whole_files
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.folder import STAGES
+from ds_orchestrator.maps.feature_map import FeatureMap, to_json
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.store.store import Store
+from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
+
+RQ1 = Path("evaluation/rq1.json")
+"""File in which `ds evaluate --data` stores the tables of RQ1 for the report, relative to the campaign folder."""
+_RENAMED_TABLES = {"rq1_variants": "rq1_robustness_checks"}
+"""Name of a table of RQ1 in earlier versions -> present name."""
+NOT_MADE = -1
+"""Recorded as the number of executions of a result that is missing or incomplete."""
+
+
+def write_json(folder: Path, maps: Mapping[MapId, FeatureMap]) -> None:
+    """Write `maps/<name>.json` and `maps/maps.json` of a campaign folder."""
+    out, document = folder / "maps", to_json(maps)
+    for name, content in document.items():
+        whole_files.write_json(out / f"{label_of(name)}.json", content)
+    whole_files.write_json(out / "maps.json", document)
+
+
+def write_all(
+    folder: Path,
+    store: Store,
+    *,
+    data: CampaignData | None = None,
+    again: bool = True,
+    say: Callable[[str], None] = lambda line: None,
+    trusted: Collection[str] = (),
+) -> Path:
+    """Write maps, evaluation and report from a campaign's store.
+
+    Args:
+        folder: campaign folder.
+        store: store of the campaign, finished or not.
+        data: contents of the store, if already read.
+        again: write all results even if they are up to date.
+        say: called with one line for each stage.
+        trusted: user-defined simulators whose code may run; the report has no camera pictures of others.
+
+    The caller holds `ds_orchestrator.store.folder_files.locked`.
+
+    Returns:
+        Path of the report.
+    """
+    from ds_analysis.common.heatmap import write_maps
+    from ds_report.html_report import write_report
+    from ds_report.sections import answer_section, further_map, sibling_section
+
+    report = folder / "report.html"
+    count, made = store.count_results(), store.results()
+    if not again and all(made.get(stage) == count for stage in STAGES) and report.exists():
+        return report
+    data = data or read_campaign(store)
+    for execution in data.executions:
+        _ = execution.trajectory  # damage is found before anything is written
+    for name in data.config.simulators:
+        try:
+            received_simulator(name, confirmed=trusted, option="--trust")
+        except UntrustedSimulatorError as error:
+            say(f"report without its pictures: {error}")
+    began = time.monotonic()
+    maps = maps_of(data)
+    # If this process ends early, the mark remains and the results are written again.
+    for stage in STAGES:
+        store.set_result(stage, NOT_MADE)
+    say("stage: maps")
+    write_json(folder, maps)
+    write_maps(maps, folder / "maps")
+    further_maps = []
+    for axes in data.config.further_axes:
+        out, further = folder / "maps" / "_by_".join(axes), maps_of(data, features=axes)
+        write_maps(further, out)
+        whole_files.write_json(out / "maps.json", to_json(further))
+        further_maps.append(further_map(axes, further))
+    store.set_result("maps", count)
+    mapped = time.monotonic()
+    say("stage: evaluation")
+    correlations = correlations_of(data.config, maps)
+    differences = paired_differences_of(data.config, maps)
+    tables = tables_of(data.config, maps, correlations, differences)
+    write_correlations(folder, correlations)
+    siblings = sibling_section(data)
+    excluded = [excluded_table(data)] if data.excluded else []
+    write_tables([*tables, *(siblings.tables if siblings else ()), *excluded], folder / "evaluation")
+    store.set_result("evaluation", count)
+    # Keep the times of the first writing, so that rewriting gives an identical report.
+    store.note("seconds maps", f"{mapped - began:.1f}")
+    store.note("seconds evaluation", f"{time.monotonic() - mapped:.1f}")
+    data = replace(data, notes=store.notes())
+    say("stage: report")
+    # RQ1 needs a data set; its tables exist after `ds evaluate --data`.
+    of_rq1 = [replace(table, name=_RENAMED_TABLES.get(table.name, table.name)) for table in read_tables(folder / RQ1)]
+    write_report(
+        folder,
+        data,
+        maps,
+        correlations,
+        paired_differences=differences,
+        tables=[*of_rq1, *tables],
+        network=network_of(data.config),
+        siblings=siblings,
+        answer=answer_section(folder, data),
+        further_maps=further_maps,
+        trusted=trusted,
+    )
+    store.set_result("report", count)
+    return report

@@ -1,0 +1,255 @@
+"""Camera pictures of a report: one place on every simulator, and frames of the most informative drives.
+
+Drives are rendered again from the recorded path by the library's camera, without bag or physics. Roll, pitch and heave
+of the body are not in the store and are 0.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.control.autopilot import Autopilot
+from ds_driver.networks.network_driver import Translation, generators_of, translation_of
+from ds_orchestrator.store.model import Execution, Test
+from ds_report.page_data import in_words
+from ds_report.page_encoding import data_address
+from ds_report.picture_plan import moments
+from ds_sim.camera.spec import IMAGE_HEIGHT
+from ds_sim.conditions.loading import load
+from ds_sim.parts import Scene, conditions_of
+from ds_sim.registry import make_simulator, received_simulator
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, VehicleState
+
+CAMERA_PLACE = 45.0
+"""Arc length of the place that every camera shows, m; chosen: a third of a usual road."""
+SIZE = (240, 120)
+"""Columns and rows of a drive's picture; chosen: half of the network's input, the size at which it is displayed."""
+QUALITY = 60
+"""Quality of the JPEGs; chosen: 3 kB each, lines without visible fringes."""
+_CAMERA_STEPS = 600
+_THREADS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPicture:
+    """Camera picture of one simulator.
+
+    Attributes:
+        simulator: name of the simulator.
+        physics: physics model in one line, or "".
+        picture: PNG as data URI, or "" if there is none.
+        note: place of the vehicle, or why there is no picture.
+    """
+
+    simulator: str
+    physics: str = ""
+    picture: str = ""
+    note: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """Pictures of one drive.
+
+    Attributes:
+        frames: base64 of a JPEG and its caption, in order of time.
+        times: simulated time of each, s.
+        strip: indices of those that form the strip.
+        note: why there are none, or "".
+    """
+
+    frames: tuple[tuple[str, str], ...] = ()
+    times: tuple[float, ...] = ()
+    strip: tuple[int, ...] = ()
+    note: str = ""
+
+
+def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test | None:
+    """Find the test that was completed on most simulators; the first of several."""
+    completed = Counter(e.test_id for e in executions if e.outcome is Outcome.COMPLETED)
+    return max(tests, key=lambda test: completed[test.test_id], default=None)
+
+
+def camera_pictures(
+    names: Sequence[str], test: Test, trusted: Collection[str] = (), driver: str = AUTOPILOT
+) -> list[CameraPicture]:
+    """Render the same place of one road on every simulator, driven by the autopilot; below it what a driver sees."""
+    return [_camera_picture(name, test, trusted, driver) for name in names]
+
+
+def translates(driver: str) -> bool:
+    """Return whether a driver sees translated images, and its generators are there."""
+    try:
+        return generators_of(driver) is not None
+    except ValueError:  # missing generators must not prevent the report
+        return False
+
+
+def _paired(image: NDArray[np.uint8], driver: str, simulator: str) -> NDArray[np.uint8]:
+    """Put the image that the driver sees below the camera's, if it sees another one."""
+    translate = translation_of(driver, simulator) if translates(driver) else None
+    return image if translate is None else np.vstack((image, translate(image)))
+
+
+def _camera_picture(name: str, test: Test, trusted: Collection[str], driver: str) -> CameraPicture:
+    try:
+        simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
+        try:
+            reached = _drive_to(simulator, test, CAMERA_PLACE)
+            physics = simulator.spec.physics
+            image = _paired(reached.image, driver, name)
+        finally:
+            simulator.close()
+    except Exception as error:  # a missing or broken simulator must not prevent the report
+        return CameraPicture(simulator=name, note=f"no picture: {' '.join(str(error).split())}")
+    note = (
+        f"{reached.lane.arc_length:.1f} m along the lane, {_side(reached.lane.lateral_position)} of its centre, "
+        f"{3.6 * reached.vehicle.speed:.0f} km/h"
+    )
+    if reached.lane.arc_length < CAMERA_PLACE:
+        note += f"; the autopilot got no further ({in_words(reached.outcome)})"
+    return CameraPicture(simulator=name, physics=physics, picture=data_address(image), note=note)
+
+
+def _drive_to(simulator: Simulator, test: Test, place: float) -> Observation:
+    """Drive to a place of the lane, m; return the first observation there, or the last one before it."""
+    latest = load(simulator, test.road, seed=test.seed, conditions=test.conditions)
+    autopilot = Autopilot(simulator.spec.autopilot)
+    for _ in range(_CAMERA_STEPS):
+        if latest.lane.arc_length >= place or latest.outcome is not Outcome.RUNNING:
+            break
+        latest = simulator.step(autopilot.command(latest.lane.preview_lateral_position, latest.vehicle.speed))
+    return latest
+
+
+def _side(lateral_position: float) -> str:
+    """Format a lateral position: `0.42 m to the right`."""
+    return f"{abs(lateral_position):.2f} m to the {'right' if lateral_position >= 0 else 'left'}"
+
+
+def drive_pictures(
+    names: Sequence[str],
+    tests: Sequence[Test],
+    executions: Sequence[Execution],
+    trusted: Collection[str] = (),
+    driver: str = AUTOPILOT,
+    *,
+    frames: Mapping[tuple[str, str], Sequence[int]],
+) -> dict[str, list[Drive | None]]:
+    """Render drives, with what the driver sees.
+
+    Args:
+        names: simulators.
+        tests: every test, in the campaign's order.
+        executions: every execution.
+        trusted: user-defined simulators whose code may run.
+        driver: name of the driver.
+        frames: test and simulator -> frames to render; see `plan_pictures`.
+
+    Returns:
+        Test -> drive on every simulator, or None if no picture is wanted there; tests without any are left out.
+    """
+    done = {(e.test_id, e.simulator): e for e in executions}
+    shown = [test for test in tests if any((test.test_id, name) in frames for name in names)]
+    cv2.setNumThreads(1)
+    with ThreadPoolExecutor(_THREADS) as pool:
+        # A thread for each simulator: some renderers belong to one thread at a time.
+        columns = list(pool.map(lambda name: _drives_on(name, shown, done, frames, trusted, driver), names))
+    return {test.test_id: [column[k] for column in columns] for k, test in enumerate(shown)}
+
+
+def _drives_on(
+    name: str,
+    tests: Sequence[Test],
+    done: Mapping[tuple[str, str], Execution],
+    frames: Mapping[tuple[str, str], Sequence[int]],
+    trusted: Collection[str],
+    driver: str,
+) -> list[Drive | None]:
+    """Render the drives on one simulator, in the order of the tests."""
+    wanted = [(test, done[test.test_id, name] if (test.test_id, name) in frames else None) for test in tests]
+    if not any(execution for _, execution in wanted):
+        return [None] * len(tests)
+    try:
+        simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
+    except Exception as error:  # a missing or broken simulator must not prevent the report
+        return [_no_pictures(error) if execution else None for _, execution in wanted]
+    try:
+        return [
+            render_drive(simulator, name, test, execution, frames[test.test_id, name], driver) if execution else None
+            for test, execution in wanted
+        ]
+    finally:
+        simulator.close()
+
+
+def render_drive(
+    simulator: Simulator, name: str, test: Test, execution: Execution, steps: Sequence[int], driver: str
+) -> Drive:
+    """Render frames of one drive, with what the driver sees.
+
+    Args:
+        simulator: the simulator, which drives nothing at this moment.
+        name: its name.
+        test: the test.
+        execution: its execution there.
+        steps: frames to render, increasing.
+        driver: name of the driver.
+    """
+    see = partial(_paired, driver=driver, simulator=name)
+    if not isinstance(simulator, RoadSimulator):
+        return Drive(note="no pictures: this simulator renders images only while it drives")
+    try:
+        _load(simulator.scene, test)
+        frames = [_frame(simulator.scene, test.seed, execution, k, see) for k in steps]
+    except Exception as error:  # as above
+        return _no_pictures(error)
+    strip = set(moments(execution))
+    return Drive(
+        frames=tuple(frames),
+        times=tuple(round(step / FRAME_RATE, 2) for step in steps),
+        strip=tuple(index for index, step in enumerate(steps) if step in strip),
+    )
+
+
+def _load(scene: Scene, test: Test) -> None:
+    rng = np.random.default_rng(test.seed)
+    if conditions_of(scene) & test.conditions.changed.keys():
+        scene.load(test.road, rng, test.conditions)
+    else:
+        scene.load(test.road, rng)  # also of scenes that take no conditions
+
+
+def _no_pictures(error: Exception) -> Drive:
+    return Drive(note=f"no pictures: {' '.join(str(error).split())}")
+
+
+def _frame(scene: Scene, seed: int, execution: Execution, step: int, see: Translation) -> tuple[str, str]:
+    """Render one frame, and write its caption."""
+    x, y, yaw, speed, lateral = (float(v) for v in execution.trajectory[step])
+    before = float(execution.trajectory[max(step - 1, 0), 2])
+    turned = float(np.angle(np.exp(1j * (yaw - before))))
+    state = VehicleState(x=x, y=y, yaw=yaw, speed=speed, yaw_rate=turned * FRAME_RATE, steering_angle=0.0)
+    image = scene.still(state, np.random.default_rng([seed, step]))
+    side = "right" if lateral >= 0 else "left"
+    return _jpeg(see(image)), f"{step / FRAME_RATE:.1f} s, {abs(lateral):.2f} m {side}, {3.6 * speed:.0f} km/h"
+
+
+def _jpeg(image: NDArray[np.uint8]) -> str:
+    columns, rows = SIZE
+    size = (columns, rows * len(image) // IMAGE_HEIGHT)
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    assert done
+    return base64.b64encode(data.tobytes()).decode()

@@ -1,0 +1,137 @@
+"""Page of a comparison of two networks: one HTML file that opens offline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ds_analysis.common.heatmap import COLOURS, Rgb, ink_on
+from ds_analysis.comparison.analysis import CellComparison, Comparison
+from ds_analysis.comparison.drives import PairedDrive
+from ds_analysis.comparison.summary import advice_of, answer_of, cautions_of, sentences_of
+from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.search.features import feature_of
+from ds_report.html_report import environment
+from ds_report.page_encoding import data_address
+from ds_road import draw
+
+PICTURED = 12
+"""Drives with a picture; chosen: the page stays below a megabyte."""
+_SIZE = 400
+_WHITE: Rgb = (255, 255, 255)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridCell:
+    """Cell of a difference map on the page; an empty text is a cell without tests."""
+
+    text: str = ""
+    title: str = ""
+    style: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Difference map of one simulator.
+
+    Attributes:
+        title: heading.
+        across: title of the axis to the right.
+        up: title of the axis upwards.
+        columns: labels of the columns.
+        rows: label and cells of each row, the largest value first.
+    """
+
+    title: str
+    across: str
+    up: str
+    columns: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[GridCell]]]
+
+
+def write_comparison_page(
+    comparison: Comparison, path: Path, road_files: Mapping[str, str], unmet: Sequence[str] = ()
+) -> None:
+    """Write the page; the same comparison gives the same bytes.
+
+    Args:
+        comparison: the comparison.
+        path: file to write.
+        road_files: test -> file with its road, for tests that newly fail.
+        unmet: pass criteria that are not met, one sentence each.
+    """
+    worse = comparison.newly_failing
+    text = environment().get_template("comparison.html.j2").render(
+        comparison=comparison,
+        advice=advice_of(comparison),
+        answer=answer_of(comparison),
+        sentences=sentences_of(comparison),
+        cautions=cautions_of(comparison),
+        unmet=unmet,
+        grids=grids_of(comparison),
+        simulators=simulator_table(comparison),
+        cells=cell_table(comparison),
+        drives=drive_table(comparison),
+        pictures=[(drive, _picture(drive), _command(drive, comparison, road_files)) for drive in worse[:PICTURED]],
+        more=len(worse) - PICTURED,
+    )  # fmt: skip
+    write_whole(path, text)
+
+
+def grids_of(comparison: Comparison) -> list[Grid]:
+    """Difference maps, one for each simulator, and of three features one for each bin of the third."""
+    across, up, *third = (feature_of(name) for name in comparison.features)
+    groups: dict[tuple[str, tuple[int, ...]], dict[tuple[int, ...], CellComparison]] = {}
+    for one in comparison.cells:
+        groups.setdefault((one.simulator, one.cell[2:]), {})[one.cell[:2]] = one
+    # The same axes for all, so that grids compare cell by cell.
+    columns = sorted({one.cell[0] for one in comparison.cells})
+    rows = sorted({one.cell[1] for one in comparison.cells}, reverse=True)
+    return [
+        Grid(
+            title=", ".join([name, *(f"{f.title} {f.label(b)}" for f, b in zip(third, rest, strict=True))]),
+            across=across.title,
+            up=up.title,
+            columns=[across.label(column) for column in columns],
+            rows=[(up.label(row), [_grid_cell(cells.get((column, row))) for column in columns]) for row in rows],
+        )
+        for (name, rest), cells in groups.items()
+    ]
+
+
+def colour_of_difference(difference: float) -> Rgb:
+    """Colour of a difference in [-1, 1]: green where tests are fixed, white for none, red where tests newly fail."""
+    end = COLOURS[2] if difference > 0 else COLOURS[0]
+    mixed = [round(a + (b - a) * min(abs(difference), 1.0)) for a, b in zip(_WHITE, end, strict=True)]
+    return (mixed[0], mixed[1], mixed[2])
+
+
+def _grid_cell(one: CellComparison | None) -> GridCell:
+    if one is None:
+        return GridCell()
+    counts = one.counts
+    assert counts.difference is not None and counts.interval is not None
+    colour = colour_of_difference(counts.difference)
+    changes = [f"+{counts.newly_fail}"] * bool(counts.newly_fail) + [f"−{counts.fixed}"] * bool(counts.fixed)
+    low, high = counts.interval
+    return GridCell(
+        text=f"{' '.join(changes) or '0'}/{counts.tests}",
+        title=f"{counts.newly_fail} newly fail, {counts.fixed} fixed, {counts.both_fail} fail in both, of "
+        f"{counts.tests}; difference {counts.difference:+.2f}, 95 %: {low:+.2f} to {high:+.2f}; "
+        f"p = {one.p_adjusted:.2g} after Benjamini and Hochberg",
+        style="background: rgb({},{},{}); color: rgb({},{},{})".format(*colour, *ink_on(colour)),
+    )
+
+
+def _picture(drive: PairedDrive) -> str:
+    """Address of a picture of the road with both paths; "" if a path is not known."""
+    paths = {"reference": drive.reference.path, "candidate": drive.candidate.path}
+    known = {name: path for name, path in paths.items() if len(path)}
+    return data_address(draw(drive.test.road, trajectories=known, size=_SIZE, caption=False))
+
+
+def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> str:
+    file = road_files.get(drive.test.name)
+    return command_of(drive, comparison.candidate.driver, file) if file else ""

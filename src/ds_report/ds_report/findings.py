@@ -1,0 +1,275 @@
+"""Findings of a campaign in plain sentences, derived from its numbers by fixed rules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ds_analysis.common.heatmap import Value
+from ds_analysis.paper.correlation import Correlation, PairedDifference
+from ds_analysis.paper.paper_tables import cautions
+from ds_driver.networks.network_driver import sees_translated
+from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
+from ds_report.failure_region import RoadOutcomes, Share, Split, best_split, road_outcomes
+from ds_sim.conditions.model import DEFAULT, FIELDS
+from ds_sim.conditions.text import three_digits
+
+_CHANCE = 0.05
+"""p-value from which a correlation is called compatible with chance (paper 4.3.1)."""
+_WORDS = {"probability": "failure probability", "quality_loss": "quality loss"}
+NOT_TESTED = (
+    "Only the shape of the road varied between tests. Weather, light, traffic, junctions, slopes, road surface, "
+    "markings and lane width were not tested"
+)
+NOT_TESTED_EITHER = "Traffic, junctions, slopes and lane width were not tested"
+"""Where operating conditions differ between tests, or from the simulators' own."""
+TRANSLATED = (
+    "The driver saw translated images, and a generator may undo what a condition does to them, so these results say "
+    "nothing about its network on images of a real camera under such conditions. "
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """Findings of a campaign.
+
+    Attributes:
+        headline: where the driver fails and how sure that is.
+        limits: what was tested and what was not; "" if nothing was driven.
+        details: further sentences.
+    """
+
+    headline: str
+    limits: str = ""
+    details: Sequence[str] = ()
+
+
+def summarise(
+    data: CampaignData,
+    maps: Mapping[MapId, FeatureMap],
+    correlations: Sequence[Correlation],
+    *,
+    paired_differences: Sequence[PairedDifference] = (),
+) -> Findings:
+    """Summarise the findings of a campaign, finished or not.
+
+    Args:
+        data: contents of the campaign's store.
+        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
+        correlations: with the twin, empty without one.
+        paired_differences: differences between the merged map and each sibling's; they are not compared without them.
+    """
+    config = data.config
+    if not data.executions:
+        return Findings(headline="Nothing was driven yet, so there is nothing to report.")
+    outcomes = road_outcomes(data)
+    details = [_coverage(data), _failures(data), _agreement(config, maps)]
+    if config.twin and maps[MapId.merged()].cells:
+        details.append(_predicted(config, maps))
+    values: tuple[Value, ...] = ("probability", "quality_loss")
+    reasons = cautions(correlations)
+    if len(reasons) == 1 and all(c.caution for c in correlations):
+        details.append(f"No conclusion about how well the siblings predict the twin: {reasons[0]}.")
+        values = ()
+    for value in values:
+        compared = [c for c in correlations if c.value == value]
+        if compared:
+            details.append(_comparison(config, compared, [d for d in paired_differences if d.value == value], value))
+    if not config.twin:
+        details.append("This campaign has no twin, so there is nothing to compare the maps with.")
+    headline = where_it_fails(config.driver, outcomes)
+    return Findings(headline=headline, limits=_limits(config.driver, outcomes), details=details)
+
+
+def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
+    """State where the driver fails and how sure that is; see `ds_report.failure_region` for the rule."""
+    thing = "test" if outcomes.varied_conditions else "road"
+    if not outcomes.tests:
+        return f"No {thing} has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
+    total, all_of = outcomes.share, count(len(outcomes.tests), thing)
+    if not total.failures:
+        none = f"did not fail on the only {thing}" if total.roads == 1 else f"failed on none of {all_of}"
+        return f"{driver} {none} on {outcomes.where} ({_percent(total)})."
+    if total.failures == total.roads:
+        every = f"the only {thing}" if total.roads == 1 else f"all {all_of}"
+        return f"{driver} failed on {every} on {outcomes.where} ({_percent(total)}); no gentler {thing} was driven."
+    split = best_split(outcomes)
+    if split is None or not split.is_clear:
+        axes = ("the tightest bend", "the number of turns", *outcomes.varied_conditions)
+        none = f"Neither {' nor '.join(axes)} separates" if len(axes) == 2 else f"None of {_listed(axes)} separates"
+        return (
+            f"{driver} failed on {total.failures} of {all_of} on {outcomes.where} ({_percent(total)}). {none} these "
+            f"{thing}s clearly from the others."
+        )
+    harder, gentler = split.harder, split.gentler
+    others = f"{gentler.failures or 'none'} of the {gentler.roads} others"
+    return (
+        f"On {outcomes.where}, {driver} fails on {thing}s with {_harder_than(split)}: {harder.failures} of "
+        f"{harder.roads} such {thing}s failed ({_percent(harder)}), and {others} ({_percent(gentler)})."
+    )
+
+
+def radius(curvature: float) -> str:
+    """Write the radius of a curvature in 1/m: `5.6 m`, or `straight`."""
+    return f"{1.0 / curvature:.1f} m" if curvature > 0 else "straight"
+
+
+def count(number: int, thing: str, plural: str = "") -> str:
+    """Count in words: `1 cell`, `2 cells`."""
+    return f"{number} {thing if number == 1 else plural or thing + 's'}"
+
+
+def _harder_than(split: Split) -> str:
+    if split.axis == "turns":
+        return f"{split.threshold:.0f} turns or more"
+    if split.axis in FIELDS:
+        unit = f" {FIELDS[split.axis].unit}" if FIELDS[split.axis].unit else ""
+        return f"{split.axis} {three_digits(split.threshold)}{unit} or {'more' if split.is_lower_bound else 'less'}"
+    return f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
+
+
+def _percent(share: Share) -> str:
+    """Write a share with its interval: `75 %, 95 % interval 28 to 97 %`."""
+    low, high = (100 * end for end in share.interval)
+    return f"{100 * share.failures / share.roads:.0f} %, 95 % interval {low:.0f} to {high:.0f} %"
+
+
+def _limits(driver: str, outcomes: RoadOutcomes) -> str:
+    """State which roads were tested, and what was not tested."""
+    if not outcomes.tests:
+        return f"{NOT_TESTED}."
+    curvatures = [test.road.curvature for test in outcomes.tests]
+    turns = [test.road.turns_count for test in outcomes.tests]
+    low, high = min(curvatures), max(curvatures)
+    tightest = f"of {radius(high)} radius" if low == high else f"from {radius(low)} down to {radius(high)} radius"
+    number = count(min(turns), "turn") if min(turns) == max(turns) else f"{min(turns)} to {max(turns)} turns"
+    conditions = _conditions(outcomes)
+    translated = TRANSLATED if conditions and sees_translated(driver) else ""
+    rest = f"{conditions} {translated}{NOT_TESTED_EITHER}" if conditions else NOT_TESTED
+    return (
+        f"Tested: {count(len(turns), 'road')} with {number}, the tightest bend of each {tightest} ({low:.3f} to "
+        f"{high:.3f} 1/m). {rest}. Intervals take the roads as independent, which mutants of one road are not."
+    )
+
+
+def _conditions(outcomes: RoadOutcomes) -> str:
+    """Name the conditions other than the simulators' own, with their ranges; "" if there are none."""
+    named = []
+    for name, field in FIELDS.items():
+        values = {getattr(test.conditions, name) for test in outcomes.tests}
+        known = [value for value in values if value is not None]
+        if values == {getattr(DEFAULT, name)} or not known:
+            continue
+        low, high = (three_digits(end) for end in (min(known), max(known)))
+        unit = f" {field.unit}" if field.unit else ""
+        named.append(f"{name} {low if low == high else f'{low} to {high}'}{unit}")
+    return f"Conditions: {', '.join(named)}." if named else ""
+
+
+def _listed(parts: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
+
+
+def _agreement(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
+    shared = maps[MapId.merged()].cells
+    unions = [maps[MapId.union(name)].cells for name in config.siblings]
+    failing = sum(all(union[cell].probability > 0 for union in unions) for cell in shared)
+    passing = sum(all(union[cell].probability == 0 for union in unions) for cell in shared)
+    if not shared:
+        return "The siblings have no cell of the feature map in common yet, so the merged map is empty."
+    cells = count(len(shared), "cell")
+    if len(unions) == 1:
+        return f"{config.siblings[0]}, the only sibling, has failures in {failing} of {cells}."
+    return (
+        f"Of {cells} that all siblings fill, they agree on failure in {failing}, agree on no failure in {passing} and "
+        f"disagree in {len(shared) - failing - passing}."
+    )
+
+
+def _coverage(data: CampaignData) -> str:
+    config, verdicts = data.config, len(data.verdicts)
+    expected = len(data.tests) * len(config.simulators)
+    roles = _listed([*config.siblings, *([f"the twin {config.twin}"] if config.twin else [])])
+    text = f"The driver {config.driver} was given {count(len(data.tests), 'road')} to drive on {roles}"
+    if verdicts == expected:
+        return f"{text}: {count(verdicts, 'run')}, each with a verdict."
+    excluded = len(data.excluded)
+    gated = f" {excluded} {'is' if excluded == 1 else 'are'} excluded by the gates." if excluded else ""
+    some = f"{text}; {verdicts} of {count(expected, 'run')} have a verdict.{gated}"
+    if verdicts + excluded == expected:
+        return f"{some} They enter no map." if excluded > 1 else f"{some} It enters no map."
+    return f"{some} The others were not driven yet or ended in an error, and enter no map."
+
+
+def _failures(data: CampaignData) -> str:
+    parts = []
+    for name in data.config.simulators:
+        outcomes = [e.outcome.is_failure for e in data.verdicts if e.simulator == name]
+        share = f" ({100 * sum(outcomes) / len(outcomes):.0f} %)" if outcomes else ""
+        parts.append(f"{sum(outcomes)} of {len(outcomes)}{share} on {name}")
+    return f"It failed {_listed(parts)}."
+
+
+def _predicted(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
+    """State in how many of the merged map's failing cells the twin fails."""
+    twin, merged = maps[MapId.twin(config.twin or "")].cells, maps[MapId.merged()].cells
+    both = [cell for cell in merged if cell in twin]
+    alarms = [cell for cell in both if merged[cell].probability > 0]
+    right = sum(twin[cell].probability > 0 for cell in alarms)
+    missed = sum(twin[cell].probability > 0 for cell in both) - right
+    return (
+        f"Of {count(len(alarms), 'cell')} in which the merged map predicts failures, the twin fails in {right}; of "
+        f"{count(len(both) - len(alarms), 'cell')} in which it predicts none, the twin fails in {missed}."
+    )
+
+
+def _comparison(
+    config: CampaignConfig,
+    correlations: Sequence[Correlation],
+    paired_differences: Sequence[PairedDifference],
+    value: Value,
+) -> str:
+    """State how the maps of one value correlate with the twin's failures, and whether merging helped."""
+    found = {c.map: c for c in correlations}
+    merged, unions = found[MapId.merged()], [found[MapId.union(name)] for name in config.siblings]
+    subject = f"By {_WORDS[value]}"
+    if merged.r is None:
+        return f"{subject}, the merged map cannot be compared with the twin: {merged.reason}."
+    if merged.caution:
+        return f"{subject}, no conclusion about how well the siblings predict the twin: {merged.caution}."
+    siblings = _listed([f"{c.map.simulator} {_r(c)}" for c in unions])
+    numbers = (
+        f"{subject}, the merged map correlates with the failures of the twin {config.twin} with r = {merged.r:.2f}"
+    )
+    chance = (
+        f" With p = {merged.p:.2f} over {count(merged.cells, 'cell')}, this may be chance."
+        if merged.p is not None and merged.p >= _CHANCE
+        else ""
+    )
+    if any(c.r is None for c in unions):
+        return f"{numbers}; not every sibling can be compared.{chance}"
+    if len(unions) == 1:
+        return f"{numbers}; with a single sibling, its map and the merged map are the same.{chance}"
+    if merged.r <= 0:
+        verdict = ": no positive correlation, so it does not predict the twin's failures"
+    else:
+        verdict = f": {_against_siblings(paired_differences)}" if paired_differences else ""
+    return f"{numbers} ({siblings}){verdict}.{chance}"
+
+
+def _r(correlation: Correlation) -> str:
+    return "undefined" if correlation.r is None else f"{correlation.r:.2f}"
+
+
+def _against_siblings(paired_differences: Sequence[PairedDifference]) -> str:
+    """Call the merged map better or worse than a sibling only if the 95 % interval of the difference excludes 0."""
+    groups: dict[str, list[str]] = {"better than": [], "worse than": [], "not distinguishable from": []}
+    better, worse, open_ = groups.values()
+    for difference in paired_differences:
+        low, high = difference.r_interval or (0.0, 0.0)
+        (better if low > 0 else worse if high < 0 else open_).append(difference.over.simulator)
+    return _listed([f"{how} {_listed(names)} alone" for how, names in groups.items() if names])

@@ -1,0 +1,243 @@
+"""Report of a campaign: one HTML file that opens offline, with findings, maps, tests and provenance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from ds_analysis.common.table import Table
+from ds_analysis.paper.correlation import Correlation, PairedDifference
+from ds_analysis.paper.exclusions import excluded_table, exclusion_lines
+from ds_analysis.paper.paper_tables import Network, cautions
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.stage_timer import seconds_of
+from ds_orchestrator.campaign.status import stages_of
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.maps.merge_operators import jeffreys_interval
+from ds_orchestrator.store.model import Execution
+from ds_report.camera_pictures import (
+    CAMERA_PLACE,
+    camera_pictures,
+    common_test,
+    drive_pictures,
+    translates,
+)
+from ds_report.findings import count, summarise
+from ds_report.page_data import in_words, page_data
+from ds_report.picture_plan import REPLAY_PICTURES, plan_pictures
+from ds_report.plotly_figures import correlation_chart, density_chart, layouts
+from ds_report.sections import AnswerSection, FurtherMap, SiblingSection
+from ds_sim.simulator import Outcome
+
+_VERDICTS = [outcome for outcome in Outcome if outcome.is_verdict]
+_SHOWN_ERRORS = 200
+"""Rows of a list of errors; chosen: more are rarely read, and the store has all."""
+
+
+def write_report(
+    folder: Path,
+    data: CampaignData,
+    maps: Mapping[MapId, FeatureMap],
+    correlations: Sequence[Correlation],
+    *,
+    paired_differences: Sequence[PairedDifference] = (),
+    tables: Sequence[Table] = (),
+    network: Network | None = None,
+    siblings: SiblingSection | None = None,
+    answer: AnswerSection | None = None,
+    further_maps: Sequence[FurtherMap] = (),
+    trusted: Collection[str] = (),
+) -> Path:
+    """Write `report.html`; the same campaign gives the same bytes.
+
+    Args:
+        folder: campaign folder.
+        data: contents of the campaign's store, finished or not.
+        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
+        correlations: with the twin, empty without one.
+        paired_differences: differences between the merged map and each sibling's.
+        tables: tables of the evaluation.
+        network: network in the paper whose numbers are shown for comparison, or None.
+        siblings: what each sibling adds, or None.
+        answer: what is predicted of a car, or None.
+        further_maps: maps over other features than the configured ones.
+        trusted: user-defined simulators whose code may run; others have no pictures.
+
+    Returns:
+        Path of the report.
+    """
+    config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
+    place = common_test(tests, executions)
+    on_page = page_data(data, maps)
+    paired = translates(config.driver)
+    # A translated picture stands below the camera's, in an image of twice the size.
+    most = REPLAY_PICTURES // (2 if paired else 1)
+    plan = plan_pictures(tests, executions, data.cells, replays=most)
+    pictures = drive_pictures(config.simulators, tests, executions, trusted, config.driver, frames=plan.frames)
+    on_page["pictures"] = {
+        test_id: [drive and asdict(drive) for drive in drives] for test_id, drives in pictures.items()
+    }
+    on_page["paired"] = paired
+    on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
+    on_page["figures"] = _figures(config, correlations, tables, network)
+    page = environment().get_template("report.html.j2")
+    text = page.render(
+        config=config,
+        config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
+        findings=summarise(data, maps, correlations, paired_differences=paired_differences),
+        tiles=_tiles(data, correlations),
+        cameras=camera_pictures(config.simulators, place, trusted, config.driver) if place else [],
+        paired=paired,
+        camera_test=place,
+        camera_cell=data.cells.get(place.test_id, ()) if place else (),
+        camera_place=CAMERA_PLACE,
+        data=on_page,
+        plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
+        plan=plan,
+        replay_pictures=most,
+        tables=[table for table in tables if table.rows],
+        cautions=cautions(correlations),
+        of_paper=network is not None,
+        siblings=siblings,
+        answer=answer,
+        further_maps=further_maps,
+        outcomes=_outcome_table(config, executions),
+        verdicts=_VERDICTS,
+        stages=stages_of(data),
+        seconds=seconds_of(notes),
+        searches=data.searches,
+        versions={k.removeprefix("version "): v for k, v in notes.items() if k.startswith("version ")},
+        notes={k: v for k, v in notes.items() if k != "config" and not k.startswith(("version ", "seconds "))},
+        tests=len(tests),
+        simulated_seconds=sum(e.simulated_seconds for e in executions),
+        excluded=excluded_table(data) if data.excluded else None,
+        exclusions=exclusion_lines(data),
+        errors=data.errors,
+        leftover=_leftover(data),
+        shown_errors=_SHOWN_ERRORS,
+    )
+    path = folder / "report.html"
+    write_whole(path, text)
+    return path
+
+
+def environment() -> Environment:
+    """Environment of the pages' templates."""
+    environment = Environment(
+        loader=PackageLoader("ds_report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.filters["count"] = count
+    environment.filters["in_words"] = in_words
+    environment.filters["duration"] = duration
+    return environment
+
+
+def duration(seconds: float) -> str:
+    """Format a duration: `4 s`, `3 min 20 s`, `5 h 07 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.0f} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def _figures(
+    config: CampaignConfig, correlations: Sequence[Correlation], tables: Sequence[Table], network: Network | None
+) -> dict[str, Any]:
+    """Create charts by name; empty ones are left out."""
+    found = {"correlations": correlation_chart(correlations, config.siblings, network)}
+    for table in tables:
+        if table.name == "rq1_densities" and table.rows:
+            found["densities"] = density_chart(table)
+    return {name: chart for name, chart in found.items() if chart is not None}
+
+
+def _tiles(data: CampaignData, correlations: Sequence[Correlation]) -> list[tuple[str, str]]:
+    """Collect the key numbers of the first screen: value and caption."""
+    config = data.config
+    tiles = [
+        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each {_a_test(data)}"),
+        (f"{len(data.verdicts):,}", f"drive{'' if len(data.verdicts) == 1 else 's'} with a verdict"),
+    ]
+    for name in config.simulators:
+        failed = [e.outcome.is_failure for e in data.verdicts if e.simulator == name]
+        where = name + (" (twin)" if name == config.twin else "")
+        if not failed:
+            tiles.append(("–", f"no drive on {where}"))
+            continue
+        low, high = jeffreys_interval(sum(failed), len(failed))
+        ends = f"95 %: {100 * low:.0f} to {100 * high:.0f} %"
+        tiles.append(
+            (f"{100 * sum(failed) / len(failed):.0f} %", f"{sum(failed)} of {len(failed)} fail on {where}, {ends}")
+        )
+    merged = next((c for c in correlations if c.map == MapId.merged() and c.value == "probability"), None)
+    if merged is not None and merged.r is not None:
+        if merged.caution:
+            few = f"it fails in {merged.failing} of {merged.cells} cells"
+            tiles.append(("no conclusion", f"on how well the siblings predict the twin: {few}"))
+        else:
+            ends = f", 95 %: {merged.r_interval[0]:.2f} to {merged.r_interval[1]:.2f}" if merged.r_interval else ""
+            tiles.append((f"r = {merged.r:.2f}", f"merged map against the twin{ends}, over {merged.cells} cells"))
+    return tiles
+
+
+def _a_test(data: CampaignData) -> str:
+    plain = all(test.conditions.is_default for test in data.tests)
+    return "a road" if plain else "a road and its conditions"
+
+
+def _outcome_table(config: CampaignConfig, executions: Sequence[Execution]) -> list[dict[str, Any]]:
+    """Count outcomes, one row per simulator."""
+    rows = []
+    for name in config.simulators:
+        judged = [e for e in executions if e.simulator == name and e.outcome.is_verdict]
+        rows.append(
+            {
+                "simulator": name,
+                "role": "twin" if name == config.twin else "sibling",
+                "tests": len(judged),
+                "counts": Counter(e.outcome for e in judged),
+                "failed": sum(e.outcome.is_failure for e in judged),
+                "max_lateral_position": float(np.mean([e.max_lateral_position for e in judged])) if judged else None,
+                "seconds": sum(e.simulated_seconds for e in judged),
+            }
+        )
+    return rows
+
+
+def _leftover(data: CampaignData) -> list[tuple[str, str, str]]:
+    """List tests that lack an outcome: test, the simulators without one, and the reason."""
+    config = data.config
+    done = {(e.test_id, e.simulator) for e in data.executions} | set(data.excluded)
+    tried = {(test_id, simulator) for test_id, simulator, *_ in data.errors}
+    rows = []
+    for test in data.tests:
+        missing = [name for name in config.simulators if (test.test_id, name) not in done]
+        # If only elites migrate, other tests need no outcome elsewhere.
+        if config.elites_only:
+            missing = [name for name in missing if name == test.sibling or (test.test_id, name) in tried]
+        if missing:
+            failed = [name for name in missing if (test.test_id, name) in tried]
+            reason = f"every attempt ended in an error on {', '.join(failed)}" if failed else "not driven yet"
+            if test.test_id in data.given_up:
+                reason += "; the search continued without it"
+            rows.append((test.test_id, ", ".join(missing), reason))
+    return rows

@@ -1,0 +1,203 @@
+"""Data from which the report's script draws, as JSON values: maps, tests, and their lines packed cell by cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_analysis.paper.exclusions import IN_WORDS
+from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.search.features import FEET, Cell, Feature, base_of, feature_of
+from ds_orchestrator.store.model import Execution, Test
+from ds_report.findings import radius
+from ds_report.page_encoding import EVERY, UNITS, kept, pack
+from ds_report.plotly_figures import DASHES, colour_of_simulator
+from ds_sim.conditions.text import format_conditions
+from ds_sim.simulator import FRAME_RATE, Outcome
+
+
+def in_words(outcome: Outcome) -> str:
+    """Write an outcome in words: `out of bounds`."""
+    return outcome.name.lower().replace("_", " ")
+
+
+def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str, Any]:
+    """Collect the data that the page's script draws, except pictures and layouts.
+
+    `tests` holds one list per test: name, sibling, run, number, seed, road, its length (m), curvature (1/m) and turns,
+    number of its points, and one list per simulator, or None: outcome, whether it failed, fitness (m), largest lateral
+    position (m), simulated seconds, number of its points, whether its steering is known, message, bag. `lines` holds
+    one packed text per entry of `places`; see `_lines`. `conditions` has a text for every test if any has conditions,
+    `excluded` one per simulator for tests that are excluded somewhere.
+    """
+    config, tests, cells = data.config, data.tests, data.cells
+    done = {(e.test_id, e.simulator): e for e in data.executions}
+    groups: dict[Cell, list[int]] = {}
+    for index, test in enumerate(tests):
+        if test.test_id in cells:
+            groups.setdefault(cells[test.test_id], []).append(index)
+    places = sorted(groups)
+    conditions = [format_conditions(test.conditions) for test in tests]
+    return {
+        **({"conditions": conditions} if any(conditions) else {}),
+        **({"excluded": _excluded(data)} if data.excluded else {}),
+        "simulators": [
+            {
+                "name": name,
+                "role": "twin" if name == config.twin else f"sibling {index + 1}",
+                "colour": colour_of_simulator(index),
+                "dash": DASHES[index % len(DASHES)],
+            }
+            for index, name in enumerate(config.simulators)
+        ],
+        "axes": _axes(config, maps, places),
+        "groups": _groups(maps),
+        "driver": config.driver,
+        "maps": {map_id.name: _map(config, feature_map) for map_id, feature_map in maps.items()},
+        "tests": [
+            [
+                test.test_id, config.siblings.index(test.sibling), test.run, test.number, test.seed, test.road.road_id,
+                round(test.road.length, 1), round(test.road.curvature, 4), test.road.turns_count, len(test.road.points),
+                [_run(done.get((test.test_id, name))) for name in config.simulators],
+            ]
+            for test in tests
+        ],
+        "places": [[list(place), groups[place]] for place in places],
+        "lines": [_lines(config, [tests[index] for index in groups[place]], done) for place in places],
+        "lane": round(tests[0].road.lane_width, 3) if tests else 4.0,
+        "units": UNITS,
+        "frame": EVERY / FRAME_RATE,
+        "selected": _telling_cell(maps),
+    }  # fmt: skip
+
+
+def _excluded(data: CampaignData) -> dict[str, list[str]]:
+    """Test -> for every simulator why it is excluded there, or ""."""
+    found: dict[str, list[str]] = {}
+    for (test_id, simulator), gate in data.excluded.items():
+        row = found.setdefault(test_id, [""] * len(data.config.simulators))
+        row[data.config.simulators.index(simulator)] = f"{IN_WORDS[gate.state]}: {gate.message}"
+    return dict(sorted(found.items()))
+
+
+def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:
+    """Describe every axis: title, bins from the smallest to the largest filled one, and their edges.
+
+    `begins` and `radii` hold the lower edge of every bin and the upper edge of the last one, `radii` as the radius of a
+    bend, or None. `whole`: each bin is a single whole number.
+    """
+    filled = {cell for feature_map in maps.values() for cell in feature_map.cells} | set(places)
+    axes = []
+    for k, name in enumerate(config.features):
+        feature = feature_of(name)
+        bins = [cell[k] for cell in filled] or [0]
+        low, high = min(bins), max(bins)
+        axes.append(
+            {
+                "title": feature.title,
+                "low": low,
+                "begins": [feature.label(bin_) for bin_ in range(low, high + 2)],
+                "radii": _radii(feature, range(low, high + 2)),
+                "whole": feature.title.endswith("count") and feature.width == 1,
+            }
+        )
+    return axes
+
+
+def _radii(feature: Feature, bins: Sequence[int]) -> list[str] | None:
+    """Write the radius at the lower edge of each bin, m, for features of a bend; None for other features."""
+    if base_of(feature.name) == "curvature":
+        return [radius(bin_ * feature.width * feature.unit) for bin_ in bins]
+    if base_of(feature.name) == "minimum_radius":
+        return [f"{bin_ * feature.width / FEET:.1f} m" for bin_ in bins]
+    return None
+
+
+def _groups(maps: Iterable[MapId]) -> dict[str, list[str]]:
+    """Group the maps that are shown side by side."""
+    compared = compared_ids(maps)
+    merges = [map_id for map_id in maps if map_id.kind == "merged" and map_id not in compared]
+    origins = [map_id for map_id in maps if map_id.kind in ("search", "migration")]
+    groups = {"compared": compared, "merges": merges, "origins": origins}
+    return {group: [map_id.name for map_id in ids] for group, ids in groups.items()}
+
+
+def _map(config: CampaignConfig, feature_map: FeatureMap) -> dict[str, Any]:
+    """Describe one map; a cell is bins, tests, failures or None, probability, its interval or None, quality loss."""
+    return {
+        "title": feature_map.title,
+        "about": about(config, feature_map.id),
+        "cells": [
+            [
+                *cell, value.tests, value.failures, round(value.probability, 4),
+                None if value.interval is None else [round(end, 4) for end in value.interval],
+                round(value.quality_loss, 4),
+            ]
+            for cell, value in sorted(feature_map.cells.items())
+        ],
+    }  # fmt: skip
+
+
+def about(config: CampaignConfig, map_id: MapId) -> str:
+    """Explain in one line what a map of the campaign shows."""
+    simulator, origin = map_id.simulator, map_id.origin
+    if map_id.kind == "union":
+        return f"Every test, whichever sibling's search found it, driven on {simulator}."
+    if map_id.kind == "twin":
+        return f"The same tests on {simulator}, which stands for the real car: what the siblings should predict."
+    if map_id.kind == "search":
+        return f"The tests that the search on {simulator} generated, driven on {simulator} itself."
+    if map_id.kind == "migration":
+        return f"The tests that the search on {origin} generated, driven on {simulator}."
+    if map_id.operator:
+        return f"The same, merged by {map_id.operator.replace('_', ' ')} instead."
+    return (
+        f"The siblings merged ({config.operators.probability} of their failure probabilities, "
+        f"{config.operators.quality_loss} of their quality losses): high only where they agree."
+    )
+
+
+def _run(execution: Execution | None) -> list[Any] | None:
+    if execution is None:
+        return None
+    points = len(kept(len(execution.trajectory) - 1)) if len(execution.trajectory) else 0
+    return [
+        in_words(execution.outcome), int(execution.outcome.is_failure), round(execution.fitness, 3),
+        round(execution.max_lateral_position, 3), round(execution.simulated_seconds, 2), points,
+        int(points > 0 and len(execution.steering) > 0), execution.message, execution.bag,
+    ]  # fmt: skip
+
+
+def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, str], Execution]) -> str:
+    """Pack the lines of all tests of a cell, one test after the other.
+
+    For each test: x and y of the road's centre line and of its right edge (m), then for every drive x, y, lateral
+    position (m), and steering if recorded.
+    """
+    columns: list[NDArray[np.float64]] = []
+    for test in tests:
+        columns += [*test.road.points.T, *test.road.right_edge.T]
+        for name in config.simulators:
+            execution = done.get((test.test_id, name))
+            if execution is None or not len(execution.trajectory):
+                continue
+            frames = kept(len(execution.trajectory) - 1)
+            columns += [execution.trajectory[frames, k] for k in (0, 1, 4)]
+            if len(execution.steering):
+                columns.append(execution.steering[np.minimum(frames, len(execution.steering) - 1)])
+    return pack(columns)
+
+
+def _telling_cell(maps: Mapping[MapId, FeatureMap]) -> list[int] | None:
+    """Choose the cell to show first: the highest failure probability of the merged map, or else of any map."""
+    for candidates in ([maps[MapId.merged()]], list(maps.values())):
+        cells = [(value.probability, value.quality_loss, cell) for m in candidates for cell, value in m.cells.items()]
+        if cells:
+            return list(max(cells)[2])
+    return None

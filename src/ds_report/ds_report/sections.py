@@ -1,0 +1,209 @@
+"""Sections of the report: where a car fails, what each sibling adds, and maps over further features."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ds_analysis.common.heatmap import bounds_of, draw_map
+from ds_analysis.common.table import Table
+from ds_analysis.prediction.outcome_table import OutcomeTableError, table_of_campaign
+from ds_analysis.prediction.real.records import RecordError, read_drives
+from ds_analysis.prediction.real.update import margin_drives
+from ds_analysis.prediction.self_check import check_in_turn
+from ds_analysis.prediction.sources import as_population
+from ds_analysis.prediction.span import span_of
+from ds_analysis.prediction.twin_prediction import predict_twin
+from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts, judge
+from ds_analysis.siblings.analysis import analyse, analysis_tables
+from ds_analysis.siblings.outcomes import outcomes_of_campaign
+from ds_analysis.siblings.pictures import draw_failures, draw_matrix
+from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.search.features import feature_of
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_report.findings import count
+from ds_report.page_encoding import data_address
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerPanel:
+    """One map over two axes.
+
+    Attributes:
+        title: bin of a third axis, or "".
+        columns: labels of the first axis' bins.
+        rows: label of each bin of the second axis, from the largest, and its cells; None without one.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[CellVerdict | None]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerSection:
+    """What is predicted of a car, for a page.
+
+    Attributes:
+        sentence: the answer in one line; why there is none, if there are no panels.
+        reading: how to read the map.
+        warnings: whether the car is outside of what the siblings span, and which calls not to rely on.
+        axes: titles of the first two axes.
+        panels: the map; several for maps of three axes.
+    """
+
+    sentence: str
+    reading: str = ""
+    warnings: Sequence[str] = ()
+    axes: tuple[str, str] = ("", "")
+    panels: Sequence[AnswerPanel] = ()
+
+
+def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
+    """Predict the car from a campaign and its real drives; a twin counts as one more simulator.
+
+    Args:
+        folder: campaign folder.
+        data: contents of its store.
+    """
+    try:
+        drives = read_drives(folder)
+        table = as_population(table_of_campaign(data))
+        prediction = predict_twin(table)
+        prediction = prediction.updated(margin_drives(table, drives))
+    except (OutcomeTableError, RecordError, StoreError) as error:
+        return AnswerSection(sentence=f"No prediction for a car: {error}.")
+    verdicts = judge(table, prediction, tuple(data.config.features))
+    check = check_in_turn(table)
+    titles = [feature_of(name).title for name in verdicts.features]
+    return AnswerSection(
+        sentence=_sentence(verdicts, table.siblings, len(drives), sum(drive.failed for drive in drives)),
+        reading=f"{_reading(verdicts, len(drives))} {check.sentence}.",
+        warnings=[text for text in (span_of(prediction).warning, check.warning) if text],
+        axes=(titles[0], titles[1]),
+        panels=_panels(verdicts),
+    )
+
+
+def _sentence(verdicts: Verdicts, simulators: Sequence[str], drives: int, failed: int) -> str:
+    counts = verdicts.counts
+    tested = sum(counts.values()) - counts["untested"]
+    share = float(np.mean([one.probability for one in verdicts.tests]))
+    known = f"after {count(drives, 'real drive')}, {failed} failed" if drives else "without a real drive"
+    named = simulators[0] if len(simulators) == 1 else f"{', '.join(simulators[:-1])} and {simulators[-1]}"
+    fail, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
+    return (
+        f"On a car, predicted from {named} {known}: {fail} of {count(tested, 'cell')} fail{'s' if fail == 1 else ''}, "
+        f"{safe} {'is' if safe == 1 else 'are'} safe, {disputed} {'is' if disputed == 1 else 'are'} disputed; "
+        f"{100 * share:.0f} % of these tests are expected to fail."
+    )
+
+
+def _reading(verdicts: Verdicts, drives: int) -> str:
+    framed = " Framed cells were driven by the car." if drives else ""
+    tolerated, wrong = (f"{100 * rate:.0f} %" for rate in (verdicts.tolerated, ERROR_RATE))
+    return (
+        f"A cell fails if more than {tolerated} of tests like its own would fail on the car, and is safe if fewer "
+        f"would; either is meant to be wrong at most {wrong} of the time, if the car is one more simulator of this "
+        "kind. Where that cannot be said, it is disputed. Numbers: mean failure rate, 90 % interval, tests."
+        f"{framed}"
+    )
+
+
+def _panels(verdicts: Verdicts) -> list[AnswerPanel]:
+    across, up = (feature_of(name) for name in verdicts.features[:2])
+    panels = []
+    for third in sorted({one.cell[2:] for one in verdicts.cells if one.tests}):
+        cells = {one.cell[:2]: one for one in verdicts.cells if one.cell[2:] == third}
+        columns, rows = sorted({a for a, _ in cells}), sorted({b for _, b in cells}, reverse=True)
+        panels.append(
+            AnswerPanel(
+                title=", ".join(
+                    f"{feature_of(name).title} {feature_of(name).label(bin_)}"
+                    for name, bin_ in zip(verdicts.features[2:], third, strict=True)
+                ),
+                columns=[across.label(a) for a in columns],
+                rows=[(up.label(b), [cells.get((a, b)) for a in columns]) for b in rows],
+            )
+        )
+    return panels
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiblingSection:
+    """What each sibling adds, for a page.
+
+    Attributes:
+        roads: number of roads with a verdict on every simulator.
+        sentences: one line for each sibling.
+        tables: baseline, residual correlations, information.
+        pictures: title and `data:` address of each picture.
+    """
+
+    roads: int
+    sentences: Sequence[str]
+    tables: Sequence[Table]
+    pictures: Sequence[tuple[str, str]]
+
+
+def sibling_section(data: CampaignData) -> SiblingSection | None:
+    """Analyse the tests of a campaign that were driven on every simulator; None without any, or with one simulator."""
+    outcomes = outcomes_of_campaign(data)
+    if len(outcomes.simulators) < 2 or not outcomes.roads:
+        return None
+    config = data.config
+    found = analyse(outcomes, [config.twin] if config.twin else config.siblings)
+    return SiblingSection(
+        roads=len(outcomes.roads),
+        sentences=found.sentences,
+        tables=analysis_tables(found),
+        pictures=[
+            (f"Largest lateral position over {found.feature}", data_address(draw_failures(outcomes, found.feature))),
+            ("Who fails where", data_address(draw_matrix(outcomes, found.feature))),
+        ],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FurtherMap:
+    """Siblings, merged map and twin over one pair of features.
+
+    Attributes:
+        title: both features, without units.
+        folder: folder of the maps' files, relative to the campaign's.
+        pictures: of the failure probabilities, one per map: in words, which cells fail, for readers who do not see it,
+            and the picture as a `data:` address.
+    """
+
+    title: str
+    folder: str
+    pictures: Sequence[tuple[str, str]]
+
+
+def further_map(axes: tuple[str, ...], maps: Mapping[MapId, FeatureMap]) -> FurtherMap:
+    """Draw the maps of a campaign over two features.
+
+    Args:
+        axes: names of the two features.
+        maps: maps of the campaign over them.
+    """
+    across, up = (feature_of(name).title.partition(",")[0] for name in axes)
+    bounds = bounds_of(maps.values())
+    return FurtherMap(
+        title=f"{up} by {across}",
+        folder=f"maps/{'_by_'.join(axes)}",
+        pictures=[
+            (_failing(maps[map_id]), data_address(draw_map(maps[map_id], "probability", bounds=bounds)))
+            for map_id in compared_ids(maps)
+        ],
+    )
+
+
+def _failing(feature_map: FeatureMap) -> str:
+    failing = sum(cell.probability > 0 for cell in feature_map.cells.values())
+    return f"{feature_map.title}: failures in {failing} of {len(feature_map.cells)} cells"

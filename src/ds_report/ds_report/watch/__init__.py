@@ -1,0 +1,1 @@
+"""Page that shows a campaign while it runs, or after it."""

@@ -1,0 +1,154 @@
+"""Reads a campaign again and again while another process writes it; only what is new is read."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import config_of, open_store
+from ds_orchestrator.campaign.live_file import Live, read_live
+from ds_orchestrator.search.features import Cell, cell_of
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """A campaign at one moment.
+
+    Attributes:
+        data: contents of the store; executions without their trajectories.
+        cells: test -> cell, for tests that have one.
+        latest: simulator -> test that was driven there last.
+        live: what the campaign does, or None if no process works on it.
+        complete: whether everything was driven and the report is up to date.
+        at: time of reading, s since 1970.
+    """
+
+    data: CampaignData
+    cells: dict[str, Cell]
+    latest: dict[str, str]
+    live: Live | None
+    complete: bool
+    at: float
+
+
+@dataclass
+class _Known:
+    """What was read so far."""
+
+    config: CampaignConfig
+    tests: dict[str, Test] = field(default_factory=dict)
+    executions: dict[tuple[str, str], Execution] = field(default_factory=dict)
+    cells: dict[str, Cell] = field(default_factory=dict)
+    rows: tuple[int, int] = (0, 0)
+    last_test: str | None = None
+
+
+class CampaignReader:
+    """Reads the campaign in a folder, which stays as it is: nothing is written, and no lock is taken.
+
+    Args:
+        folder: campaign folder.
+        clock: s since 1970.
+
+    Raises:
+        ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or a damaged one.
+        ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
+    """
+
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.time) -> None:
+        self.folder, self._clock = folder, clock
+        with self._opened() as store:
+            self._known = _Known(config=config_of(store))
+
+    @property
+    def config(self) -> CampaignConfig:
+        """The campaign's configuration."""
+        return self._known.config
+
+    def read(self) -> Snapshot:
+        """Read what is new.
+
+        Raises:
+            ds_orchestrator.store.sqlite_file.StoreError: the file is damaged, or was replaced while it was read.
+        """
+        with self._opened() as store:
+            try:
+                self._read_new(store)
+            except StoreError:
+                self._known = _Known(config=self._known.config)
+                raise
+            known, results, count = self._known, store.results(), store.count_results()
+            latest = store.latest_executions()
+            data = CampaignData(
+                config=known.config,
+                tests=tuple(known.tests.values()),
+                executions=tuple(known.executions.values()),
+                gates=store.gates(),
+                errors=tuple(store.errors()),
+                given_up=frozenset(store.given_up()),
+                results=results,
+            )
+        # The cells were computed with the trajectories, which are not kept.
+        vars(data)["cells"] = dict(known.cells)
+        now = self._clock()
+        live = read_live(self.folder, now)
+        driven = len(known.executions) + len(data.excluded)
+        complete = known.config.elites_only or driven >= known.config.executions_at_most
+        complete = complete and results.get("report") == count
+        return Snapshot(
+            data=data,
+            cells=dict(known.cells),
+            latest={name: test_id for name, test_id in latest.items() if (test_id, name) in known.executions},
+            live=live,
+            complete=complete,
+            at=now,
+        )
+
+    def execution(self, test_id: str, simulator: str) -> tuple[Test, Execution] | None:
+        """Read one execution with its trajectory, and its test; None if there is none."""
+        test = self._known.tests.get(test_id)
+        if test is None:
+            return None
+        with self._opened() as store:
+            execution = store.execution(test_id, simulator)
+        return None if execution is None else (test, execution)
+
+    def _opened(self) -> closing[Store]:
+        return closing(open_store(self.folder))
+
+    def _read_new(self, store: Store) -> None:
+        known = self._known
+        last = store.last_rows()
+        same = store.test_of_row(known.rows[0]) == known.last_test and last[1] >= known.rows[1]
+        if not same or store.count_tests() < len(known.tests):
+            # A stopped search took back its last tests, or the folder was replaced.
+            known = self._known = _Known(config=config_of(store))
+        executions = store.executions(after=known.rows[1])
+        # Tests after executions: a test is stored before its executions.
+        known.tests |= {test.test_id: test for test in store.tests(after=known.rows[0])}
+        gates = store.gates()
+        for execution in executions:
+            test = known.tests.get(execution.test_id)
+            if test is None or execution.simulator not in known.config.simulators:
+                raise StoreError(f"{self.folder} has changed while it was read")
+            known.executions[execution.test_id, execution.simulator] = replace(execution, drive=NO_DRIVE)
+            gate = gates.get((execution.test_id, test.sibling))
+            cell = cell_of(
+                test.road,
+                execution if execution.simulator == test.sibling else None,
+                features=known.config.features,
+                maxitwo_compatible=known.config.maxitwo_compatible,
+                conditions=test.conditions,
+                visible_contrast=None if gate is None or gate.outcome is None else gate.visible_contrast,
+            )
+            if cell is not None:
+                known.cells[execution.test_id] = cell
+        known.rows, known.last_test = last, store.test_of_row(last[0])

@@ -1,0 +1,176 @@
+"""State of a watched campaign as JSON values, from which the page draws."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from ds_orchestrator.campaign.live_file import LiveDrive
+from ds_orchestrator.campaign.status import stages_of
+from ds_orchestrator.search.features import feature_of
+from ds_orchestrator.store.model import Execution, Test
+from ds_report.page_data import in_words
+from ds_report.plotly_figures import DASHES, colour_of_simulator
+from ds_report.watch.campaign_reader import Snapshot
+
+_OUTLINE = 250
+"""Points of the drawn edge of a road; chosen: all of a usual road, and no more of the longest."""
+
+
+def page_state(snapshot: Snapshot) -> dict[str, Any]:
+    """Collect what the page shows.
+
+    Keys: `state` in words, `driver`, `done` and `total` executions, `seconds_left` or None, `simulators` with failures
+    and drives, `stages`, `axes` and `maps` (cells: two bins, tests, failures), `now` (drives under way, their road's
+    edges as points and the car's place), `errors` and `excluded` as numbers.
+    """
+    data, live = snapshot.data, snapshot.live
+    config = data.config
+    verdicts = data.verdicts
+    stages = stages_of(data)
+    drives = [stage for stage in stages if stage.failures is not None]
+    total = sum(stage.expected for stage in drives if stage.expected is not None)
+    if any(stage.expected is None for stage in drives):
+        total = config.executions_at_most
+    failures = Counter(e.simulator for e in verdicts if e.outcome.is_failure)
+    tests = Counter(e.simulator for e in verdicts)
+    by_road: dict[tuple[str, int], list[Test]] = {}
+    for test in data.tests:
+        by_road.setdefault((test.road.road_id, test.seed), []).append(test)
+    return {
+        "state": _state(snapshot),
+        "stage": live.stage if live else "",
+        "driver": config.driver,
+        "done": len(verdicts) + len(data.excluded),
+        "total": total,
+        "seconds_left": live.seconds_left if live else None,
+        "errors": len(data.errors),
+        "last_error": _last_error(data.errors),
+        "excluded": len(data.excluded),
+        "tests": len(data.tests),
+        "lane": round(data.tests[0].road.lane_width, 3) if data.tests else 4.0,
+        "simulators": [
+            {
+                "name": name,
+                "role": "twin" if name == config.twin else f"sibling {index + 1}",
+                "colour": colour_of_simulator(index),
+                "dash": DASHES[index % len(DASHES)],
+                "failures": failures[name],
+                "tests": tests[name],
+                "latest": snapshot.latest.get(name),
+            }
+            for index, name in enumerate(config.simulators)
+        ],
+        "stages": [
+            {"name": stage.name, "done": stage.done, "expected": stage.expected, "failures": stage.failures,
+             "state": stage.state}
+            for stage in stages
+        ],
+        "axes": _axes(snapshot),
+        "maps": _maps(snapshot),
+        "now": [_under_way(drive, by_road, snapshot.at) for drive in (live.drives if live else [])],
+    }  # fmt: skip
+
+
+def _state(snapshot: Snapshot) -> str:
+    if snapshot.live is not None:
+        return "running"
+    return "done" if snapshot.complete else "stopped"
+
+
+def _last_error(errors: tuple[tuple[str, str, int, str, str], ...]) -> str:
+    if not errors:
+        return ""
+    test_id, simulator, _, outcome, message = errors[-1]
+    return f"{test_id} on {simulator}: {outcome.lower().replace('_', ' ')}, {message}"
+
+
+def _axes(snapshot: Snapshot) -> list[dict[str, Any]]:
+    """Describe the first two axes: title, smallest bin, and the label of every bin."""
+    axes = []
+    for k, name in enumerate(snapshot.data.config.features[:2]):
+        feature = feature_of(name)
+        bins = [cell[k] for cell in snapshot.cells.values()] or [0]
+        low, high = min(bins), max(bins)
+        axes.append(
+            {"title": feature.title, "low": low, "labels": [feature.label(bin_) for bin_ in range(low, high + 1)]}
+        )
+    return axes
+
+
+def _maps(snapshot: Snapshot) -> dict[str, list[list[int]]]:
+    """Simulator -> its cells over the first two features: bins, tests, failures."""
+    found: dict[str, dict[tuple[int, int], list[int]]] = {name: {} for name in snapshot.data.config.simulators}
+    for execution in snapshot.data.verdicts:
+        cell = snapshot.cells.get(execution.test_id)
+        if cell is not None:
+            counts = found[execution.simulator].setdefault((cell[0], cell[1]), [0, 0])
+            counts[0] += 1
+            counts[1] += execution.outcome.is_failure
+    return {name: [[*cell, *counts] for cell, counts in sorted(cells.items())] for name, cells in found.items()}
+
+
+def _under_way(drive: LiveDrive, by_road: dict[tuple[str, int], list[Test]], now: float) -> dict[str, Any]:
+    """Describe a drive under way; `test` is "" if its road is not in the store yet."""
+    tests = by_road.get((drive.road_id, drive.seed), [])
+    said: dict[str, Any] = {
+        "simulator": drive.simulator,
+        "test": tests[-1].test_id if tests else "",
+        "seconds": round(max(0.0, now - drive.began), 1),
+        "step": drive.step,
+        "progress": drive.progress,
+        "lateral": drive.lateral_position,
+    }
+    if not tests:
+        return said
+    road = tests[-1].road
+    few = np.unique(np.linspace(0, len(road.points) - 1, _OUTLINE).round().astype(int))
+    said["road"] = [np.round(line, 1).tolist() for line in (*road.left_edge[few].T, *road.right_edge[few].T)]
+    if drive.progress is not None and drive.lateral_position is not None:
+        lane = road.lane_centre
+        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(lane, axis=0).T))))
+        at = drive.progress * road.length
+        x, y = (float(np.interp(at, along, lane[:, k])) for k in (0, 1))
+        ahead = [float(np.interp(min(at + 1.0, along[-1]), along, lane[:, k])) for k in (0, 1)]
+        back = [float(np.interp(min(at + 1.0, along[-1]) - 1.0, along, lane[:, k])) for k in (0, 1)]
+        yaw = float(np.arctan2(ahead[1] - back[1], ahead[0] - back[0]))
+        right = drive.lateral_position
+        said["car"] = [
+            round(x + right * float(np.sin(yaw)), 2),
+            round(y - right * float(np.cos(yaw)), 2),
+            round(yaw, 3),
+        ]
+    return said
+
+
+def drive_lines(test: Test, execution: Execution, names: list[str]) -> dict[str, Any]:
+    """Describe one finished drive as the report's script unpacks it: the road, and a run per simulator or None."""
+    road, path = test.road, execution.trajectory
+    (cx, cy), (lx, ly), (rx, ry) = (
+        [[round(float(v), 2) for v in column] for column in line.T]
+        for line in (road.points, road.left_edge, road.right_edge)
+    )
+    steps = np.unique(np.append(np.arange(0, len(path), 2), max(len(path) - 1, 0))) if len(path) else np.empty(0, int)
+    x, y, lateral = ([round(float(v), 2) for v in path[steps, k]] for k in (0, 1, 4))
+    steering = execution.steering
+    commands = steering[np.minimum(steps, len(steering) - 1)] if len(steering) else steering
+    moved = np.hypot(*np.diff(path[steps][:, :2], axis=0).T) if len(steps) > 1 else np.empty(0)
+    run = {
+        "outcome": in_words(execution.outcome),
+        "failed": execution.outcome.is_failure,
+        "seconds": execution.simulated_seconds,
+        "fitness": execution.fitness,
+        "x": x,
+        "y": y,
+        "lateral": lateral,
+        "steering": [round(float(v), 3) for v in commands],
+        "time": [round(int(step) / 20, 2) for step in steps],
+        "distance": [round(float(v), 1) for v in np.concatenate(([0.0], np.cumsum(moved)))[: len(steps)]],
+    }
+    return {
+        "id": test.test_id,
+        "road": {"cx": cx, "cy": cy, "lx": lx, "ly": ly, "rx": rx, "ry": ry},
+        "runs": [run if name == execution.simulator else None for name in names],
+    }

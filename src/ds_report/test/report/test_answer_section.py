@@ -1,0 +1,87 @@
+"""First section of the report: what it predicts, which cells it marks, and what it says where nothing can be."""
+
+from __future__ import annotations
+
+import re
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from report_campaigns import make_campaign, results
+
+from ds_analysis.prediction.real.records import RealDrive, write_drives
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_report.html_report import write_report
+from ds_report.sections import answer_section
+
+CONFIG = CampaignConfig(siblings=["a:One", "b:Two"], twin="c:Three", seed=7)
+"""Simulators that nobody can make, so that pages have no camera pictures."""
+
+
+def data_of(folder: Path, config: CampaignConfig = CONFIG, per_sibling: int = 8) -> CampaignData:
+    with closing(make_campaign(folder, config, per_sibling)) as store:
+        return read_campaign(store)
+
+
+def drive(test_id: str, *, failed: bool) -> RealDrive:
+    return RealDrive(
+        test_id=test_id, failed=failed, outcome="failed" if failed else "completed", max_lateral_position=None,
+        who="Ada", when="2026-03-01", source="here",
+    )  # fmt: skip
+
+
+def test_real_drives_are_marked_and_change_the_answer(tmp_path: Path) -> None:
+    data = data_of(tmp_path)
+    before = answer_section(tmp_path, data)
+    cells = [cell for panel in before.panels for _, row in panel.rows for cell in row if cell is not None]
+    assert sum(cell.tests for cell in cells) == len(data.tests) == 16 and not any(cell.driven for cell in cells)
+    counted = {name: sum(cell.verdict == name for cell in cells) for name in ("fails", "safe", "disputed")}
+    said = re.findall(r"(\d+) (?:of \d+ cells fail|(?:is|are) (?:safe|disputed))", before.sentence)
+    assert [int(n) for n in said] == [*counted.values()]
+    assert "a:One, b:Two and c:Three without a real drive" in before.sentence and "Framed" not in before.reading
+    chosen = data.tests[3].test_id
+    write_drives(tmp_path, [drive(chosen, failed=True)])
+    after = answer_section(tmp_path, data)
+    marked = [
+        cell for panel in after.panels for _, row in panel.rows for cell in row if cell is not None and cell.driven
+    ]
+    assert [cell.cell for cell in marked] == [data.cells[chosen]] and "1 real drive, 1 failed" in after.sentence
+    (same,) = (cell for cell in cells if cell.cell == data.cells[chosen])
+    assert marked[0].rate is not None and same.rate is not None and marked[0].rate > same.rate
+
+
+def test_the_page_begins_with_the_answer(tmp_path: Path) -> None:
+    data = data_of(tmp_path)
+    write_drives(tmp_path, [drive(data.tests[0].test_id, failed=False)])
+    section = answer_section(tmp_path, data)
+    maps, correlations = results(data)
+    html = write_report(tmp_path, data, maps, correlations, answer=section).read_text()
+    assert html.index('id="answer"') < html.index('id="finding"') < html.index('id="maps"')
+    table = html[html.index('<table class="answer">') : html.index('id="finding"')]
+    shown = [cell for panel in section.panels for _, row in panel.rows for cell in row if cell is not None]
+    for verdict in ("fails", "safe", "disputed"):
+        found = re.findall(rf'<td class="{verdict}( driven)?">', table)
+        assert len(found) == sum(cell.verdict == verdict for cell in shown)
+    assert table.count(" driven") == 1 and "1 real" in table
+
+
+def test_a_campaign_without_a_twin_has_an_answer(tmp_path: Path) -> None:
+    data = data_of(tmp_path, CONFIG.model_copy(update={"twin": None}))
+    section = answer_section(tmp_path, data)
+    assert section.panels and "predicted from a:One and b:Two without" in section.sentence
+
+
+@pytest.mark.parametrize("what", ["few", "damaged", "foreign"])
+def test_without_an_answer_the_section_says_why(tmp_path: Path, what: str) -> None:
+    data = data_of(tmp_path, per_sibling=2 if what == "few" else 8)
+    if what == "damaged":
+        write_drives(tmp_path, [])
+        (tmp_path / "real" / "drives.json").write_text("{")
+    if what == "foreign":
+        write_drives(tmp_path, [drive("panda-0-0000", failed=True)])
+    section = answer_section(tmp_path, data)
+    problem = {"few": "expected at least 10", "damaged": "drives.json", "foreign": "of no test here"}[what]
+    assert not section.panels and problem in section.sentence and section.sentence.startswith("No prediction")
+    maps, correlations = results(data)
+    assert section.sentence[:30] in write_report(tmp_path, data, maps, correlations, answer=section).read_text()

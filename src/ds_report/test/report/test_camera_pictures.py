@@ -1,0 +1,113 @@
+"""Pictures of drives in a report: equal to the simulator's images, of the most informative tests."""
+
+from __future__ import annotations
+
+import base64
+
+import cv2
+import numpy as np
+from report_campaigns import make_execution, road
+
+from ds_driver.control.autopilot import Autopilot
+from ds_orchestrator.campaign.executor import execution_of
+from ds_orchestrator.store.model import Test
+from ds_report.camera_pictures import SIZE, camera_pictures, drive_pictures
+from ds_report.picture_plan import moments, plan_pictures, replay_frames, telling_tests
+from ds_sim.registry import make_simulator
+from ds_sim.session import Session
+
+TEST = Test(test_id="t", sibling="bullet", run=0, number=0, road=road(0), seed=1)
+
+
+def picture(text: str) -> np.ndarray:
+    found = cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR)
+    assert found is not None
+    return cv2.cvtColor(found, cv2.COLOR_BGR2RGB)
+
+
+def test_camera_pictures_repeat() -> None:
+    assert camera_pictures(["donkey"], TEST) == camera_pictures(["donkey"], TEST)
+
+
+def test_pictures_are_what_the_simulator_has_shown() -> None:
+    """Rendered from the path alone, they equal the frames of the drive except for noise and the body's small tilts."""
+    session = Session(make_simulator("bullet"))
+    autopilot = Autopilot(session.simulator.spec.autopilot)
+    seen = session.start(TEST.road, TEST.seed)
+    assert seen is not None
+    images = [seen.image]
+    while session.driving and seen.step < 120:
+        seen = session.advance(autopilot.command(seen.lane.preview_lateral_position, seen.vehicle.speed))
+        assert seen is not None
+        images.append(seen.image)
+    assert session.run is not None
+    execution = execution_of(TEST.test_id, "bullet", session.run)
+    frames = {("t", "bullet"): moments(execution), ("t", "nowhere:A"): [0]}
+    driven = [execution, make_execution(TEST, "nowhere:A", 1.0)]
+    drives = drive_pictures(["bullet", "nowhere:A"], [TEST], driven, frames=frames)
+    drive, none = drives["t"]
+    assert drive is not None and none is not None and "not shipped" in none.note and not none.frames
+    assert drives == drive_pictures(["bullet", "nowhere:A"], [TEST], driven, frames=frames)
+    assert drive.times == tuple(step / 20 for step in moments(execution)) and drive.strip == (0, 1, 2, 3, 4)
+    for (text, words), step in zip(drive.frames, moments(execution), strict=True):
+        shown, real = picture(text).astype(float), cv2.resize(images[step], SIZE, interpolation=cv2.INTER_AREA)
+        other = cv2.resize(images[(step + 60) % len(images)], SIZE, interpolation=cv2.INTER_AREA)
+        error = np.abs(shown - real).mean()
+        assert error < 8 and error < np.abs(shown - other).mean() / 1.5, (step, error)
+        assert words.startswith(f"{step / 20:.1f} s, ")
+
+
+def test_moments_cover_a_drive_or_lead_to_its_failure() -> None:
+    completed, failed = make_execution(TEST, "bullet", 1.0), make_execution(TEST, "bullet", 2.5)
+    last = len(completed.trajectory) - 1
+    assert moments(completed) == [0, *(round(last * k / 4) for k in (1, 2, 3)), last]
+    end = len(failed.trajectory) - 1
+    assert moments(failed) == [end - 80, end - 60, end - 40, end - 20, end]
+
+
+def test_the_worst_of_every_cell_comes_first() -> None:
+    tests = [Test(test_id=f"t{k}", sibling="A", run=0, number=k, road=road(0), seed=1) for k in range(6)]
+    cells = {"t0": (1,), "t1": (1,), "t2": (2,), "t3": (1,), "t4": (3,)}
+    offsets = {"t0": 0.5, "t1": 2.2, "t2": 0.3, "t3": 2.4, "t4": 1.0, "t5": 2.5}
+    driven = [make_execution(test, "A", offsets[test.test_id]) for test in tests]
+    driven.append(make_execution(tests[1], "B", 2.1))
+
+    def chosen(most: int) -> list[str]:
+        return [test.test_id for test in telling_tests(tests, driven, cells, most=most)]
+
+    # t1 fails on two simulators, t4 comes closer to the edge than t2, t3 failed too; t5 has no cell.
+    assert [chosen(most) for most in (0, 1, 2, 3, 4, 9)] == [
+        [], ["t1"], ["t1", "t4"], ["t1", "t2", "t4"], ["t1", "t2", "t3", "t4"], ["t1", "t2", "t3", "t4"],
+    ]  # fmt: skip
+
+
+def test_replays_show_failed_drives_first_and_stay_within_their_bound() -> None:
+    tests = [Test(test_id=f"t{k}", sibling="A", run=0, number=k, road=road(k), seed=1) for k in range(4)]
+    cells = {test.test_id: (k,) for k, test in enumerate(tests)}
+    offsets = {"A": (2.4, 0.5, 2.2, 0.4), "B": (0.5, 0.6, 2.5, 0.3)}
+    driven = [make_execution(test, name, offsets[name][k]) for name in "AB" for k, test in enumerate(tests)]
+    frames_of = {(e.test_id, e.simulator): len(e.trajectory) for e in driven}
+    failed = [("t2", "A"), ("t2", "B"), ("t0", "A")]
+    # Every drive's last frame, those before it at the spacing, and its first one.
+    needed = {s: sum(1 + -(-(frames_of[drive] - 1) // s) for drive in failed) for s in (10, 20, 40)}
+
+    plan = plan_pictures(tests, driven, cells, strips=0)
+    # With room for all: every drive of a test that fails somewhere, and no other, ten frames apart up to its last one.
+    assert set(plan.frames) == {*failed, ("t0", "B")} and (plan.replayed, plan.failed, plan.spacing) == (3, 3, 0.5)
+    for drive, frames in plan.frames.items():
+        last = frames_of[drive] - 1
+        assert set(range(last, -1, -10)) <= set(frames) and frames[-1] == last
+    # The bound makes pictures coarser before it leaves drives out.
+    assert plan_pictures(tests, driven, cells, strips=0, replays=needed[10]).spacing == 0.5
+    coarser = plan_pictures(tests, driven, cells, strips=0, replays=needed[10] - 1)
+    assert (coarser.spacing, coarser.replayed) == (1.0, 3)
+    least = plan_pictures(tests, driven, cells, strips=0, replays=needed[40] - 1)
+    assert (least.spacing, least.replayed, set(least.frames)) == (2.0, 2, {("t2", "A"), ("t2", "B")})
+    none = plan_pictures(tests, driven, cells, strips=1, replays=0)
+    assert (none.replayed, none.strips) == (0, 1) and set(none.frames) == {("t2", "A"), ("t2", "B")}
+
+
+def test_a_replay_ends_with_the_end_of_its_drive() -> None:
+    execution = make_execution(TEST, "bullet", 2.5)
+    last = len(execution.trajectory) - 1
+    assert replay_frames(execution, 10) == sorted({*range(last, -1, -10), 0})

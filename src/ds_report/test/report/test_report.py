@@ -1,0 +1,560 @@
+"""The report, parsed without a browser: nothing is fetched, everything is inside, all text is escaped."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from report_campaigns import EVIL, make_campaign, make_execution, make_tests, report_of, results, road
+from statsmodels.stats.proportion import proportion_confint
+
+from ds_analysis.common.table import Column, Table
+from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.correlation import Correlation, PairedDifference, evaluate, paired_differences
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.search.features import Cell
+from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.store import Store
+from ds_report.build import write_all
+from ds_report.failure_region import RoadOutcomes, best_split, road_outcomes
+from ds_report.findings import summarise, where_it_fails
+from ds_report.html_report import duration, write_report
+from ds_report.page_data import page_data
+from ds_road import Road
+from ds_sim.conditions.model import Conditions
+from ds_sim.simulator import Outcome
+
+
+class Page(HTMLParser):
+    """Elements of a page with their attributes, and the text of each kind of element."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: dict[str, list[str]] = {}
+        self._open: list[str] = []
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in ("meta", "link", "img", "br"):
+            self._open.append(tag)
+            self.texts.setdefault(tag, []).append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        for tag in set(self._open):
+            self.texts[tag][-1] += data
+
+    @property
+    def data(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.texts["script"][0])
+        return found
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str, Store, CampaignConfig]:
+    folder = tmp_path_factory.mktemp("campaign")
+    config = CampaignConfig(siblings=["donkey", EVIL], twin="nowhere:Twin", seed=77)
+    store = make_campaign(folder, config, 6)
+    store.add_error("donkey-0-0001", EVIL, 0, Outcome.SIM_ERROR, "<img src=x> broke & stopped")
+    html = report_of(folder, store).read_text(encoding="utf-8")
+    return Page(html), html, store, config
+
+
+def unpacked(text: str) -> np.ndarray:
+    """Decode the numbers in a packed text, following the documentation of `pack`."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(4, -1).astype(np.int64)
+    codes = np.sum([plane << (8 * k) for k, plane in enumerate(planes)], axis=0)
+    return np.where(codes % 2 == 0, codes // 2, -(codes + 1) // 2)
+
+
+class Columns:
+    """Takes column after column from unpacked numbers."""
+
+    def __init__(self, numbers: np.ndarray) -> None:
+        self.numbers = numbers
+
+    def take(self, length: int) -> np.ndarray:
+        part, self.numbers = self.numbers[:length], self.numbers[length:]
+        return np.cumsum(np.cumsum(part)) / 100
+
+
+def test_nothing_is_fetched(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
+    page, html, *_ = campaign
+    # Plotly's code names sites for geographic maps; the policy below forbids fetching from them.
+    own = html.replace(page.texts["script"][1], "")
+    assert len(own) < len(html) - 10**6
+    assert not re.findall(r"(?i)https?:|//[a-z0-9-]+\.[a-z]|@import|url\((?!#)", re.sub(r"base64,[\w+/=]+", "", own))
+    for tag, attributes in page.elements:
+        for name in ("src", "href", "action", "data", "srcset"):
+            target = attributes.get(name)
+            assert target is None or target.startswith(("data:", "#")), (tag, target)
+    policies = [a["content"] for tag, a in page.elements if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policies == ["default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"]
+
+
+def test_every_map_and_every_test_is_inside(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
+    page, _, store, config = campaign
+    maps, _ = results(read_campaign(store))
+    data = page.data
+    assert (
+        set(data["maps"])
+        == {map_id.name for map_id in maps}
+        == {name for names in data["groups"].values() for name in names}
+    )
+    for map_id, feature_map in maps.items():
+        cells: dict[Cell, Any] = {(c[0], c[1]): c[2:] for c in data["maps"][map_id.name]["cells"]}
+        assert set(cells) == set(feature_map.cells)
+        for cell, value in feature_map.cells.items():
+            tests, failures, probability, interval, quality = cells[cell]
+            assert [tests, failures] == [value.tests, value.failures]
+            assert value.interval is not None
+            expected = [value.probability, *value.interval, value.quality_loss]
+            assert [probability, *interval, quality] == pytest.approx(expected, abs=1e-4)
+            for k, axis in enumerate(data["axes"]):
+                assert 0 <= cell[k] - axis["low"] < len(axis["begins"]) - 1
+    curvature = data["axes"][1]
+    assert (curvature["title"], float(curvature["begins"][0])) == ("curvature, 1/m", curvature["low"] / 100)
+    assert [test[0] for test in data["tests"]] == [test.test_id for test in store.tests()]
+    assert tuple(data["selected"]) in maps[MapId.merged()].cells
+    assert [s["name"] for s in data["simulators"]] == config.simulators
+    assert len({(s["colour"], s["dash"]) for s in data["simulators"]}) == len(config.simulators)
+
+
+def test_places_hold_the_lines_of_their_tests(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
+    page, _, store, config = campaign
+    tests = {test.test_id: test for test in store.tests()}
+    seen, failed = [], 0
+    for (place, indices), text in zip(page.data["places"], page.data["lines"], strict=True):
+        columns = Columns(unpacked(text))
+        for index in indices:
+            shown = page.data["tests"][index]
+            test = tests[shown[0]]
+            seen.append(test.test_id)
+            assert tuple(place) == (test.road.turns_count, test.road.curvature_bin)
+            for line in (test.road.points, test.road.right_edge):
+                for k in (0, 1):
+                    assert columns.take(shown[9]) == pytest.approx(line[:, k], abs=0.0051)
+            for run, simulator in zip(shown[10], config.simulators, strict=True):
+                execution = store.execution(test.test_id, simulator)
+                assert execution is not None
+                last = len(execution.trajectory) - 1
+                frames = sorted({*range(0, last, 2), last})
+                assert run[5:7] == [len(frames), 1]
+                for k in (0, 1, 4):
+                    assert columns.take(run[5]) == pytest.approx(execution.trajectory[frames, k], abs=0.0051)
+                # The last frame has no command of its own and shows the last one.
+                steering = [execution.steering[min(frame, last - 1)] for frame in frames]
+                assert columns.take(run[5]) == pytest.approx(steering, abs=0.0051)
+                words = execution.outcome.name.lower().replace("_", " ")
+                assert run[:2] == [words, execution.outcome.is_failure]
+                assert run[2] == pytest.approx(execution.fitness, abs=1e-3)
+                failed += run[1]
+        assert not len(columns.numbers)
+    assert sorted(seen) == sorted(tests) and failed > 3
+
+
+def test_text_is_escaped(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
+    page, html, *_ = campaign
+    assert "</script><script>alert" not in html and "<img src=x>" not in html and "1.2.3<b>" not in html
+    # Escaped in HTML text, and restored for the script that reads the data.
+    assert any(EVIL in text for text in page.texts["h1"])
+    assert "<img src=x> broke & stopped" in page.texts["td"]
+    assert page.data["simulators"][1]["name"] == EVIL
+    assert len(page.texts["script"]) == 3
+
+
+def test_errors_and_what_is_left_over_are_listed(tmp_path: Path) -> None:
+    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin="nowhere3:C")
+    store = make_campaign(tmp_path, config, 2)
+    lost = Test(test_id="A-0-0009", sibling="nowhere:A", run=0, number=9, road=road(1), seed=1)
+    store.add_test(lost)
+    store.add_error(lost.test_id, "nowhere:A", 0, Outcome.SIM_ERROR, "the wheels came off")
+    store.give_up(lost.test_id)
+    page = Page(report_of(tmp_path, store).read_text())
+    cells = page.texts["td"]
+    assert "the wheels came off" in cells and "nowhere:A, nowhere2:B, nowhere3:C" in cells
+    assert "every attempt ended in an error on nowhere:A; the search continued without it" in cells
+    assert any(text.startswith("1 attempt ended in an error.") for text in page.texts["p"])
+    assert any(text.startswith("1 test. A test without an outcome enters no map") for text in page.texts["p"])
+
+
+def test_cameras_are_pictures_and_a_missing_simulator_is_a_note(
+    campaign: tuple[Page, str, Store, CampaignConfig],
+) -> None:
+    page, *_ = campaign
+    pictures = [a for tag, a in page.elements if tag == "img"]
+    captions = [text for text in page.texts["figcaption"] if text]
+    assert len(pictures) == 1 and "cannot be loaded" in captions[-1]
+    raw = base64.b64decode((pictures[0]["src"] or "").removeprefix("data:image/png;base64,"))
+    image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None and image.shape == (160, 320, 3) and image.std() > 20
+    place = re.search(r"([\d.]+) m along the lane", captions[0])
+    assert place and 45.0 <= float(place[1]) < 46.0
+
+
+def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
+    config = CampaignConfig(siblings=["nowhere:A"], twin=None)
+    pages = []
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        store = make_campaign(tmp_path / name, config, 3)
+        pages.append(report_of(tmp_path / name, store).read_bytes())
+    assert pages[0] == pages[1]
+    text = pages[0].decode()
+    assert "This campaign has no twin" in text
+    # The configuration can be copied out and run again.
+    assert "cat &gt; campaign.yaml" in text and "siblings:\n- nowhere:A\ntwin: null\n" in text
+
+
+def test_a_campaign_that_has_only_begun_has_a_report(tmp_path: Path) -> None:
+    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin="nowhere3:C")
+    store = Store(tmp_path / "campaign.sqlite", config=config.model_dump_json())
+    page = Page(report_of(tmp_path, store).read_text())
+    assert "Nothing was driven yet" in page.texts["p"][1]
+    assert page.data["tests"] == [] and page.data["selected"] is None
+    store.add_test(Test(test_id="A-0-0000", sibling="nowhere:A", run=0, number=0, road=road(1), seed=1))
+    store.add_execution(make_execution(store.tests()[0], "nowhere:A", 2.4))
+    page = Page(report_of(tmp_path, store).read_text())
+    assert [run is None for run in page.data["tests"][0][10]] == [False, True, True]
+    assert any("no cell of the feature map in common" in text for text in page.texts["li"])
+    assert any("1 of 3 runs have a verdict" in text for text in page.texts["li"])
+    assert "nowhere2:B, nowhere3:C" in page.texts["td"] and "not driven yet" in page.texts["td"]
+
+
+def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
+    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin="nowhere3:C")
+    store = make_campaign(tmp_path, config, 4)
+    rq2 = Table(
+        name="rq2",
+        title="RQ2 & more",
+        notes=["A note."],
+        columns=[Column("vs DT"), Column("r", "number"), Column("p", "p"), Column("paper: p", "p")],
+        rows=[["DS1", 0.5, 0.0, 1e-17], ["DSS", None, 0.25, None]],
+    )
+    densities = Table(
+        name="rq1_densities",
+        title="RQ1: densities",
+        rows=[[0.0, 0.04, 25.0], [0.04, 0.08, 0.0]],
+        columns=[Column("error from", "number"), Column("to", "number"), Column("nowhere:A", "number")],
+    )
+    data = read_campaign(store)
+    maps, correlations = results(data)
+    path = write_report(tmp_path, data, maps, correlations, tables=[densities, rq2], network=("dave2", "sim"))
+    page = Page(path.read_text())
+    assert page.texts["caption"] == ["RQ2 & more"] and "A note." in page.texts["p"]
+    at = page.texts["td"].index("0.500")
+    # A p-value of 0 does not exist.
+    assert page.texts["td"][at - 1 : at + 7] == ["DS1", "0.500", "< 1e-300", "1e-17", "DSS", "–", "0.250", "–"]
+    assert page.data["figures"]["densities"]["data"][0]["y"] == [25.0, 0.0]
+    # The chart has the campaign's numbers and the paper's, for RQ2 and RQ3.
+    ours, paper = page.data["figures"]["correlations"]["data"][:2]
+    assert ours["x"] == [c.r for c in correlations if c.r is not None]
+    assert len(paper["x"]) == 6
+
+
+def test_three_features_make_places_of_three_bins(tmp_path: Path) -> None:
+    features = ["turns_count", "curvature", "direction_coverage:10"]
+    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin=None, features=features)
+    store = make_campaign(tmp_path, config, 4)
+    maps, _ = results(read_campaign(store))
+    data = Page(report_of(tmp_path, store).read_text()).data
+    assert [len(place) for place, _ in data["places"]] == [3] * len(data["places"])
+    assert {tuple(c[:3]) for c in data["maps"]["merged"]["cells"]} == set(maps[MapId.merged()].cells)
+    third = data["axes"][2]
+    assert third["begins"][0] == str(10 * third["low"]) and not third["whole"]
+
+
+def test_a_thousand_tests_stay_small() -> None:
+    config = CampaignConfig()
+    made = make_tests(config, 500, roads=40)
+    campaign = CampaignData(
+        config=config,
+        tests=tuple(test for test, _ in made),
+        executions=tuple(execution for _, driven in made for execution in driven),
+    )
+    page = page_data(campaign, maps_of(campaign))
+    assert len(page["tests"]) == 1000
+    # Plotly takes 5 MB and pictures 2, so that 5,000 tests stay below 20 MB.
+    assert len(json.dumps(page)) < 2.5e6
+
+
+def test_durations_are_short_words() -> None:
+    words = ["0 s", "59 s", "1 min 00 s", "3 min 20 s", "1 h 00 min", "5 h 07 min"]
+    assert [duration(s) for s in (0.4, 59.4, 60, 200, 3600, 18_440)] == words
+
+
+# Two siblings and a twin over four cells, each six times: they agree on failure in one, on none in one, and disagree in
+# two.
+UNIONS = {"bullet": (1.0, 0.0, 0.5, 0.0), "softbody": (0.5, 0.0, 0.0, 0.5)}
+MERGED = (0.5, 0.0, 0.0, 0.0)
+TWIN = (1.0, 0.0, 0.0, 0.5)
+TIMES = 6
+
+
+def hand_made(map_id: MapId, values: tuple[float, ...], times: int = TIMES) -> FeatureMap:
+    cells: dict[Cell, MapCell] = {
+        (k, 10): MapCell(tests=2, failures=None, probability=v, quality_loss=v) for k, v in enumerate(values * times)
+    }
+    return FeatureMap(id=map_id, cells=cells)
+
+
+def driven(config: CampaignConfig) -> CampaignData:
+    """One test that every simulator completed."""
+    test = Test(test_id="t", sibling=config.siblings[0], run=0, number=0, road=road(0), seed=1)
+    executions = tuple(make_execution(test, name, 0.5) for name in config.simulators)
+    return CampaignData(config=config, tests=(test,), executions=executions)
+
+
+def said(siblings: list[str], merged: tuple[float, ...], twin: tuple[float, ...], times: int = TIMES) -> str:
+    """Write the details of the findings for such maps."""
+    config = CampaignConfig(siblings=siblings)
+    values = {
+        **{MapId.union(name): UNIONS[name] for name in siblings},
+        MapId.merged(): merged,
+        MapId.twin("donkey"): twin,
+    }
+    maps = {map_id: hand_made(map_id, of, times) for map_id, of in values.items()}
+    correlations, added = evaluate(maps, siblings, "donkey"), paired_differences(maps, siblings, "donkey", resamples=50)
+    found = summarise(driven(config), maps, correlations, paired_differences=added)
+    return " ".join((found.headline, *found.details))
+
+
+def test_findings_say_what_the_numbers_say() -> None:
+    text = said(["bullet", "softbody"], MERGED, TWIN)
+    assert "Of 24 cells that all siblings fill, they agree on failure in 6, agree on no failure in 6 and " in text
+    assert "disagree in 12." in text
+    # By NumPy: softbody's map is nearest to the twin's, then the merged one, then bullet's.
+    r = {name: np.corrcoef(of, TWIN)[0, 1] for name, of in {**UNIONS, "merged": MERGED}.items()}
+    assert r["softbody"] > r["merged"] > r["bullet"] > 0
+    assert f"r = {r['merged']:.2f} (bullet {r['bullet']:.2f} and softbody {r['softbody']:.2f})" in text
+    assert "worse than softbody alone" in text or "not distinguishable from" in text
+    assert "Of 6 cells in which the merged map predicts failures, the twin fails in 6; of 18 cells" in text
+    assert "predicts none, the twin fails in 6." in text
+
+
+def test_too_few_failing_cells_carry_no_conclusion() -> None:
+    """The four cells once: two fail. Neither r nor a comparison of maps is stated."""
+    text = said(["bullet", "softbody"], MERGED, TWIN, times=1)
+    assert text.count("No conclusion about how well the siblings predict the twin: the twin fails in 2 of 4 cells") == 1
+    assert "r =" not in text and "better than" not in text and "distinguishable" not in text
+
+
+def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
+    config = CampaignConfig(siblings=["bullet", "softbody", "third:Simulator"])
+    unions = [MapId.union(name) for name in config.siblings]
+    added = [
+        PairedDifference(over=union, value="quality_loss", cells=30, r=(low + high) / 2, r_interval=(low, high))
+        for union, low, high in zip(unions, (0.01, -0.2, -0.3), (0.2, 0.3, -0.1), strict=True)
+    ]
+    correlations = [
+        Correlation(map=map_id, value="quality_loss", cells=30, failing=12, r=0.5, p=0.001)
+        for map_id in (*unions, MapId.merged())
+    ]
+    maps = {map_id: hand_made(map_id, MERGED) for map_id in (*unions, MapId.merged())}
+    maps[MapId.twin("donkey")] = hand_made(MapId.twin("donkey"), TWIN)
+    *_, sentence = summarise(driven(config), maps, correlations, paired_differences=added).details
+    assert sentence.endswith(
+        ": better than bullet alone, worse than third:Simulator alone and not distinguishable from softbody alone."
+    )
+
+
+def test_findings_say_why_there_is_no_correlation() -> None:
+    text = said(["bullet", "softbody"], MERGED, (0.0, 0.0, 0.0, 0.0))
+    assert "predict the twin: the twin fails in 0 of 24 cells" in text and "r =" not in text
+    text = said(["bullet", "softbody"], (0.5, 0.5, 0.5, 0.5), TWIN)
+    assert "cannot be compared with the twin: the map's probability is 0.5 in every cell" in text
+    assert "does not predict" in said(["bullet", "softbody"], MERGED, (0.0, 1.0, 0.5, 0.0))
+
+
+def test_findings_of_one_sibling() -> None:
+    text = said(["bullet"], UNIONS["bullet"], TWIN)
+    assert "bullet, the only sibling, has failures in 12 of 24 cells." in text
+    assert "its map and the merged map are the same" in text
+
+
+def shaped(curvature: float, turns: int, number: int) -> Test:
+    """A test whose road has these features, whatever its control points."""
+    made = Road(road(0).control_points)
+    made.__dict__.update(curvature=curvature, turns_count=turns)
+    return Test(test_id=f"t{number}", sibling="A", run=0, number=number, road=made, seed=1)
+
+
+def outcomes(*roads: tuple[float, int, bool]) -> RoadOutcomes:
+    """Roads by curvature, turns and whether they fail."""
+    tests = tuple(shaped(curvature, turns, k) for k, (curvature, turns, _) in enumerate(roads))
+    return RoadOutcomes(where="the twin T", tests=tests, failed=tuple(failed for *_, failed in roads))
+
+
+def test_the_headline_names_the_bend_from_which_roads_fail() -> None:
+    gentle, tight = [(0.1, 3, False)] * 20, [(0.2, 3, True)] * 4 + [(0.25, 2, False)]
+    text = where_it_fails("net", outcomes(*gentle, *tight))
+    # Radius 1 / 0.2; Jeffreys' intervals of 4 of 5 and 0 of 20 by statsmodels.
+    ends = [proportion_confint(k, n, method="jeffreys") for k, n in ((4, 5), (0, 20))]
+    assert text == (
+        "On the twin T, net fails on roads with a bend of 5.0 m radius or tighter (curvature 0.200 1/m or more): "
+        f"4 of 5 such roads failed (80 %, 95 % interval {100 * ends[0][0]:.0f} to {100 * ends[0][1]:.0f} %), "
+        f"and none of the 20 others (0 %, 95 % interval 0 to {100 * ends[1][1]:.0f} %)."
+    )
+
+
+def test_the_headline_names_turns_where_they_separate_better() -> None:
+    few = [(0.1 + 0.01 * (k % 7), 2, False) for k in range(20)]
+    many = [(0.1 + 0.01 * (k % 7), 5, True) for k in range(8)]
+    assert "fails on roads with 5 turns or more: 8 of 8 such roads" in where_it_fails("net", outcomes(*few, *many))
+
+
+def under(made: RoadOutcomes, name: str, values: list[float]) -> RoadOutcomes:
+    """The same roads, each with its own value of a condition."""
+    pairs = zip(made.tests, values, strict=True)
+    return replace(made, tests=tuple(replace(test, conditions=Conditions(**{name: value})) for test, value in pairs))
+
+
+@pytest.mark.parametrize(
+    ("name", "hard", "easy", "said"),
+    [
+        ("visibility", 40.0, 90.0, "visibility 47 m or less"),
+        ("visibility", 3000.0, 4000.0, "visibility 3010 m or less"),
+        ("line_cover", 0.5, 0.2, "line_cover 0.5 or more"),
+        ("camera_pitch", -0.1, 0.02, "camera_pitch -0.093 rad or less"),
+        ("camera_pitch", 0.1, -0.02, "camera_pitch 0.1 rad or more"),
+    ],
+)
+def test_the_headline_names_the_condition_that_separates_best(name: str, hard: float, easy: float, said: str) -> None:
+    failing, passing = [(0.1, 3, True)] * 8, [(0.2, 3, False)] * 20
+    step = 1.0 if name == "visibility" else 0.001
+    values = [hard + step * k for k in range(8)] + [easy + step * k for k in range(20)]
+    text = where_it_fails("net", under(outcomes(*failing, *passing), name, values))
+    assert f"net fails on tests with {said}: 8 of 8 such tests failed" in text and "none of the 20 others" in text
+
+
+def test_the_headline_names_the_conditions_that_separate_nothing() -> None:
+    mixed = under(outcomes(*[(0.1, 3, k in (2, 9)) for k in range(12)]), "visibility", [20.0 + k for k in range(12)])
+    text = where_it_fails("net", mixed)
+    assert text.startswith("net failed on 2 of 12 tests on the twin T")
+    assert "None of the tightest bend, the number of turns and visibility separates these tests clearly" in text
+
+
+def test_a_condition_that_a_test_leaves_to_the_simulator_has_no_threshold() -> None:
+    made = outcomes(*[(0.1, 3, k < 9) for k in range(20)])
+    values = [0.4] * 9 + [0.1] * 11
+    assert best_split(under(made, "pavement_reflectance", values)) is not None
+    split = best_split(under(made, "pavement_reflectance", [*values[:-1], None]))  # type: ignore[list-item]
+    assert split is None
+
+
+def test_the_headline_claims_no_threshold_that_the_intervals_do_not_carry() -> None:
+    mixed = outcomes(*[(0.1 + 0.01 * k, 3, k in (2, 9)) for k in range(12)])
+    split = best_split(mixed)
+    assert split is not None and not split.is_clear
+    text = where_it_fails("net", mixed)
+    assert text.startswith("net failed on 2 of 12 roads on the twin T (17 %") and "Neither the tightest bend" in text
+    # Two failing cells of the twin's own map carry no threshold, however well they are separated.
+    assert "Neither" in where_it_fails("net", outcomes((0.1, 2, False), (0.2, 3, True)))
+
+
+@pytest.mark.parametrize(
+    ("roads", "start"),
+    [
+        ([(0.1, 2, False)] * 9, "net failed on none of 9 roads on the twin T (0 %, 95 % interval 0 to"),
+        ([(0.1, 2, True)] * 9, "net failed on all 9 roads on the twin T (100 %, 95 % interval"),
+        ([(0.1, 2, True)], "net failed on the only road on the twin T"),
+        ([], "No road has an outcome on the twin T yet"),
+    ],
+)
+def test_the_headline_of_campaigns_without_a_contrast(roads: list[tuple[float, int, bool]], start: str) -> None:
+    assert where_it_fails("net", outcomes(*roads)).startswith(start)
+
+
+def test_a_road_fails_where_the_twin_fails_or_else_where_every_sibling_does() -> None:
+    tests = [shaped(0.1, 2, 0), shaped(0.2, 2, 1)]
+    offsets = {
+        ("t0", "A"): 2.5,
+        ("t0", "B"): 0.5,
+        ("t0", "T"): 2.5,
+        ("t1", "A"): 2.5,
+        ("t1", "B"): 2.5,
+        ("t1", "T"): 0.5,
+    }
+    executions = tuple(make_execution(t, s, offsets[t.test_id, s]) for t in tests for s in "ABT")
+    data = CampaignData(
+        config=CampaignConfig(siblings=["n:A", "n:B"], twin="n:T"),
+        tests=tuple(tests),
+        executions=tuple(replace(e, simulator=f"n:{e.simulator}") for e in executions),
+    )
+    assert road_outcomes(data).failed == (True, False) and road_outcomes(data).where == "the twin n:T"
+    alone = replace(data, config=CampaignConfig(siblings=["n:A", "n:B"], twin=None))
+    assert road_outcomes(alone).failed == (False, True) and road_outcomes(alone).where == "every sibling"
+
+
+def test_limits_say_what_was_tested_and_what_was_not() -> None:
+    found = summarise(driven(CampaignConfig()), results(driven(CampaignConfig()))[0], [])
+    only = road(0)
+    assert f"Tested: 1 road with {only.turns_count} turns" in found.limits
+    assert f"{1 / only.curvature:.1f} m radius" in found.limits and "traffic" in found.limits
+    assert "Only the shape of the road varied" in found.limits
+
+
+def test_limits_name_the_conditions_that_were_tested() -> None:
+    data = driven(CampaignConfig())
+    foggy = replace(data, tests=tuple(replace(t, conditions=Conditions(visibility=50.0 + k))
+                                      for k, t in enumerate(data.tests)))  # fmt: skip
+    found = summarise(foggy, results(data)[0], [])
+    assert "Conditions: visibility 50 m. Traffic" in found.limits and "shape of the road" not in found.limits
+    translated = summarise(replace(foggy, config=CampaignConfig(driver="dave2_real")), results(data)[0], [])
+    assert "Conditions: visibility 50 m. The driver saw translated images" in translated.limits
+    assert (
+        "translated"
+        not in summarise(replace(data, config=CampaignConfig(driver="dave2_real")), results(data)[0], []).limits
+    )
+
+
+def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: Path) -> None:
+    config = CampaignConfig.model_validate(
+        {
+            "siblings": ["nowhere:A"],
+            "twin": None,
+            "search": {"conditions": {"line_contrast": {"low": 0.1, "high": 1.0}}},
+            "features": ["lane_curvature", "line_contrast"],
+        }
+    )
+    store = Store(tmp_path / "campaign.sqlite", config=config.identity())
+    for test, driven in make_tests(config, 4):
+        store.add_test(replace(test, conditions=Conditions(line_contrast=0.5)))
+        for execution in driven:
+            store.add_execution(execution)
+    page = Page(write_all(tmp_path, store).read_text())
+    store.close()
+    images = [attributes for tag, attributes in page.elements if tag == "img"]
+    shown, of_merged = (image for image in images if (image["alt"] or "").startswith("curvature by turns count: "))
+    assert "Siblings merged" in (of_merged["alt"] or "")
+    maps = _maps_over_turns(tmp_path)
+    union, merged = maps["union"], maps["merged"]
+    failing = sum(cell["failures"] > 0 for cell in union["cells"])
+    assert 0 < failing < len(union["cells"]) and len(merged["cells"]) == len(union["cells"])
+    assert f"All tests on nowhere:A: failures in {failing} of {len(union['cells'])} cells" in (shown["alt"] or "")
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode((shown["src"] or "").partition(",")[2]), np.uint8), 1)
+    drawn = cv2.imread(str(next((tmp_path / "maps/turns_count_by_curvature").glob("union_*_probability.png"))))
+    assert picture is not None and drawn is not None and np.array_equal(picture, drawn)
+
+
+def _maps_over_turns(folder: Path) -> dict[str, Any]:
+    """Kind -> map over the paper's axes, as written for other programs."""
+    maps = json.loads((folder / "maps/turns_count_by_curvature/maps.json").read_text())
+    return {name.partition("_")[0]: content for name, content in maps.items()}

@@ -1,0 +1,89 @@
+"""Synthetic campaigns, without simulators, for the tests of the report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.correlation import Correlation, evaluate
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.maps.feature_map import FeatureMap
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.store.model import DriveArrays, Execution, Test
+from ds_orchestrator.store.rows import trajectory_sha256
+from ds_orchestrator.store.store import Store
+from ds_report.html_report import write_report
+from ds_road import Road, generate
+from ds_sim.registry import label_of
+from ds_sim.simulator import Outcome
+
+EVIL = "nowhere:</script><script>alert('&')</script>"
+"""Name of a simulator that cannot be created; it holds HTML that the page must escape."""
+
+
+@cache
+def road(seed: int) -> Road:
+    return generate(np.random.default_rng(seed), max_angle=200)
+
+
+def make_execution(test: Test, simulator: str, offset: float) -> Execution:
+    """Create a drive along the right lane that drifts to the right until `offset` m; it ends outside the lane.
+
+    Steering is as noisy as a network's, drawn from the names of test and simulator.
+    """
+    centre, across = test.road.lane_centre, (test.road.right_edge - test.road.left_edge) / (2 * 4.0)
+    lateral = np.linspace(0.0, offset, len(centre))
+    steps = int(np.argmax(lateral > 2.0)) + 1 if offset > 2.0 else len(centre)
+    path = centre + lateral[:, None] * across
+    trajectory = np.column_stack((path, np.zeros(len(path)), np.full(len(path), 8.0), lateral))[:steps]
+    rng = np.random.default_rng(list(f"{test.test_id} {simulator}".encode()))
+    worst = float(np.abs(trajectory[:, 4]).max())
+    return Execution(
+        test_id=test.test_id, simulator=simulator,
+        outcome=Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED,
+        message="", fitness=2.0 - worst, max_lateral_position=worst, steps=steps - 1,
+        simulated_seconds=(steps - 1) / 20, trajectory_sha256=trajectory_sha256(trajectory),
+        drive=DriveArrays(trajectory, rng.normal(0.0, 0.05, steps - 1)),
+    )  # fmt: skip
+
+
+def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> list[tuple[Test, list[Execution]]]:
+    """Create the tests of the searches, each driven on every simulator."""
+    rng = np.random.default_rng(5)
+    made = []
+    for k, sibling in enumerate(config.siblings):
+        for number in range(per_sibling):
+            test_id = f"{label_of(sibling)}-0-{number:04d}"
+            chosen = road((len(config.siblings) * number + k) % roads)
+            test = Test(test_id=test_id, sibling=sibling, run=0, number=number, road=chosen, seed=3)
+            driven = [make_execution(test, name, float(rng.uniform(0.2, 2.6))) for name in config.simulators]
+            made.append((test, driven))
+    return made
+
+
+def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int, *, bags: bool = False) -> Store:
+    """Create a store of such tests, with the name of a bag for each execution if `bags`."""
+    store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
+    store.note("version numpy", "1.2.3<b>")
+    for test, driven in make_tests(config, per_sibling):
+        store.add_test(test)
+        for execution in driven:
+            bag = f"bags/{test.test_id}-on-{label_of(execution.simulator)}" if bags else ""
+            store.add_execution(replace(execution, bag=bag))
+    return store
+
+
+def results(data: CampaignData) -> tuple[dict[MapId, FeatureMap], list[Correlation]]:
+    config, maps = data.config, maps_of(data)
+    return maps, evaluate(maps, config.siblings, config.twin) if config.twin else []
+
+
+def report_of(folder: Path, store: Store) -> Path:
+    """Write the report of a store, without intervals."""
+    data = read_campaign(store)
+    return write_report(folder, data, *results(data), trusted=data.config.simulators)

@@ -1,0 +1,1 @@
+"""How strong each operating condition must be for a driver to fail, one condition at a time."""

@@ -1,0 +1,257 @@
+"""Measures the sensitivity of a driver to operating conditions, one at a time, on several simulators."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from ds_analysis.common.table import Column, Table, Value
+from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.networks.network_driver import sees_translated
+from ds_driver.networks.pilot import DriverError
+from ds_orchestrator.engines.local import running_local
+from ds_road import Road
+from ds_sim.conditions.model import Conditions
+from ds_sim.registry import spec_of
+from ds_studies.kept_drives import check_settings
+from ds_studies.sensitivity.drives import Drives
+from ds_studies.sensitivity.factors import LEVELS, Factor
+from ds_studies.sensitivity.measurement import (
+    GATE,
+    SEGMENTS,
+    TESTED,
+    Fails,
+    candidate_roads,
+    choose_roads,
+    is_applicable,
+    measure,
+)
+from ds_studies.sensitivity.thresholds import Threshold, Verdict, coverage, threshold_of
+
+COMMAND_TIMEOUT = 10.0
+"""Wall-clock time for one answer of the driver, s: that of a campaign."""
+Progress = Callable[[int, int, str], None]
+"""Called with the number of measurements done, their total number, and a line about the last one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """How strong each condition must be for a driver to fail.
+
+    Attributes:
+        driver: name of the driver.
+        simulators: names of the simulators.
+        factors: what was varied.
+        needed: number of roads on each simulator.
+        roads: roads of each simulator; fewer than needed where the driver does not complete enough by default.
+        thresholds: results by the factor's position and the simulator.
+    """
+
+    driver: str
+    simulators: Sequence[str]
+    factors: Sequence[Factor]
+    needed: int
+    roads: Mapping[str, Sequence[tuple[Road, int]]]
+    thresholds: Mapping[tuple[int, str], Threshold]
+
+    @property
+    def order(self) -> list[int]:
+        """Positions of the factors, the most sensitive one first: least strength withstood on any simulator."""
+
+        def least(position: int) -> float:
+            found = [self.thresholds[position, name] for name in self.simulators]
+            return min((one.withstood or 1.0 for one in found if one.verdict == "fails"), default=2.0)
+
+        return sorted(range(len(self.factors)), key=lambda position: (least(position), position))
+
+    @property
+    def errors(self) -> list[str]:
+        """One line for each measurement that ended in an error."""
+        return [
+            f"{one.factor.title} on {one.simulator}: {one.message}" for one in self.thresholds.values() if one.message
+        ]
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {
+            "driver": self.driver,
+            "translated_images": sees_translated(self.driver),
+            "simulators": list(self.simulators),
+            "roads": {name: [road.road_id for road, _ in of] for name, of in self.roads.items()},
+            "interval_coverage": coverage(self.needed),
+            "thresholds": [
+                self.thresholds[position, name].document() for position in self.order for name in self.simulators
+            ],
+        }
+
+    def table(self) -> Table:
+        """One row for each factor, the most sensitive first, one column for each simulator."""
+        rows: list[list[Value]] = [
+            [self.factors[k].title, *(self.thresholds[k, name].text for name in self.simulators)] for k in self.order
+        ]
+        notes = [
+            f"first failure of the median of {self.needed} roads (of the first to the last road, which hold the median "
+            f"of all roads with a probability of {coverage(self.needed):.0%})"
+        ]
+        notes += [
+            f"{name}: {self.driver} completes {len(of)} of {self.needed} roads without any condition: "
+            "nothing can be said about conditions"
+            for name, of in self.roads.items()
+            if len(of) < self.needed
+        ]
+        if sees_translated(self.driver):
+            notes.append(
+                f"{self.driver} sees translated images, and a generator may undo what a condition does to them: this "
+                "says nothing about its network on images of a real camera under these conditions"
+            )
+        columns = [Column("condition"), *(Column(name) for name in self.simulators)]
+        title = f"Strength at which {self.driver} first fails"
+        return Table(name="sensitivity", title=title, columns=columns, rows=rows, notes=notes)
+
+    def long_table(self) -> Table:
+        """One row for each factor and simulator, with every number."""
+        rows: list[list[Value]] = []
+        for one in (self.thresholds[k, name] for k in self.order for name in self.simulators):
+            values = one.document()
+            first, last = values["interval"]
+            rows.append([
+                one.factor.name, one.factor.unit, one.factor.end, one.simulator, one.verdict, values["first_fails"],
+                first, last, values["completes"], values["excluded_from"], one.withstood, len(one.roads),
+            ])  # fmt: skip
+        return Table(
+            name="sensitivity_values",
+            title=f"Strength at which {self.driver} first fails, in numbers",
+            columns=[
+                Column("condition"), Column("unit"), Column("hardest", "number"), Column("simulator"),
+                Column("verdict"), Column("first fails", "number"), Column("first road fails", "number"),
+                Column("last road fails", "number"), Column("completes", "number"),
+                Column("excluded from", "number"), Column("share of range", "number"), Column("roads", "count"),
+            ],
+            rows=rows,
+        )  # fmt: skip
+
+
+def analyse_sensitivity(
+    driver: str,
+    simulators: Sequence[str],
+    factors: Sequence[Factor],
+    *,
+    roads: int,
+    seed: int,
+    levels: int = LEVELS,
+    segments: int = SEGMENTS,
+    workers: int | None = None,
+    folder: Path | None = None,
+    gates: Path | None = None,
+    progress: Progress = lambda done, total, line: None,
+    say: Callable[[str], None] = lambda line: None,
+) -> Sensitivity:
+    """Find for each factor on each simulator the strength at which a driver first fails.
+
+    Args:
+        driver: as in `ds_driver.closed_loop.drive_request.DriveRequest`.
+        simulators: names of the simulators.
+        factors: what to vary, one at a time.
+        roads: roads on each simulator: the first ones that the driver completes under default conditions.
+        seed: of the roads, and of the runs on the first one; it increases by one per road.
+        levels: levels of strength that may be driven, one of `RESOLUTIONS`.
+        segments: segments of 25 m of each road, at most `MOST_SEGMENTS`.
+        workers: number of processes; the number of available processors if None.
+        folder: keeps every finished drive, so that the same call goes on; None keeps nothing.
+        gates: keeps the autopilot's drives, which analyses of several drivers may share; in `folder` if None.
+        progress: called after each measurement.
+        say: called with one line where something deserves attention.
+
+    Raises:
+        ds_studies.kept_drives.KeptDrivesError: the folder holds drives of another driver.
+        ds_driver.closed_loop.worker_process.WorkerError: a process does not start, or cannot load the driver.
+        ds_driver.networks.pilot.DriverError: a drive under default conditions ended in an error.
+    """
+    tested, gates = (None, gates) if folder is None else (folder / TESTED, gates or folder / GATE)
+    for kept, named in ((tested, driver), (gates, AUTOPILOT)):
+        if kept is not None:
+            check_settings(kept, named, simulators, say)
+    workers = workers or len(os.sched_getaffinity(0))
+    with ExitStack() as stack:
+        logs = Path(stack.enter_context(TemporaryDirectory())) if folder is None else folder / "logs"
+        engine = stack.enter_context(running_local(driver, workers=workers, command_timeout=COMMAND_TIMEOUT, logs=logs))
+        pool = stack.enter_context(ThreadPoolExecutor(engine.capacity or 1))
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
+        stack.callback(engine.stop)  # first of all, so that no thread waits for a drive
+        drives = Drives(engine=engine, driver=driver, folder=tested, gates=gates)
+        candidates = candidate_roads(roads, seed, segments=segments)
+        chosen = _choose(drives, simulators, candidates, roads, pool, say)
+        thresholds = _measure(drives, chosen, factors, pool, needed=roads, levels=levels, progress=progress)
+    return Sensitivity(
+        driver=driver, simulators=simulators, factors=factors, needed=roads, roads=chosen, thresholds=thresholds
+    )
+
+
+def _choose(
+    drives: Drives,
+    simulators: Sequence[str],
+    candidates: Sequence[tuple[Road, int]],
+    needed: int,
+    pool: ThreadPoolExecutor,
+    say: Callable[[str], None],
+) -> dict[str, list[tuple[Road, int]]]:
+    """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
+    found = {
+        name: pool.submit(choose_roads, len(candidates), needed, _fails(drives, name, candidates))
+        for name in simulators
+    }
+    for name, numbers in found.items():
+        try:
+            completed = len(numbers.result())
+        except DriverError as error:
+            raise DriverError(f"{error}: fix it and run the same command again") from None
+        say(f"{name}: {drives.driver} completes {completed} of {needed} roads without any condition")
+    return {name: [candidates[number] for number in numbers.result()] for name, numbers in found.items()}
+
+
+def _measure(
+    drives: Drives,
+    roads: Mapping[str, Sequence[tuple[Road, int]]],
+    factors: Sequence[Factor],
+    pool: ThreadPoolExecutor,
+    *,
+    needed: int,
+    levels: int,
+    progress: Progress,
+) -> dict[tuple[int, str], Threshold]:
+    """Thresholds of all factors on all simulators, in the order of the factors."""
+    found: dict[tuple[int, str], Threshold] = {}
+    running: dict[Future[Threshold], tuple[int, str]] = {}
+
+    def threshold(position: int, name: str) -> Threshold:
+        factor = factors[position]
+        try:
+            results = measure(factor, needed, _fails(drives, name, roads[name]), levels=levels)
+        except DriverError as error:
+            return threshold_of(name, factor, (), str(error))
+        return threshold_of(name, factor, results)
+
+    for position, factor in enumerate(factors):
+        for name, of in roads.items():
+            applicable = is_applicable(factor, spec_of(name).conditions)
+            verdict: Verdict = "fails by default" if applicable else "not applicable"
+            found[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)
+            if applicable and len(of) == needed:
+                running[pool.submit(threshold, position, name)] = position, name
+    for done, future in enumerate(as_completed(running), 1):
+        one = found[running[future]] = future.result()
+        progress(done, len(running), f"{one.factor.title} on {one.simulator}: {one.text}")
+    return found
+
+
+def _fails(drives: Drives, simulator: str, roads: Sequence[tuple[Road, int]]) -> Fails:
+    def fails(who: str, number: int, conditions: Conditions) -> bool:
+        return drives.fails(simulator, *roads[number], who, conditions)
+
+    return fails

@@ -1,0 +1,129 @@
+"""Measures on each road the level of one factor at which a driver first fails, as far as it can be judged by that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from ds_road import Road, generate
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.oracle import OracleLimits
+from ds_studies.sensitivity.bisection import Bracket, first_failure
+from ds_studies.sensitivity.factors import LEVELS, Factor
+
+SEGMENTS = 4
+"""Segments of a road, 25 m each, of the six of a generated one: 100 m, on which the car takes up speed on a straight
+segment and then takes three bends. Chosen: a drive takes two thirds of the time, and a driver that cannot see fails in
+its first bends; one that swings up may need more."""
+MOST_SEGMENTS = 6
+"""Segments of a generated road: the spline goes from its second control point to the last but one."""
+MAX_ANGLE = 270
+"""Largest angle of the roads before they are cut, degrees: that of the training roads (paper 4.2.2)."""
+CANDIDATES = 3
+"""Roads tried for each one needed; chosen: a driver that completes less than a third of them needs no conditions to
+fail."""
+
+TESTED, GATE = "tested", "gate"
+Fails = Callable[[str, int, Conditions], bool]
+"""Whether the driver (`TESTED`) fails on the road of a number under conditions; `GATE`: whether no driver can be judged
+there, as the autopilot fails or the lines are invisible (`ds_sim.gates`)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoadResult:
+    """One factor on one road; levels of strength are those of `Factor`.
+
+    Attributes:
+        completes: highest level that the driver completes below the one at which it fails.
+        fails: next level that may be driven, at which it fails; None if it fails at none, or cannot be judged there.
+        excluded: that level if the driver fails there and cannot be judged; else None.
+    """
+
+    completes: int
+    fails: int | None = None
+    excluded: int | None = None
+
+    @property
+    def withstands_all(self) -> bool:
+        """Whether the driver completes the strongest value."""
+        return self.fails is None and self.excluded is None
+
+
+def candidate_roads(count: int, seed: int, *, segments: int = SEGMENTS) -> list[tuple[Road, int]]:
+    """Generate candidates for a number of roads, with the seeds of their runs; fewer roads have the same first ones.
+
+    Left out are roads on which a car that never steers stays in its lane: they test nothing.
+
+    Args:
+        count: number of roads needed.
+        seed: of the roads, and of the runs on the first one.
+        segments: segments of 25 m that are kept of each random road, 2 to `MOST_SEGMENTS`.
+    """
+    rng = np.random.default_rng(seed)
+    roads: list[tuple[Road, int]] = []
+    while len(roads) < CANDIDATES * count:
+        road = Road(generate(rng, max_angle=MAX_ANGLE).control_points[: segments + 3])
+        if road.validity.valid and _needs_steering(road):
+            roads.append((road, (seed + len(roads)) % 2**32))
+    return roads
+
+
+def _needs_steering(road: Road) -> bool:
+    """Whether a straight line from the start of the lane leaves it."""
+    lane = road.lane_centre
+    length = float(np.hypot(*np.diff(lane, axis=0).T).sum())
+    ahead = (lane[1] - lane[0]) / np.hypot(*(lane[1] - lane[0]))
+    straight = lane[0] + np.outer(np.arange(0.0, length - OracleLimits().finish_margin, 1.0), ahead)
+    apart = shapely.distance(shapely.points(straight), shapely.LineString(lane))
+    return bool(np.max(apart) > road.lane_width / 2)
+
+
+def choose_roads(count: int, needed: int, fails: Fails) -> tuple[int, ...]:
+    """Numbers of the first roads that the driver completes under default conditions, and that the gates let pass."""
+    chosen: list[int] = []
+    for road in range(count):
+        if len(chosen) < needed and not fails(GATE, road, DEFAULT) and not fails(TESTED, road, DEFAULT):
+            chosen.append(road)
+    return tuple(chosen)
+
+
+def measure(factor: Factor, roads: int, fails: Fails, *, levels: int = LEVELS) -> tuple[RoadResult, ...]:
+    """Bisect a factor on each road, the strongest value first.
+
+    A drive that the driver completes needs no gate; the gates judge the level at which it begins to fail. As soon as
+    the driver completes the strongest value on so many roads that the median cannot fail, no more roads are driven.
+
+    Args:
+        factor: what is varied.
+        roads: number of roads, all of which the driver completes under default conditions.
+        fails: drives.
+        levels: number of levels that may be driven, one of `RESOLUTIONS`.
+
+    Returns:
+        Results of the roads that were driven, the first ones.
+    """
+    step = LEVELS // levels
+    results: list[RoadResult] = []
+    near: Bracket | None = None
+    for road in range(roads):
+        if sum(one.withstands_all for one in results) > roads // 2:
+            break
+        near = first_failure(
+            lambda level, road=road: fails(TESTED, road, factor.conditions(level * step)),  # type: ignore[misc]
+            levels,
+            near,
+        )
+        completes, failing = near.completes * step, None if near.fails is None else near.fails * step
+        if failing is not None and fails(GATE, road, factor.conditions(failing)):
+            results.append(RoadResult(completes=completes, excluded=failing))
+        else:
+            results.append(RoadResult(completes=completes, fails=failing))
+    return tuple(results)
+
+
+def is_applicable(factor: Factor, realised: Sequence[str]) -> bool:
+    """Whether a simulator that realises some conditions realises a factor."""
+    return set(factor.conditions(LEVELS).changed) <= set(realised)

@@ -1,0 +1,1 @@
+"""Regression suites: the tests of a campaign that tell most, frozen in a file with their outcomes."""

@@ -1,0 +1,172 @@
+"""Runs a campaign from its configuration to its report, and opens one that was run before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from ds_analysis.paper.campaign_evaluation import read_correlations
+from ds_analysis.paper.correlation import Correlation
+from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.executor import Listener, SilentListener, Stopped
+from ds_orchestrator.campaign.folder import keep_engine, open_store, prepare_folder, store_of
+from ds_orchestrator.campaign.live_file import LiveFile, ObservedEngine
+from ds_orchestrator.campaign.provenance import record_provenance
+from ds_orchestrator.campaign.runner import Campaign
+from ds_orchestrator.campaign.stage_timer import StageTimer
+from ds_orchestrator.campaign.status import is_driven
+from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.engines.preflight import preflight
+from ds_orchestrator.engines.start import running_engine
+from ds_orchestrator.store.folder_files import locked
+from ds_orchestrator.store.store import Store
+from ds_report.build import write_all
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignOutcome:
+    """Outcome of a campaign.
+
+    Attributes:
+        folder: campaign folder.
+        report: the HTML report in it.
+        executions: number of executions with a verdict.
+        executions_in_error: executions of this session that ended in an error after all attempts.
+        correlations: comparison of every map with the twin's; empty without a twin.
+    """
+
+    folder: Path
+    report: Path
+    executions: int
+    executions_in_error: int
+    correlations: Sequence[Correlation]
+
+
+def run_campaign(
+    config: CampaignConfig,
+    folder: Path,
+    listener: Listener | None = None,
+    *,
+    attach: bool = False,
+    cluster: ClusterOptions | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> CampaignOutcome:
+    """Run a campaign to its report, or resume the one in the folder.
+
+    Args:
+        config: what to run.
+        folder: campaign folder, created if missing.
+        listener: receives every stage and every finished execution, from several threads.
+        attach: use the nodes that are already running in this environment's ROS domain instead of starting any.
+        cluster: cluster of the engine `dask`; one on this machine if None.
+        say: called with one line for each stage after driving, and about a cluster's workers.
+
+    Raises:
+        ConfigError: the driver or a simulator of the configuration has changed since the campaign began.
+        ds_orchestrator.store.sqlite_file.StoreError: the folder cannot be used.
+        ds_orchestrator.store.folder_files.LockError: another process uses the folder.
+        ds_orchestrator.campaign.executor.Stopped: the campaign was interrupted; what was finished is kept.
+    """
+    settings = config.drive_settings(cluster=cluster, attach=attach)
+    preflight(settings)
+    prepare_folder(folder)
+    with (
+        locked(folder),
+        closing(store_of(folder, config)) as store,
+        LiveFile(folder, listener or SilentListener()) as live,
+    ):
+        record_provenance(store, settings, folder)
+        keep_engine(folder, config)
+        (folder / "bags").mkdir(exist_ok=True)
+        in_error = 0
+        data: CampaignData | None = None  # read again after driving
+        if is_driven(known := read_campaign(store)):
+            data = known
+        else:
+            in_error = _drive(config, settings, folder, store, live, say)
+
+        def say_result(line: str) -> None:
+            live.result(line.removeprefix("stage: "))
+            say(line)
+
+        # The simulators come from the caller's configuration, so their code is trusted.
+        report = write_all(folder, store, data=data, again=False, say=say_result, trusted=config.simulators)
+        return CampaignOutcome(
+            folder=folder,
+            report=report,
+            executions=store.count_executions(),
+            executions_in_error=in_error,
+            correlations=read_correlations(folder, config) if config.twin else [],
+        )
+
+
+def rebuild_report(
+    folder: Path, *, say: Callable[[str], None] = lambda line: None, trusted: Collection[str] = ()
+) -> Path:
+    """Write maps, pictures, tables and report of a campaign again.
+
+    Args:
+        folder: campaign folder.
+        say: called with one line for each stage.
+        trusted: simulators of the user's own whose code may run; see `check_trust`.
+
+    Returns:
+        Path of the report.
+
+    Raises:
+        ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or cannot be used.
+        ds_orchestrator.store.folder_files.LockError: the campaign runs.
+    """
+    with closing(open_store(folder, writable=True)) as store, locked(folder):
+        return write_all(folder, store, say=say, trusted=trusted)
+
+
+def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
+    """Refuse a configuration from a campaign folder that names code which the user has not confirmed.
+
+    A folder may have been received, so its configuration alone never decides which code runs. The caller's own
+    configuration needs no such check.
+
+    Args:
+        config: configuration as stored in the folder.
+        trusted: simulators and drivers that the user named.
+
+    Raises:
+        ds_sim.registry.UntrustedSimulatorError: a simulator is neither shipped nor trusted.
+        ds_driver.networks.pilot.DriverError: the driver is code that is not trusted.
+    """
+    from ds_driver.networks.received import received_driver
+    from ds_sim.registry import received_simulator
+
+    for name in config.simulators:
+        received_simulator(name, confirmed=trusted, option="--trust")
+    received_driver(config.driver, confirmed=trusted)
+
+
+def _drive(
+    config: CampaignConfig,
+    settings: DriveSettings,
+    folder: Path,
+    store: Store,
+    live: LiveFile,
+    say: Callable[[str], None],
+) -> int:
+    """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
+    try:
+        with running_engine(settings, logs=folder / "logs", say=say) as engine:
+            timer = StageTimer(live, store)
+            campaign = Campaign(config, folder, store, ObservedEngine(engine, live), timer)
+            try:
+                campaign.run()
+            except BaseException:
+                engine.stop()
+                raise
+            finally:
+                timer.end()
+    except KeyboardInterrupt:
+        raise Stopped from None
+    return campaign.failed_executions

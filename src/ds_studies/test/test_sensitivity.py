@@ -1,0 +1,293 @@
+"""The strength at which a driver first fails, against made-up drivers whose thresholds are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_driver.closed_loop.simulation import run_drive
+from ds_orchestrator.campaign.engine import Watch
+from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
+from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
+from ds_studies import kept_drives
+from ds_studies.sensitivity import analysis, measurement
+from ds_studies.sensitivity.bisection import Bracket, first_failure
+from ds_studies.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
+from ds_studies.sensitivity.measurement import (
+    GATE,
+    MOST_SEGMENTS,
+    TESTED,
+    RoadResult,
+    candidate_roads,
+    choose_roads,
+    measure,
+)
+from ds_studies.sensitivity.picture import draw_sensitivity
+from ds_studies.sensitivity.thresholds import coverage, threshold_of
+
+LAG = next(factor for factor in all_factors() if factor.name == "steering_lag")
+
+
+def step(threshold: float, driven: list[int] | None = None) -> Callable[[int], bool]:
+    """A road that fails from a level on; counts what is driven."""
+
+    def fails(level: int) -> bool:
+        if driven is not None:
+            driven.append(level)
+        return level >= threshold
+
+    return fails
+
+
+@pytest.mark.parametrize("highest", [1, 5, 16])
+def test_bisection_finds_every_threshold(highest: int) -> None:
+    for threshold in range(1, highest + 2):
+        expected = Bracket(threshold - 1, threshold) if threshold <= highest else Bracket(highest, None)
+        assert first_failure(step(threshold), highest) == expected
+        for near in range(1, 20):  # a wrong guess costs drives, never the result
+            assert first_failure(step(threshold), highest, Bracket(near - 1, near)) == expected
+    driven: list[int] = []
+    first_failure(step(7, driven), 16)
+    assert len(driven) == 5 and driven[0] == 16
+    driven.clear()
+    first_failure(step(7, driven), 16, Bracket(6, 7))
+    assert driven == [7, 6]
+    for near, steps in ((8, [8, 7, 6]), (6, [6, 7]), (9, [9, 8, 7, 5, 6]), (5, [5, 6, 8, 7])):
+        driven.clear()
+        first_failure(step(7, driven), 16, Bracket(near - 1, near))
+        assert driven == steps  # they double
+    assert first_failure(step(1), 0) == Bracket(0, None)
+
+
+def test_on_a_road_that_is_not_monotone_failing_begins_at_the_result() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        fails = rng.random(17) < 0.5
+        found = first_failure(lambda level, fails=fails: bool(fails[level]), 16)  # type: ignore[misc]
+        if found.fails is None:
+            assert not fails[16]
+        else:
+            assert found.completes == found.fails - 1 and fails[found.fails]
+            assert found.completes == 0 or not fails[found.completes]
+
+
+def made_up(driver: list[float], gate: float = math.inf) -> measurement.Fails:
+    """A driver that fails from another steering lag on each road, and a lag from which it cannot be judged."""
+    return lambda who, road, conditions: conditions.steering_lag >= (driver[road] if who == TESTED else gate)
+
+
+def test_the_median_road_decides_and_the_roads_span_the_interval() -> None:
+    found = threshold_of("bullet", LAG, measure(LAG, 5, made_up([0.31, 0.74, 0.49, 2.0, 0.55])))
+    assert (found.verdict, found.fails, found.interval) == ("fails", 9, (5, None))
+    document = found.document()
+    assert (document["first_fails"], document["completes"], document["interval"]) == (0.5625, 0.5, [0.3125, None])
+    assert found.text == "0.562 (0.312 to never)" and found.withstood == 0.5625
+    noisy = np.random.default_rng(5).normal(0.5, 0.1, (2000, 5))
+    medians = [threshold_of("x", LAG, measure(LAG, 5, made_up(list(row)))) for row in noisy[:200]]
+    covered = [one.interval[0] <= 8.5 <= (one.interval[1] or 99) for one in medians if one.interval[0]]
+    assert abs(np.mean(covered) - coverage(5)) < 0.06 and coverage(5) == 0.9375
+
+
+def test_fewer_levels_find_the_next_of_their_own() -> None:
+    for levels in RESOLUTIONS:
+        step = LEVELS // levels
+        for fails_from in np.linspace(0.01, 0.99, 40):
+            found = threshold_of("x", LAG, measure(LAG, 1, made_up([fails_from]), levels=levels))
+            exact = threshold_of("x", LAG, measure(LAG, 1, made_up([fails_from])))
+            assert found.fails and exact.fails and found.fails % step == 0
+            assert 0 <= found.fails - exact.fails < step
+            completed, first = found.document()["completes"], found.document()["first_fails"]
+            assert completed < fails_from <= first and first - completed == step / LEVELS
+
+
+@pytest.mark.parametrize("roads", [1, 3, 4, 5])
+def test_no_road_is_driven_that_cannot_change_the_verdict(roads: int) -> None:
+    """Whatever roads fail, stopping early gives the verdict that driving all of them gives."""
+    for failing in product([False, True], repeat=roads):
+        driven: set[int] = set()
+
+        def fails(who: str, road: int, conditions: Conditions, failing=failing, driven=driven) -> bool:  # type: ignore[no-untyped-def]
+            driven.add(road)
+            return who == TESTED and failing[road] and conditions.steering_lag >= 0.5
+
+        found = threshold_of("x", LAG, measure(LAG, roads, fails))
+        assert found.verdict == ("fails" if 2 * sum(failing) >= roads else "completes")
+        if found.verdict == "fails":
+            assert len(driven) == roads
+        if not any(failing):
+            assert len(driven) == roads // 2 + 1
+
+
+def test_never_always_and_infeasible_are_told_apart() -> None:
+    never = threshold_of("bullet", LAG, measure(LAG, 3, made_up([9.0] * 3)))
+    assert (never.verdict, never.text, never.withstood, never.fails) == ("completes", "no failure", 1.0, None)
+    always = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.001] * 3)))
+    assert (always.verdict, always.fails, always.document()["completes"]) == ("fails", 1, 0.0)
+    # The driver fails from 0.9 s on, where the autopilot fails, too: so it does from 0.5 s on.
+    bound = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.9] * 3, gate=0.5)))
+    assert (bound.verdict, bound.text, bound.fails) == ("infeasible", "infeasible from 0.938", None)
+    assert bound.document()["excluded_from"] == 0.9375 and bound.document()["first_fails"] is None
+    below = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.3] * 3, gate=0.5)))
+    assert (below.verdict, below.fails, below.excluded) == ("fails", 5, None)
+    # One road fails, one cannot be judged where it would, one passes: the median is not known to pass.
+    mixed = [RoadResult(completes=3, fails=4), RoadResult(completes=5, excluded=6), RoadResult(completes=LEVELS)]
+    assert threshold_of("bullet", LAG, mixed).text == "infeasible from 0.375"
+    assert threshold_of("bullet", LAG, (), "sim_error: diverged").verdict == "error"
+
+
+def test_gates_judge_failures_alone() -> None:
+    (contrast,) = factors_named(["line_contrast"])
+    driven: list[tuple[str, float]] = []
+
+    def drivers(tested: float, visible: float) -> measurement.Fails:
+        def fails(who: str, _road: int, conditions: Conditions) -> bool:
+            driven.append((who, conditions.line_contrast))
+            return conditions.line_contrast < {TESTED: tested, GATE: visible}[who]
+
+        return fails
+
+    judged = threshold_of("bullet", contrast, measure(contrast, 1, drivers(tested=0.5, visible=0.2)))
+    assert (judged.verdict, judged.text) == ("fails", "0.438")
+    assert [value for who, value in driven if who == GATE] == [0.4375] and driven[0] == (TESTED, 0.0)
+    blind = threshold_of("bullet", contrast, measure(contrast, 3, drivers(tested=0.2, visible=0.5)))
+    assert (blind.verdict, blind.text, blind.fails) == ("lines invisible", "lines invisible from 0.188", None)
+    driven.clear()
+    assert measure(contrast, 2, drivers(tested=-1.0, visible=2.0))[0].withstands_all
+    assert {who for who, _ in driven} == {TESTED}  # a pass needs no gate
+    assert choose_roads(9, 2, lambda who, road, _: road == 0 or (who == TESTED and road == 1)) == (2, 3)
+
+
+def test_every_factor_goes_from_the_own_world_to_the_hardest_value() -> None:
+    factors = all_factors()
+    assert {f.name for f in factors} == {name for name, field in FIELDS.items() if field.stronger}
+    for factor in factors:
+        values = [factor.value(level) for level in range(LEVELS + 1)]
+        steps = np.diff([1.0 / value if factor.name == "visibility" else value for value in values])
+        assert (steps > 0).all() or (steps < 0).all()
+        assert values[-1] == factor.end and factor.conditions(0) == DEFAULT
+        assert getattr(factor.conditions(LEVELS), factor.name) == factor.end
+    (fog,) = factors_named(["visibility"])
+    assert fog.value(8) == pytest.approx(40.0)  # half the extinction of 20 m
+    pitches = factors_named(["camera_pitch"])
+    assert [pitch.end for pitch in pitches] == [-0.15, 0.15]
+    for bad in (["rain"], ["sun_azimuth"], ["line_cover", "line_cover"]):
+        with pytest.raises(ConditionsError, match="expected some of|name each once"):
+            factors_named(bad)
+
+
+def test_roads_need_steering_and_fewer_roads_are_the_first_ones() -> None:
+    roads = candidate_roads(2, seed=1)
+    assert roads[:3] == candidate_roads(1, seed=1) and len({road.road_id for road, _ in roads}) == 6
+    for road, _ in roads:
+        assert road.validity.valid and 90.0 < road.length < 110.0
+        assert np.abs(road.lane_centre[:, 0] - road.lane_centre[0, 0]).max() > 2.0  # it starts northwards
+    assert len(candidate_roads(1, seed=1, segments=MOST_SEGMENTS)[0][0].control_points) == 9
+
+
+class MadeUpEngine:
+    """Drives nothing: the driver fails from a lag of 0.3 s on, and the simulator `softbody` from 0.9 s on."""
+
+    capacity = 2
+
+    def __init__(self, *, fails_by_default: bool = False) -> None:
+        self.driven: list[tuple[str, str]] = []
+        self._fails_by_default = fails_by_default
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        self.driven.append((GATE if request.probed else TESTED, request.simulator))
+        lag, outcome = request.conditions.steering_lag, Outcome.COMPLETED
+        if not request.probed and request.simulator == "softbody" and lag > 0.9:
+            return request.ended(Outcome.SIM_ERROR, "")
+        if not request.probed and (self._fails_by_default or lag > 0.3):
+            outcome = Outcome.OUT_OF_BOUNDS
+        vehicle = VehicleState(x=0.0, y=0.0, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
+        lane = LaneState(lateral_position=0.0, lateral_distance=2.0, preview_lateral_position=0.0, arc_length=0.0)
+        seen = Observation(image=NO_IMAGE, step=0, time=0.0, vehicle=vehicle, lane=lane, outcome=Outcome.RUNNING)
+        return replace(request.ended(outcome, ""), visible_contrasts=[1.0], observations=[seen])
+
+    def stop(self) -> None:
+        """Nothing runs."""
+
+
+@pytest.fixture
+def engines(monkeypatch: pytest.MonkeyPatch) -> list[MadeUpEngine]:
+    """Engines to be used, one after the other."""
+    engines: list[MadeUpEngine] = []
+    monkeypatch.setattr(analysis, "running_local", lambda *_, **__: nullcontext(engines.pop(0)))
+    monkeypatch.setattr(kept_drives, "driver_sha256", lambda driver: str(driver))
+    return engines
+
+
+def test_an_analysis_goes_on_where_it_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engines: list[MadeUpEngine]
+) -> None:
+    realised = {"bullet": tuple(FIELDS), "softbody": tuple(FIELDS), "plain": ("steering_lag",)}
+    monkeypatch.setattr(analysis, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
+    factors = factors_named(["line_contrast", "steering_lag"])
+
+    def once(driver: str = "dave2") -> tuple[analysis.Sensitivity, MadeUpEngine]:
+        engine = MadeUpEngine()
+        engines.append(engine)
+        found = analysis.analyse_sensitivity(
+            driver, ["bullet", "softbody", "plain"], factors, roads=3, seed=1, folder=tmp_path / driver,
+            gates=tmp_path / "gates",
+        )  # fmt: skip
+        return found, engine
+
+    found, _ = once()
+    assert found.thresholds[1, "bullet"].document()["first_fails"] == 0.3125
+    assert found.thresholds[0, "bullet"].verdict == "completes"
+    assert found.thresholds[0, "plain"].verdict == "not applicable"
+    assert found.thresholds[1, "softbody"].verdict == "error" and len(found.errors) == 1
+    assert [factors[position].name for position in found.order] == ["steering_lag", "line_contrast"]
+    again, engine = once()
+    assert engine.driven == [(TESTED, "softbody")]  # the drive that ended in an error
+    assert again.document() == found.document() and again.long_table().csv() == found.long_table().csv()
+    _, engine = once("chauffeur")
+    assert {who for who, _ in engine.driven} == {TESTED}  # gates are those of the first driver
+    image = draw_sensitivity(found)
+    assert image.ndim == 3 and len(np.unique(image.reshape(-1, 3), axis=0)) > 3
+
+
+def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine]) -> None:
+    engines.append(MadeUpEngine(fails_by_default=True))
+    found = analysis.analyse_sensitivity("dave2", ["bullet"], [LAG], roads=1, seed=1)
+    assert found.thresholds[0, "bullet"].text == "fails by default"
+    assert "completes 0 of 1 roads without any condition" in found.table().notes[1]
+
+
+@pytest.mark.parametrize(("driver", "translated"), [("dave2", False), ("dave2_real@openvino-bf16", True)])
+def test_thresholds_of_translated_images_say_what_they_are_not(
+    driver: str, translated: bool, engines: list[MadeUpEngine]
+) -> None:
+    engines.append(MadeUpEngine())
+    found = analysis.analyse_sensitivity(driver, ["bullet"], [LAG], roads=1, seed=1)
+    assert found.document()["translated_images"] == translated
+    assert any("sees translated images" in note for note in found.table().notes) == translated
+
+
+def test_a_picture_changes_nothing_for_the_autopilot() -> None:
+    """Why the autopilot need not drive again where a factor changes pictures alone."""
+    road = Road([(125, 25 * i) for i in range(4)])
+    (fog,) = factors_named(["visibility"])
+    clear, foggy = (
+        run_drive(DriveRequest("bullet", AUTOPILOT, road, 1, fog.conditions(level))) for level in (0, LEVELS)
+    )
+    assert clear.observations == foggy.observations and clear.commands == foggy.commands
+
+
+def test_results_name_values_that_json_can_hold() -> None:
+    factor = Factor(name="visibility", start=math.inf, end=20.0)
+    document = threshold_of("bullet", factor, [RoadResult(completes=0, fails=1)]).document()
+    assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0

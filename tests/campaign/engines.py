@@ -1,0 +1,91 @@
+"""Engines for campaigns without ROS."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.control.autopilot import Autopilot
+from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.executor import Stopped
+from ds_sim.registry import make_simulator
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
+
+
+class EngineHere:
+    """Drives in this process.
+
+    Args:
+        runs: number of runs after which it raises `Stopped`.
+        errors: number of runs that end in an error.
+        errors_after: number of runs before the first error.
+    """
+
+    def __init__(self, *, runs: int = 10_000, errors: int = 0, errors_after: int = 0) -> None:
+        self.roads: list[tuple[str, str]] = []
+        self._left = runs
+        self._errors = errors
+        self._errors_after = errors_after
+        self.error = Outcome.DRIVER_SILENT
+
+    capacity: int | None = None
+
+    def stop(self) -> None: ...
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        simulator, road, seed, conditions = request.simulator, request.road, request.seed, request.conditions
+        if self._left == 0:
+            raise Stopped
+        if self._errors and len(self.roads) >= self._errors_after:
+            self._errors -= 1
+            return request.ended(self.error, "no command within 1 s")
+        self._left -= 1
+        self.roads.append((simulator, road.road_id))
+        made = make_simulator(simulator)
+        session, pilot = Session(made), Autopilot(made.spec.autopilot)
+        observation = session.start(road, seed, conditions)
+        while session.driving and observation is not None and observation.step < 60:
+            command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
+            observation = session.advance(command)
+        assert session.run is not None
+        if session.driving:
+            session.end(Outcome.TIMEOUT, "sixty steps are enough for a test")
+        made.close()
+        return session.run
+
+
+class MadeUpEngine(EngineHere):
+    """Drives nothing: generates an outcome from simulator, road and seed at once."""
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        simulator, road, seed, conditions = request.simulator, request.road, request.seed, request.conditions
+        if self._left == 0:
+            raise Stopped
+        self._left -= 1
+        self.roads.append((simulator, road.road_id))
+        rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
+        lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
+        failed = bool(np.abs(lateral).max() > HALF_LANE)
+        x, y = road.lane_centre[0].tolist()
+        run = RunRecord(
+            road=road, seed=seed, conditions=conditions, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
+        )
+        run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
+        run.observations = [
+            Observation(
+                image=np.empty((0, 0, 3), np.uint8),
+                step=k,
+                time=k / 20,
+                vehicle=VehicleState(x=x, y=y + k, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
+                lane=LaneState(
+                    lateral_position=float(offset),
+                    lateral_distance=HALF_LANE - abs(float(offset)),
+                    preview_lateral_position=float(offset),
+                    arc_length=float(k),
+                ),
+                outcome=Outcome.RUNNING if k < 5 else run.outcome,
+            )
+            for k, offset in enumerate(lateral)
+        ]
+        return run

@@ -1,0 +1,325 @@
+"""Folders of an attacker: no verb leaves the folder, waits for a FIFO, or takes more than bounded time and memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from report_campaigns import make_campaign, make_tests
+from tests.campaign.test_unusable_folders import Ds, content, ds
+
+from ds_analysis.prediction.outcome_table import OutcomeTableError, table_of_comparison
+from ds_analysis.prediction.real.proposal import read_proposed
+from ds_analysis.prediction.real.records import RecordError, read_csv, read_drives
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.campaign.campaign_data import read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
+from ds_orchestrator.campaign.folder import open_store, with_kept_engine
+from ds_orchestrator.store import folder_files
+from ds_orchestrator.store.folder_files import check_folder, locked, read_file
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
+
+__all__ = ["ds"]  # a fixture
+CONFIG = CampaignConfig(
+    siblings=["bullet", "softbody"], twin="donkey", driver="autopilot", record="none",
+    search=SearchConfig(population=2, iterations=2, runs=1),
+)  # fmt: skip
+READING: dict[str, tuple[object, ...]] = {
+    "status": ("campaign", "status", "DIR"),
+    "roads": ("campaign", "roads", "DIR"),
+    "export": ("campaign", "export", "DIR", "--out", "OUT"),
+    "maps": ("maps", "DIR"),
+    "predict": ("predict", "DIR"),
+    "make": ("suite", "make", "DIR", "--out", "OUT.json"),
+    "compare": ("campaign", "compare", "DIR", "DIR", "--out", "OUT"),
+    "pack": ("bag", "pack", "DIR", "--out", "OUT"),
+    "watch": ("watch", "DIR", "--port", "0"),
+}
+WRITING: dict[str, tuple[object, ...]] = {
+    "resume": ("campaign", "resume", "DIR"),
+    "report": ("report", "DIR"),
+    "evaluate": ("evaluate", "DIR"),
+    "propose": ("real", "propose", "DIR", "--drives", "1"),
+    "record": ("real", "record", "DIR", "OUT.csv"),
+    "update": ("real", "update", "DIR"),
+}
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Path:
+    """A received campaign of four tests on three simulators."""
+    (tmp_path / "received").mkdir()
+    make_campaign(tmp_path / "received", CONFIG, 2).close()
+    return tmp_path / "received"
+
+
+def command(words: tuple[object, ...], folder: Path) -> list[str]:
+    out = str(folder.parent / "out")
+    return [str(word).replace("DIR", str(folder)).replace("OUT", out) for word in words]
+
+
+def super_journal(victim: Path) -> bytes:
+    """A left-over rollback journal that names a file, which SQLite deletes at the end of the rollback."""
+    magic, name = bytes.fromhex("d9d505f920a163d7"), str(victim).encode()
+    header = (magic + struct.pack(">5I", 0, 1, 1, 512, 4096)).ljust(512, b"\0")
+    return header + struct.pack(">I", 2**31 // 4096 + 1) + name + struct.pack(">II", len(name), sum(name)) + magic
+
+
+@pytest.mark.parametrize("verb", [*READING, *WRITING])
+def test_no_verb_opens_a_store_that_is_a_link(verb: str, campaign: Path, ds: Ds) -> None:
+    """SQLite takes the journals beside the file to which the link leads, and deletes what they name."""
+    elsewhere, victim = campaign.parent / "elsewhere", campaign.parent / "victim"
+    elsewhere.mkdir()
+    victim.write_bytes(b"nothing\0")
+    (campaign / "campaign.sqlite").rename(elsewhere / "campaign.sqlite")
+    (elsewhere / "campaign.sqlite-journal").write_bytes(super_journal(victim))
+    (campaign / "campaign.sqlite").symlink_to(elsewhere / "campaign.sqlite")
+    before = content(campaign.parent)
+    status, said = ds(*command((READING | WRITING)[verb], campaign))
+    assert status == 2 and "campaign.sqlite is a link" in said and len(said.splitlines()) == 1, said
+    assert content(campaign.parent) == before
+
+
+@pytest.mark.parametrize("verb", READING)
+def test_no_verb_waits_for_a_fifo_or_changes_what_it_reads(verb: str, campaign: Path, ds: Ds) -> None:
+    os.mkfifo(campaign / "campaign.sqlite-wal")
+    before = content(campaign)
+    status, said = ds(*command(READING[verb], campaign))
+    assert status == 2 and "campaign.sqlite-wal is not a regular file" in said and len(said.splitlines()) == 1, said
+    assert content(campaign) == before
+
+
+def link_of_folder(path: Path) -> None:
+    path.symlink_to(path.parents[1] / "mine")
+
+
+def link_of_file(path: Path) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.symlink_to(path.parents[2] / "mine" / "file")
+
+
+PLANTED: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "a folder of results is a link": ("evaluation", link_of_folder),
+    "the folder of real drives is a link": ("real", link_of_folder),
+    "a result is a link": ("maps/overview.png", link_of_file),
+    "a result of an update is a link": ("real/update.json", link_of_file),
+    "a FIFO": (".live.json", os.mkfifo),
+}
+
+
+@pytest.mark.parametrize("verb", WRITING)
+@pytest.mark.parametrize("planted", PLANTED)
+def test_no_verb_writes_out_of_the_folder(verb: str, planted: str, campaign: Path, ds: Ds) -> None:
+    (campaign.parent / "mine").mkdir()
+    (campaign.parent / "mine" / "file").write_text("mine")
+    name, plant = PLANTED[planted]
+    plant(campaign / name)
+    before = content(campaign.parent)
+    status, said = ds(*command(WRITING[verb], campaign))
+    assert status == 2 and str(campaign / name).partition("/maps")[0] in said and len(said.splitlines()) == 1, said
+    assert content(campaign.parent) == before
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["report.html", ".lock", ".engine.json", "bags", "logs", "maps/maps.json", "evaluation/rq1.json",
+     "real/round_1/README.md", "drives.sqlite-wal", "comparison.json", "tables/x.csv", "worse"],
+)  # fmt: skip
+def test_whoever_writes_has_looked_at_every_place(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    for make in (lambda path: path.symlink_to(tmp_path / "nowhere"), os.mkfifo):
+        make(tmp_path / name)
+        with pytest.raises(StoreError, match="remove it"), locked(tmp_path):
+            pass
+        (tmp_path / name).unlink()
+    with locked(tmp_path):
+        assert (tmp_path / ".lock").is_file()
+
+
+def test_own_files_beside_a_campaign_stay_and_too_many_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "venv").symlink_to(tmp_path.parent)
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "bags").mkdir()
+    for number in range(5):
+        (tmp_path / "bags" / str(number)).touch()
+    check_folder(tmp_path)
+    monkeypatch.setattr(folder_files, "MOST_ENTRIES", 5)
+    with pytest.raises(StoreError, match="more than 5 files"):
+        check_folder(tmp_path)
+
+
+def test_a_file_is_read_only_from_inside_and_bounded(tmp_path: Path) -> None:
+    folder = tmp_path / "campaign"
+    (folder / "real").mkdir(parents=True)
+    with (folder / "real" / "large.json").open("wb") as file:
+        file.truncate(2**34)
+    (folder / "real" / "zero.json").symlink_to("/dev/zero")
+    os.mkfifo(folder / "real" / "fifo.json")
+    (folder / "linked").symlink_to(folder / "real")
+    (folder / "real" / "good.json").write_text("[]")
+    for name, words in (
+        ("real/large.json", "longer than 16 MiB"), ("real/zero.json", "is a link"),
+        ("real/fifo.json", "not a regular file"), ("linked/good.json", "is a link"),
+    ):  # fmt: skip
+        with pytest.raises(StoreError, match=words):
+            read_file(folder, name)
+    assert read_file(folder, "real/good.json") == b"[]"
+    with pytest.raises(FileNotFoundError):
+        read_file(folder, "real/none.json")
+    os.mkfifo(folder / ".engine.json")
+    assert with_kept_engine(folder, CONFIG) == CONFIG
+
+
+def test_a_planted_link_is_replaced_and_not_followed(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    (tmp_path / "file").symlink_to(victim)
+    (tmp_path / f".file.{os.getpid()}.partial").symlink_to(victim)
+    write_whole(tmp_path / "file", "new")
+    assert victim.read_text() == "mine" and (tmp_path / "file").read_text() == "new"
+
+
+DRIVE = {"test_id": "a", "failed": False, "outcome": "completed", "max_lateral_position": 0.5, "who": "x",
+         "when": "2026-03-01", "source": "f.csv", "note": ""}  # fmt: skip
+ROW = {"test_id": "a", "road": [[0, 0], [1, 1], [2, 2], [3, 4]], "conditions": ""}
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {}, [1], [{}], [[DRIVE]], [{**DRIVE, "failed": 1}], [{**DRIVE, "failed": True}], [{**DRIVE, "outcome": "won"}],
+        [{**DRIVE, "max_lateral_position": 10**400}], [{**DRIVE, "max_lateral_position": "0.5"}],
+        [{**DRIVE, "max_lateral_position": -1}], [{**DRIVE, "test_id": 7}], [{**DRIVE, "who": "x" * 10**6}],
+        [DRIVE, {**DRIVE, "failed": True, "outcome": "failed", "max_lateral_position": None}], [DRIVE] * 300_000,
+    ],
+)  # fmt: skip
+def test_real_drives_that_nobody_recorded_are_refused_at_once(value: object, tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    path = tmp_path / "real" / "drives.json"
+    path.write_text(json.dumps(value))
+    began = time.process_time()
+    with pytest.raises((RecordError, StoreError)) as problem:
+        read_drives(tmp_path)
+    assert (
+        len(str(problem.value).splitlines()) == 1 and str(path) in str(problem.value) or "two outcomes" in str(problem)
+    )
+    assert time.process_time() - began < 5
+    path.write_text(json.dumps([DRIVE]))
+    assert read_drives(tmp_path)[0].max_lateral_position == 0.5
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        [], {}, {"scale": 16.0}, {"scale": "16", "rounds": []}, {"scale": 10**400, "rounds": []},
+        {"scale": 0, "rounds": []}, {"scale": 16.0, "rounds": [1]}, {"scale": 16.0, "rounds": [[1]]},
+        {"scale": 16.0, "rounds": [[{**ROW, "road": [[10**400, 0]]}]]},
+        {"scale": 16.0, "rounds": [[{**ROW, "test_id": ["a"]}]]},
+        {"scale": 16.0, "rounds": [[{**ROW, "conditions": "friction=nan"}]]},
+        {"scale": 16.0, "rounds": [[ROW], [{**ROW, "road": [[0, 0], [1, 1], [2, 2], [3, 5]]}]]},
+        {"scale": 16.0, "rounds": [[]] * 300_000}, {"scale": 16.0, "rounds": [[ROW] * 100_000]},
+    ],
+)  # fmt: skip
+def test_proposals_that_nobody_made_are_refused_at_once(value: object, tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    path = tmp_path / "real" / "proposal.json"
+    path.write_text(json.dumps(value))
+    began = time.process_time()
+    with pytest.raises(RecordError, match="proposal.json cannot be read"):
+        read_proposed(tmp_path)
+    assert time.process_time() - began < 10
+    path.write_text(json.dumps({"scale": 16.0, "rounds": [[{**ROW, "more": [1]}]]}))
+    assert read_proposed(tmp_path).rounds == [[{**ROW, "more": [1]}]]
+
+
+def test_a_csv_with_a_column_twice_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "outcomes.csv"
+    path.write_text("test_id,outcome,outcome,who,when\na,completed,failed,me,2026-03-01\n")
+    with pytest.raises(RecordError, match="the column outcome comes twice"):
+        read_csv(path, {"a": 2.0}, scale=16.0)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(RecordError, match="not a regular file"):
+        read_csv(path, {"a": 2.0}, scale=16.0)
+
+
+def test_comparisons_that_nobody_made_are_refused(tmp_path: Path) -> None:
+    road = [[125.0, 25.0 * k] for k in range(9)]
+    (tmp_path / "roads.json").write_text(json.dumps([road]))
+    from ds_road import road_from_json
+
+    row = {"road_id": road_from_json(road).road_id, "failed": {"a": False}, "max_lateral_position": {"a": 0.1}}
+
+    def write(rows: list[Any], names: object = ("a",)) -> None:
+        (tmp_path / "comparison.json").write_text(json.dumps({"outcomes": rows, "simulators": names}))
+
+    write([row])
+    assert len(table_of_comparison(tmp_path)) == 1
+    for rows in (
+        [{**row, "max_lateral_position": {"a": 10**400}}], [{**row, "max_lateral_position": {"a": float("nan")}}],
+        [{**row, "max_lateral_position": {"a": -1.0}}], [row] * 30_000,
+    ):  # fmt: skip
+        write(rows)
+        with pytest.raises(OutcomeTableError, match="holds no comparison"):
+            table_of_comparison(tmp_path)
+
+
+@pytest.mark.parametrize("verb", [verb for verb in WRITING if verb != "resume"])
+def test_what_writes_waits_for_a_running_campaign(verb: str, campaign: Path, ds: Ds) -> None:
+    before = content(campaign)
+    with locked(campaign):
+        status, said = ds(*command(WRITING[verb], campaign))
+    assert status == 1 and "is in use by another run: wait for it" in said and len(said.splitlines()) == 1
+    assert content(campaign) == before
+
+
+def test_what_is_read_beside_a_running_campaign_is_of_one_moment(tmp_path: Path) -> None:
+    writer = make_campaign(tmp_path, CONFIG, 1)
+    reader = open_store(tmp_path)
+    assert len(reader.tests()) == 2
+    test, executions = make_tests(CONFIG, 2)[-1]
+    writer.add_test(test)
+    writer.add_execution(executions[0])
+    data = read_campaign(reader)
+    assert len(data.tests) == 2 and len(data.executions) == 6 and reader.count_executions() == 6
+    reader.close()
+    writer.close()
+    reader = open_store(tmp_path)  # nobody writes: SQLite reads the file as one that never changes
+    assert len(reader.tests()) == 3
+    with sqlite3.connect(tmp_path / "campaign.sqlite") as db:
+        db.execute("DELETE FROM errors")
+        db.execute("UPDATE tests SET seed = 5")
+    db.close()
+    with pytest.raises(StoreError, match="writes .* at this moment: wait for it"):
+        reader.tests()
+    reader.close()
+
+
+def test_a_name_that_is_no_text_gets_one_line(tmp_path: Path, ds: Ds) -> None:
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    folder.mkdir()
+    make_campaign(folder, CONFIG, 1).close()
+    before = content(tmp_path)
+    for words in (*READING.values(), *WRITING.values()):
+        status, said = ds(*command(words, folder))
+        assert status == 2 and "not UTF-8" in said and len(said.splitlines()) == 1, (words, said)
+    assert ds("runs", tmp_path)[0] == 0 and ds("runs", tmp_path, "--json")[0] == 0
+    assert content(tmp_path) == before
+
+
+def test_a_store_that_is_only_read_keeps_its_bytes_and_its_folder(campaign: Path, ds: Ds) -> None:
+    before = content(campaign)
+    for verb in ("status", "roads", "export", "maps", "make"):
+        assert ds(*command(READING[verb], campaign))[0] == 0, verb
+    assert content(campaign) == before and not (campaign / ".lock").exists()
+    assert len(Store(campaign / "campaign.sqlite", read_only=True).tests()) == 4

@@ -1,0 +1,77 @@
+"""A user's own search, features and merge operators, as `module:NAME`; no received file decides that they run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.campaign.own_parts import StraightSearch
+from tests.campaign.test_campaign import CONFIG
+from tests.campaign.test_gates import GatedEngine, run
+
+from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_orchestrator.campaign.campaign_data import read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
+from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.maps.merge_operators import operator_of
+from ds_orchestrator.search.algorithms import search_of
+
+OWN = "tests.campaign.own_parts"
+
+
+def config_of(**changes: Any) -> CampaignConfig:
+    raw = {
+        "siblings": CONFIG.siblings, "twin": CONFIG.twin, "driver": "autopilot", "engine": "local", "record": "none",
+        "search": {"population": 2, "iterations": 3, "runs": 1, "method": f"{OWN}:StraightSearch"},
+        "features": ["turns_count", f"{OWN}:EASTING:5"], "operators": {"probability": f"{OWN}:MEDIAN"},
+    }  # fmt: skip
+    return parse_config({**raw, **changes}, "mine.yaml")
+
+
+def test_a_campaign_runs_with_parts_of_the_users_own(tmp_path: Path) -> None:
+    data = read_campaign(run(tmp_path, GatedEngine(), config_of())[1])
+    assert search_of(f"{OWN}:StraightSearch") is StraightSearch
+    assert all(test.road.curvature < 0.08 for test in data.tests), "drawn by the own search"
+    expected = {test.test_id: (test.road.turns_count, int(test.road.control_points[-1][0]) // 5) for test in data.tests}
+    assert data.cells == expected
+    merged = maps_of(data)[MapId.merged()]
+    values = np.array([[0.0, 0.5], [1.0, 0.5]])
+    assert operator_of(f"{OWN}:MEDIAN").combine(values, np.ones(2)).tolist() == [0.5, 0.5]
+    assert merged.cells and set(merged.cells) <= set(expected.values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"features": ["turns_count", f"{OWN}:NOTHING"]}, "NOTHING is a str, expected a Feature"),
+        ({"features": ["turns_count", "no.such:FEATURE"]}, "cannot be imported"),
+        ({"features": [f"{OWN}:EASTING", f"{OWN}:EASTING:2"]}, "expected two or three different ones"),
+        ({"operators": {"quality_loss": f"{OWN}:EASTING"}}, "is a Feature, expected a MergeOperator"),
+        ({"search": {"method": f"{OWN}:MEDIAN"}}, "is a MergeOperator, expected a type"),
+        ({"search": {"method": "tests.campaign.engines:EngineHere"}}, "no subclass of"),
+        ({"search": {"method": "climbing"}}, "expected one of deephyperion"),
+    ],
+)
+def test_a_name_that_leads_to_no_such_part_gets_one_line(changes: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem) as refused:
+        config_of(**changes)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("allowed", "status"), [("", 2), (f"{OWN}:MEDIAN,{OWN}:EASTING,{OWN}:StraightSearch", 0)])
+def test_a_received_folder_runs_no_code_that_the_user_has_not_named(tmp_path: Path, allowed: str, status: int) -> None:
+    run(tmp_path, GatedEngine(), config_of())[1].close()
+    script = f"import sys; from ds_cli.application import run; code = run(['campaign', 'status', {str(tmp_path)!r}])\n"
+    script += f"print('imported' if {OWN!r} in sys.modules else 'not imported'); sys.exit(code)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120,
+        env={"DS_TRUST": allowed, "PYTHONPATH": ":".join(map(str, sys.path)), "PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+    assert done.returncode == status, done.stderr
+    assert ("not imported" in done.stdout) == (not allowed)
+    if not allowed:
+        assert "a received file must not run code" in done.stderr and done.stderr.count("\n") == 1
