@@ -92,7 +92,7 @@ def flow() -> str:
     p.box(830, 90, 105, 90, "driver", ["your network", "ds_driver"])
     p.box(300, 320, 190, 80, "store", ["campaign.sqlite, bags/", "ds_orchestrator.store"], "science")
     p.box(590, 320, 160, 80, "maps", ["union, merge", "ds_orchestrator.maps"], "science")
-    p.box(790, 310, 156, 100, "evaluation", ["against the twin", "report.html", "ds_orchestrator.report"], "science")
+    p.box(790, 310, 156, 100, "evaluation", ["against the twin", "report.html", "ds_report"], "science")
     p.arrow([(200, 90), (298, 90)], ROAD, "road", (249, 82))
     p.arrow([(300, 125), (202, 125)], DRIVE, "fitness", (249, 142))
     p.arrow([(490, 90), (573, 90)], ROAD, "road", (532, 82))
@@ -135,23 +135,33 @@ def _floor(p: Picture, x: float, y: float, width: float, title: str, rooms: str)
 
 def packages() -> str:
     """Draw the packages as floors: a package uses those below it, never one above it."""
-    p = Picture(960, 500)
-    rooms = "search, campaign, store, maps, evaluation, report, graph, cli"
-    _floor(p, 20, 16, 920, "ds_orchestrator: the method and the command line", rooms)
-    rooms = "networks, control, data, training, closed_loop, ros"
-    _floor(p, 20, 112, 540, "ds_driver: networks, data, training, driving", rooms)
-    rooms = "bullet, softbody, panda, donkey"
-    _floor(p, 580, 112, 360, "the simulators: ds_sim_*, ds_twin_donkey", rooms)
-    rooms = "writer, reader, verification, recovery, packs, player, ros"
-    _floor(p, 20, 208, 920, "ds_bags: recorded runs", rooms)
-    rooms = "contract, camera, lane tracker, oracle, session, resimulation, testing, ros"
-    _floor(p, 20, 304, 920, "ds_sim: what a simulator is", rooms)
-    p.box(20, 400, 540, 44, "ds_road: roads as values", [], "science")
-    p.box(580, 400, 360, 44, "ds_interfaces: messages", [], "ros")
+    floors = (
+        ("ds_cli: the command line", "verbs, campaign, prediction, bags, doctor, ros"),
+        ("ds_studies: drives that an analysis asks for", "whole campaign, comparison, suite, sensitivity"),
+        ("ds_report: shows", "report, pictures, comparison page, watch"),
+        ("ds_analysis: reads, never drives", "paper, siblings, comparison, prediction, interchange, common"),
+        ("ds_orchestrator: searches, drives, remembers, maps", "search, campaign, store, maps, engines, graph"),
+        ("", ""),
+        ("ds_bags: recorded runs", "writer, reader, verification, recovery, packs, player, ros"),
+        ("ds_sim: what a simulator is", "contract, camera, lane tracker, oracle, session, resimulation, testing, ros"),
+    )
+    p = Picture(960, 116 + 96 * len(floors))
+    for index, (title, rooms) in enumerate(floors):
+        y = 16 + 96 * index
+        if title:
+            _floor(p, 20, y, 920, title, rooms)
+        else:
+            drivers = "networks, control, data, training, closed_loop, ros"
+            _floor(p, 20, y, 540, "ds_driver: networks, data, training, driving", drivers)
+            _floor(p, 580, y, 360, "the simulators: ds_sim_*, ds_twin_donkey", "bullet, softbody, panda, donkey")
+    y = 16 + 96 * len(floors)
+    p.box(20, y, 540, 44, "ds_road: roads as values", [], "science")
+    p.box(580, y, 360, 44, "ds_interfaces: messages", [], "ros")
+    y += 62
     for x, fill, words in ((60, "science", "plain Python"), (240, "ros", "imports ROS")):
-        p.parts.append(f'<rect x="{x}" y="462" width="24" height="16" fill="{FILLS[fill]}" stroke="{INK}"/>')
-        p.parts.append(f'<text x="{x + 34}" y="475" font-size="13" fill="{INK}">{words}</text>')
-    p.parts.append(f'<text x="420" y="475" font-size="13" fill="{INK}">a package uses those below it only</text>')
+        p.parts.append(f'<rect x="{x}" y="{y}" width="24" height="16" fill="{FILLS[fill]}" stroke="{INK}"/>')
+        p.parts.append(f'<text x="{x + 34}" y="{y + 13}" font-size="13" fill="{INK}">{words}</text>')
+    p.parts.append(f'<text x="420" y="{y + 13}" font-size="13" fill="{INK}">a package uses those below it only</text>')
     return p.svg("Packages as floors: a package uses those below it; green is plain Python, orange imports ROS")
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ds_analysis.paper.open_loop import Answers, predict
 from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
@@ -24,7 +25,6 @@ from ds_driver.networks.backends import BACKENDS
 from ds_driver.networks.eight_bit import compress
 from ds_driver.networks.weights import SHIPPED, generators_in, load_weights
 from ds_driver.sim2real.generator_set import FOLDER, shipped_set_of
-from ds_orchestrator.evaluation.open_loop import Answers, predict
 from ds_sim.registry import SIMULATORS
 
 PAPER = {

@@ -14,6 +14,9 @@ from pathlib import Path
 SHOWN_LINES = 15
 """Last lines of a failed program's output to show; chosen: a compiler's message with its context."""
 
+NETWORK = "is the network there? see the log, then try again: what is done is kept"
+"""Advice where a program that fetches has failed."""
+
 
 class SetupError(Exception):
     """Set-up that cannot continue; the text is one line that says what is wrong and what to do."""
@@ -61,7 +64,9 @@ class Console:
         print(line, flush=True)
         self._write(line + "\n")
 
-    def run(self, command: Sequence[str | Path], *, environment: Mapping[str, str], folder: Path, advice: str) -> str:
+    def run(
+        self, command: Sequence[str | Path], *, environment: Mapping[str, str], folder: Path, advice: str = NETWORK
+    ) -> str:
         """Run a program to its end, with its output in the log.
 
         Args:

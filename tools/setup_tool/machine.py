@@ -26,9 +26,9 @@ import importlib.util, json, os, sys, sysconfig
 print(json.dumps({
     "executable": getattr(sys, "_base_executable", None) or sys.executable,
     "version": list(sys.version_info[:3]),
-    "headers": os.path.isfile(os.path.join(sysconfig.get_paths()["include"], "Python.h")),
-    "venv": all(importlib.util.find_spec(m) for m in ("venv", "ensurepip")),
-    "rclpy": importlib.util.find_spec("rclpy") is not None,
+    "has_headers": os.path.isfile(os.path.join(sysconfig.get_paths()["include"], "Python.h")),
+    "has_venv": all(importlib.util.find_spec(m) for m in ("venv", "ensurepip")),
+    "has_rclpy": importlib.util.find_spec("rclpy") is not None,
 }))
 """
 
@@ -76,14 +76,7 @@ def describe(command: str | Path, variables: Mapping[str, str] | None = None) ->
         facts = json.loads(answer.stdout)
     except (OSError, subprocess.SubprocessError, ValueError):
         return None
-    major, minor, micro = facts["version"]
-    return Python(
-        executable=Path(facts["executable"]),
-        version=(major, minor, micro),
-        has_headers=facts["headers"],
-        has_venv=facts["venv"],
-        has_rclpy=facts["rclpy"],
-    )
+    return Python(**{**facts, "executable": Path(facts["executable"]), "version": tuple(facts["version"])})
 
 
 def find_python(wanted: str, *, with_rclpy: bool = False, variables: Mapping[str, str] | None = None) -> Python:
@@ -125,17 +118,14 @@ def find_needs(python: Python, which: Callable[[str], str | None] = shutil.which
         python: interpreter for the environment.
         which: finds a program by its name.
     """
-    needs = []
-    if not any(which(name) for name in ("c++", "g++", "clang++")):
-        needs.append(Need("a C++ compiler", "g++"))
-    if not any(which(name) for name in ("cc", "gcc", "clang")):
-        needs.append(Need("a C compiler", "gcc"))
     series = debian_series(python)
-    if not python.has_headers:
-        needs.append(Need("Python's headers (Python.h)", f"{series}-dev"))
-    if not python.has_venv:
-        needs.append(Need("Python's venv module", f"{series}-venv"))
-    return needs
+    checks = (
+        (any(which(name) for name in ("c++", "g++", "clang++")), Need("a C++ compiler", "g++")),
+        (any(which(name) for name in ("cc", "gcc", "clang")), Need("a C compiler", "gcc")),
+        (python.has_headers, Need("Python's headers (Python.h)", f"{series}-dev")),
+        (python.has_venv, Need("Python's venv module", f"{series}-venv")),
+    )
+    return [need for there, need in checks if not there]
 
 
 def find_renderer_needs(
@@ -172,6 +162,11 @@ def debian_series(python: Python) -> str:
 def apt_command(needs: Iterable[Need]) -> list[str]:
     """Build the command that installs what is missing."""
     return ["apt-get", "install", "-y", *(need.package for need in needs)]
+
+
+def may_install() -> bool:
+    """Whether this process may install packages of Debian."""
+    return os.geteuid() == 0 and shutil.which("apt-get") is not None
 
 
 def missing_line(needs: Sequence[Need]) -> str:

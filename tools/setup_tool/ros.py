@@ -1,7 +1,8 @@
-"""Finds ROS 2: an installed ROS 2 Jazzy that the user has sourced, or wheels in .venv."""
+"""Finds ROS 2, an installed Jazzy that the user has sourced, or makes a prefix of wheels in .venv."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -21,6 +22,21 @@ _PYTHON_VARIABLES = (
     *("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", BOOTSTRAP_DONE),
     # Without bytecode, each of the hundreds of Python processes of a build would compile its modules again.
     *("PYTHONDONTWRITEBYTECODE", "PYTHONPYCACHEPREFIX"),
+)
+_ASK = """
+import json, os, sysconfig
+import numpy
+from ament_package.template import prefix_level
+templates = os.path.dirname(prefix_level.__file__)
+print(json.dumps([sysconfig.get_paths()["include"], numpy.get_include(), templates]))
+"""
+_BUILDER = r'/opt/python/[^/;"]+'
+"""Path of Python on the machine that built the wheels, as in their exported CMake targets."""
+_NUMPY_HEADERS = re.compile(_BUILDER + r"/lib/python[\d.]+/site-packages/numpy/_core/include")
+_PYTHON_HEADERS = re.compile(_BUILDER + r"/include/python[\d.]+")
+_TEMPLATES = (
+    *("_local_setup_util.py", "local_setup.bash", "local_setup.sh.in", "local_setup.zsh"),
+    *("setup.bash", "setup.sh.in", "setup.zsh"),
 )
 
 
@@ -79,3 +95,44 @@ def environment_after(script: Path, environment: Mapping[str, str]) -> dict[str,
 
 def _lies_in(path: Path, folders: list[Path]) -> bool:
     return any(folder == path or folder in path.parents for folder in folders)
+
+
+def prepare_prefix(environment: Path, variables: Mapping[str, str]) -> None:
+    """Make a virtual environment with ROS wheels a ROS prefix: this machine's CMake paths, and set-up files.
+
+    Args:
+        environment: root of the virtual environment.
+        variables: environment variables, without those of another Python.
+
+    Raises:
+        SetupError: the wheels are not complete.
+    """
+    python = environment / "bin/python"
+    try:
+        answer = subprocess.run([python, "-c", _ASK], env=dict(variables), capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]
+        raise SetupError(f"the ROS wheels are not complete ({reason}): `make clean`, then again") from None
+    python_headers, numpy_headers, templates = json.loads(answer.stdout)
+    values = {
+        "@CMAKE_INSTALL_PREFIX@": str(environment),
+        "@ament_package_PYTHON_EXECUTABLE@": str(python),
+        "@SKIP_PARENT_PREFIX_PATH@": "TRUE",
+    }
+    for name in _TEMPLATES:
+        text = (Path(templates) / name).read_text()
+        for placeholder, value in values.items():
+            text = text.replace(placeholder, value)
+        (environment / name.removesuffix(".in")).write_text(text)
+    for export in environment.glob("share/*/cmake/*Export.cmake"):
+        use_headers(export, python_headers, numpy_headers)
+
+
+def use_headers(export: Path, python_headers: str, numpy_headers: str) -> bool:
+    """Replace the builder's include folders in one exported CMake file; True if it had any."""
+    text = export.read_text()
+    fixed = _NUMPY_HEADERS.sub(lambda _: numpy_headers, text)
+    fixed = _PYTHON_HEADERS.sub(lambda _: python_headers, fixed)
+    if fixed != text:
+        export.write_text(fixed)
+    return fixed != text

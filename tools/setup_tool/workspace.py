@@ -13,12 +13,8 @@ from setup_tool.stamps import digest
 
 _BASE_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 _PATH_LISTS = (
-    "AMENT_PREFIX_PATH",
-    "CMAKE_PREFIX_PATH",
-    "COLCON_PREFIX_PATH",
-    "LD_LIBRARY_PATH",
-    "PATH",
-    "PYTHONPATH",
+    *("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH"),
+    *("LD_LIBRARY_PATH", "PATH", "PYTHONPATH"),
 )
 _DISCOVERY_HOOK = "ds_bringup/share/ds_bringup/environment/one_machine.sh"
 """Set-up file of ds_bringup that selects the discovery profile, below the workspace's install folder."""
@@ -44,29 +40,25 @@ def built_packages(workspace: Path) -> set[str]:
     return {folder.name for folder in (workspace / "install").glob("*/") if not folder.name.startswith(".")}
 
 
-def write_environment_file(target: Path, *, root: Path, workspace: Path, wheels: Path | None) -> None:
-    """Write the workspace's environment as plain exports, which shells read fast.
+def write_environment_file(environment: Path, workspace: Path, *, has_wheels: bool) -> None:
+    """Write the built workspace's environment as plain exports, which shells read fast, to `env.sh`.
 
     Args:
-        target: file to write.
-        root: root of the project.
-        workspace: built colcon workspace.
-        wheels: root of the virtual environment if ROS comes from wheels, else None.
+        environment: root of the virtual environment.
+        workspace: built colcon workspace, in the root of the project.
+        has_wheels: ROS comes from wheels in the virtual environment.
     """
-    home = os.environ.get("HOME", "/")
-    install = workspace / "install"
-    sourced = ros.environment_after(install / "setup.bash", {"PATH": _BASE_PATH, "HOME": home})
-    if wheels is not None:
-        libraries = [
-            str(wheels / "lib"),
-            *map(str, sorted(wheels.glob("lib/python3.*/site-packages/ros_*.libs"))),
-        ]
+    install, target = workspace / "install", environment / "env.sh"
+    sourced = ros.environment_after(install / "setup.bash", {"PATH": _BASE_PATH, "HOME": os.environ.get("HOME", "/")})
+    if has_wheels:
+        folders = [environment / "lib", *sorted(environment.glob("lib/python3.*/site-packages/ros_*.libs"))]
+        libraries = [str(folder) for folder in folders]
         present = sourced.get("LD_LIBRARY_PATH", "").split(os.pathsep)
         sourced["LD_LIBRARY_PATH"] = os.pathsep.join([p for p in present if p and p not in libraries] + libraries)
         sourced[ros.BOOTSTRAP_DONE] = "1"
     lines = [
         "# Written by tools/setup.py. The variables that `source ros_ws/install/setup.bash` sets.",
-        f"export DS_ROOT={shlex.quote(str(root))}",
+        f"export DS_ROOT={shlex.quote(str(workspace.parent))}",
         *_exports(sourced),
         f". {shlex.quote(str(install / _DISCOVERY_HOOK))}",
     ]
