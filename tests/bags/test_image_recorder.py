@@ -21,6 +21,7 @@ from ds_bags.reader import STATE
 from ds_bags.ros.image_recorder import ImageRecorder, with_images
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.verification import IMAGE, verify_bag
+from ds_driver.child_process import ChildProcesses
 from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_road import Road
 from ds_sim.resimulation import resimulate
@@ -89,7 +90,8 @@ def test_a_recorder_waits_until_the_simulator_has_heard_of_it(tmp_path: Path) ->
     """A stopped process is in the ROS graph as before, and publishes nothing to a subscriber that it has not met."""
     domain, context = RosDomain(), Context()
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain.number)}
-    simulator = subprocess.Popen([sys.executable, "-c", SIMULATOR], env=environment)
+    children = ChildProcesses()
+    simulator = children.start([sys.executable, "-c", SIMULATOR], environment=environment, log=tmp_path / "log")
     init_ros(context=context, domain_id=domain.number)
     node = Node("observer", context=context)
     try:
@@ -105,6 +107,7 @@ def test_a_recorder_waits_until_the_simulator_has_heard_of_it(tmp_path: Path) ->
     finally:
         simulator.kill()
         simulator.wait()
+        children.close()
         node.destroy_node()
         context.shutdown()
         domain.close()

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from ds_driver.child_process import ChildProcesses
+
 
 @pytest.fixture
 def spin() -> Iterator[Callable[..., None]]:
@@ -56,4 +58,14 @@ def join() -> Iterator[Callable[..., None]]:
 
 @pytest.fixture
 def logs(tmp_path: Path) -> Path:
-    return tmp_path / "logs"
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def ended_with_this() -> Iterator[ChildProcesses]:
+    """Starts processes that never outlive the test's: a node left behind would disturb another graph."""
+    children = ChildProcesses()
+    yield children
+    children.close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ds_driver.child_process import ChildProcesses
 from ds_road import Road, generate
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
@@ -164,12 +164,14 @@ def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> 
     assert graph.execute("donkey", ROAD, 1).outcome is Outcome.COMPLETED
 
 
-def test_another_driver_takes_the_wheel_without_touching_anything_else(lonely_simulator: Any) -> None:
+def test_another_driver_takes_the_wheel_without_touching_anything_else(
+    lonely_simulator: Any, logs: Path, ended_with_this: ChildProcesses
+) -> None:
     """The README's driver, in a separate process, drives a gentle road to its end."""
     executor, domain = lonely_simulator
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
     command = [sys.executable, "examples/line_driver.py", "--ros-args", "-r", "__ns:=/ds1"]
-    driver = subprocess.Popen(command, env=environment, start_new_session=True)
+    driver = ended_with_this.start(command, environment=environment, log=logs / "line_driver.log")
     try:
         gentle = generate(np.random.default_rng(2), max_angle=30)
         run = executor.execute("donkey", gentle, 1)
@@ -295,12 +297,14 @@ def test_two_drivers_are_noticed_and_named_and_give_no_verdict(
     assert straight.outcome is Outcome.COMPLETED, straight.message
 
 
-def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(graph: Any) -> None:
+def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(
+    graph: Any, logs: Path, ended_with_this: ChildProcesses
+) -> None:
     """The second is killed, so that ROS still lists it for a while."""
     domain = graph.context.get_domain_id()
     command = [sys.executable, "-m", "ds_sim.ros.simulator_node", "--ros-args", "-r", "__ns:=/ds1"]
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
-    second = subprocess.Popen(command, env=environment, start_new_session=True)
+    second = ended_with_this.start(command, environment=environment, log=logs / "second.log")
     try:
         deadline = time.monotonic() + 60.0
         log = graph._supervisor._log("closed_loop_ds1")

@@ -12,8 +12,10 @@ from types import FrameType
 from typing import Any
 
 import rclpy
+import rclpy.task
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -91,7 +93,32 @@ def make_executor(context: Context | None = None) -> Executor:
     `SingleThreadedExecutor` builds its wait set anew, in Python, for every message: 350 us of processor time, where
     `EventsExecutor` takes 30.
     """
-    return EventsExecutor(context=context)
+    kept, rclpy.task.Task = rclpy.task.Task, _LoggedTask  # type: ignore[misc]
+    try:
+        return EventsExecutor(context=context)  # looks the class of its tasks up once, here
+    finally:
+        rclpy.task.Task = kept  # type: ignore[misc]
+
+
+class _LoggedTask(rclpy.task.Task):
+    """Task whose exception ends in the log, and whose result then is None.
+
+    The events executor of rclpy 7.1 crashes the process on an exception in a task, where it indexes a set with a null
+    pointer (ros2/rclpy issue 1641). rclpy's action client raises one if two servers accept a goal, as two simulators
+    in one namespace do.
+    """
+
+    def __call__(self) -> None:
+        super().__call__()
+        if self.done() and (error := super().exception()) is not None:
+            get_logger("ds_sim").error(f"{type(error).__name__}: {error}")
+
+    def exception(self) -> None:
+        """None: the executor must not see it."""
+
+    def result(self) -> Any:
+        """Result of the handler; None if it raised."""
+        return None if super().exception() is not None else super().result()
 
 
 def with_info(callback: Callable[[Any, dict[str, Any]], None]) -> Callable[..., None]:
@@ -122,8 +149,11 @@ def end_with(error: ValueError) -> None:
 def _spin(node: Node, stop: Stop) -> None:
     executor = make_executor()
     executor.add_node(node)
-    while rclpy.ok() and not stop.requested and not _failures:
-        executor.spin_once(timeout_sec=SPIN_TIME)
+    try:
+        while rclpy.ok() and not stop.requested and not _failures:
+            executor.spin_once(timeout_sec=SPIN_TIME)
+    finally:
+        executor.shutdown()  # lets go of the node, which is destroyed next
 
 
 def _spin_beside(node: Node, stop: Stop) -> None:
