@@ -18,7 +18,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.engines import membership
-from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect
+from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, TlsFiles, connect, read_cluster
 from ds_orchestrator.engines.dask_engine import DaskEngine, running_dask
 from ds_road import generate
 from ds_sim.run_codec import encode_run
@@ -198,11 +198,13 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
     cluster = DaskProcesses(tmp_path, files)
     try:
         cluster.worker()
-        right = ClusterOptions(scheduler=cluster.address, tls_ca=cert, tls_cert=cert, tls_key=key)
+        file = tmp_path / "cluster.yaml"
+        file.write_text(f"scheduler: {cluster.address}\ntls: {{ca: {cert}, cert: {cert}, key: {key}}}\n")
+        right = read_cluster(file)
         settings = DriveSettings(siblings=(QUICK,), driver="autopilot", command_timeout=20.0, cluster=right)
         with running_dask(settings, folder=tmp_path, say=print) as engine:
             assert len(Drives(engine, QUICK, 5).encoded()) == 5
-        other = ClusterOptions(scheduler=cluster.address, tls_ca=wrong, tls_cert=wrong, tls_key=wrong_key)
+        other = ClusterOptions(scheduler=cluster.address, tls=TlsFiles(ca=wrong, cert=wrong, key=wrong_key))
         refused = pytest.raises(ClusterError, match="refuses this TLS connection")
         with refused, running_dask(replace(settings, cluster=other), folder=tmp_path, say=print):
             pass
@@ -211,23 +213,23 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("options", "problem"),
+    ("text", "problem"),
     [
-        (ClusterOptions(scheduler="localhost:8786"), "expected tls://HOST:PORT or tcp://HOST:PORT"),
-        (ClusterOptions(scheduler="tcp://10.0.0.5:8786"), "neither encrypted nor on this machine"),
-        (ClusterOptions(scheduler="tls://10.0.0.5:8786"), "needs --tls-ca, --tls-cert and --tls-key"),
-        (ClusterOptions(listen="0.0.0.0"), "lets anybody on that network run code"),
-        (ClusterOptions(tls_ca=Path("ca.pem")), "--tls-cert, --tls-key missing"),
-        (
-            ClusterOptions(tls_ca=Path("ca.pem"), tls_cert=Path("a.pem"), tls_key=Path("a.key")),
-            "--tls-ca ca.pem: no such file",
-        ),
+        ("", "nothing there, expected keys with values"),
+        ("shceduler: tcp://127.0.0.1:8786", "shceduler: there is no such key (keys: scheduler, listen, tls, unencryp"),
+        ("scheduler: localhost:8786", "expected tls://HOST:PORT or tcp://HOST:PORT"),
+        ("scheduler: tcp://10.0.0.5:8786", "neither encrypted nor on this machine"),
+        ("scheduler: tls://10.0.0.5:8786", "needs the files of tls"),
+        ("listen: 0.0.0.0", "lets anybody on that network run code"),
+        ("tls: {ca: ca.pem}", "tls.ca: ca.pem, expected a file that exists; tls.cert: field required"),
+        ("tls: {ca: *key}", "not YAML: line 1"),
     ],
 )
-def test_options_that_make_no_sense_are_refused_in_one_line(options: ClusterOptions, problem: str) -> None:
+def test_a_cluster_that_makes_no_sense_is_refused_in_one_line(text: str, problem: str, tmp_path: Path) -> None:
+    (tmp_path / "cluster.yaml").write_text(text)
     with pytest.raises(ClusterError) as error:
-        options.check()
-    assert problem in str(error.value) and "\n" not in str(error.value)
+        read_cluster(tmp_path / "cluster.yaml").check()
+    assert problem.lower() in str(error.value).lower() and "\n" not in str(error.value)
 
 
 def test_no_scheduler_is_one_line() -> None:

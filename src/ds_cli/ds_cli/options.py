@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
 from ds_sim.extension import confirm
+
+if TYPE_CHECKING:
+    from ds_orchestrator.campaign.config import CampaignConfig
+    from ds_orchestrator.campaign.drive_settings import DriveSettings
+    from ds_orchestrator.engines.cluster import ClusterOptions
 
 SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey")
 """Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
@@ -51,7 +58,28 @@ Simulator = Annotated[
 ]
 
 Workers = Annotated[
-    int | None, typer.Option(min=1, max=64, help="Processes that drive; one for each processor if left out.")
+    int | None,
+    typer.Option(
+        min=1,
+        help="Graphs or processes that drive at the same time; the configuration's, or a process for each processor, "
+        "if left out. Results do not depend on it.",
+    ),
+]
+EngineName = Annotated[
+    str | None,
+    typer.Option(
+        "--engine",
+        help="What drives: graph (nodes of ROS), local (processes without ROS) or dask (processes on a cluster); the "
+        "configuration's, or local, if left out. Results do not depend on it.",
+    ),
+]
+Cluster = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.yaml",
+        help="With --engine dask: the scheduler and TLS files, see docs/scale.md; a cluster on this machine if left "
+        "out.",
+    ),
 ]
 
 DriverName = Annotated[
@@ -141,3 +169,38 @@ def driver_named(driver: str, backend: str, device: str) -> str:
     if driver == AUTOPILOT and named != driver:
         raise BackendError("the autopilot runs no network: leave out --backend and --device")
     return named
+
+
+def with_engine(config: CampaignConfig, workers: int | None, engine: str | None) -> CampaignConfig:
+    """The configuration with another number of workers, or another engine."""
+    return config.model_copy(update=_chosen(workers, engine))
+
+
+def with_engine_without_ros(
+    settings: DriveSettings, workers: int | None, engine: str | None, cluster: Path | None
+) -> DriveSettings:
+    """The settings with an engine: `local` with a process for each processor, unless the options say otherwise."""
+    from ds_orchestrator.campaign.config import MOST_WORKERS
+
+    usual = 1 if engine == "graph" else min(len(os.sched_getaffinity(0)), MOST_WORKERS)
+    chosen = {"engine": "local", "workers": usual, "cluster": cluster_of(cluster), **_chosen(workers, engine)}
+    return replace(settings, **chosen)
+
+
+def _chosen(workers: int | None, engine: str | None) -> dict[str, Any]:
+    from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError
+    from ds_orchestrator.campaign.drive_settings import EngineName as Names
+
+    if workers is not None and workers > MOST_WORKERS:
+        raise ConfigError(f"--workers {workers}: expected 1 to {MOST_WORKERS}")
+    if engine is not None and engine not in get_args(Names):
+        raise ConfigError(f"--engine {engine}: expected one of {', '.join(get_args(Names))}")
+    changed = {"workers": workers, "engine": engine}
+    return {key: value for key, value in changed.items() if value is not None}
+
+
+def cluster_of(file: Path | None) -> ClusterOptions:
+    """The cluster that `--cluster` describes; one on this machine without it."""
+    from ds_orchestrator.engines.cluster import ClusterOptions, read_cluster
+
+    return ClusterOptions() if file is None else read_cluster(file)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -24,6 +26,18 @@ class Interrupted(Exception):
 
     def __init__(self, kept: str = "") -> None:
         super().__init__(kept)
+
+
+@contextmanager
+def stopped_in(folder: Path | None) -> Iterator[None]:
+    """Turn the user's stop into `Interrupted`, which says where the finished drives are; nowhere if None."""
+    from ds_orchestrator.campaign.executor import Stopped
+
+    try:
+        yield
+    except (KeyboardInterrupt, Stopped):
+        kept = "" if folder is None else f"finished drives are in {folder}: the same command goes on"
+        raise Interrupted(kept) from None
 
 
 @dataclass(frozen=True, kw_only=True)

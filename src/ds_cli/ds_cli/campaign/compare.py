@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ds_cli.campaign.compare_plan import Plan, is_campaign, plan_of_campaigns, plan_of_networks
 from ds_cli.campaign.compare_results import write_comparison
-from ds_cli.campaign.engine_options import (
-    EngineName,
-    Listen,
-    Scheduler,
-    TlsCa,
-    TlsCert,
-    TlsKey,
-    Unencrypted,
-    Workers,
-    cluster_of,
-    with_engine_without_ros,
-)
 from ds_cli.campaign.pass_options import (
     FailOn,
     Junit,
@@ -31,68 +20,125 @@ from ds_cli.campaign.pass_options import (
     criteria_of,
     unmet_by,
 )
-from ds_cli.options import Backend, JsonFlag, Trust, driver_named, simulators_of
-from ds_cli.output import Interrupted, Result, end, say
+from ds_cli.options import (
+    Backend,
+    Cluster,
+    EngineName,
+    JsonFlag,
+    Trust,
+    Workers,
+    driver_named,
+    simulators_of,
+    with_engine_without_ros,
+)
+from ds_cli.output import end, say, stopped_in
 
 if TYPE_CHECKING:
-    from ds_analysis.comparison.criteria import Criteria
-    from ds_orchestrator.engines.cluster import ClusterOptions
+    from ds_analysis.comparison.analysis import Origin
+    from ds_analysis.comparison.drives import Network
+    from ds_studies.comparison.compared_tests import GivenTests
 
 ROADS, SEED = 40, 40
 """Random roads of two networks, and their seed; chosen: those of `ds siblings compare`."""
 SIMULATORS = "bullet,softbody,donkey"
 """Simulators of two networks: those of a campaign by default."""
 
+TWIN = "donkey"
+"""Simulator that acts as the twin of two networks' random roads, if it is among others."""
+
 campaign_app = typer.Typer()
 
 
-def run_comparison(
-    plan: Plan,
-    out: Path,
-    criteria: Criteria,
-    *,
-    engine: str | None,
-    workers: int | None,
-    cluster: ClusterOptions,
-    junit: Path | None,
-    markdown: Path | None,
-) -> Result:
-    """Drive what is missing, compare, and write every result.
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is compared on what.
 
-    Args:
-        plan: what is compared on what.
-        out: folder for drives and results, created if missing.
-        criteria: pass criteria.
-        engine: name of the engine.
-        workers: graphs or processes that drive at the same time.
-        cluster: cluster of the engine `dask`.
-        junit: JUnit XML to write, or None.
-        markdown: summary to write elsewhere, too, or None.
+    Attributes:
+        sets: tests.
+        reference: the network that is known.
+        candidate: the network that may replace it.
+        origin: how the tests were chosen.
+        source: where they come from, in words.
+    """
+
+    sets: Sequence[GivenTests]
+    reference: Network
+    candidate: Network
+    origin: Origin
+    source: str
+
+
+def is_campaign(text: str) -> bool:
+    """Whether an argument is a folder, and so a campaign; otherwise it names a network."""
+    return Path(text).is_dir()
+
+
+def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan:
+    """Compare a campaign's network with another campaign's, or with a network.
 
     Raises:
-        Interrupted: the user stopped it; finished drives are kept.
+        ds_analysis.comparison.drives.ComparisonError: the campaigns do not compare.
+        ds_orchestrator.store.sqlite_file.StoreError: a folder holds no campaign.
     """
-    from ds_cli.progress import ScreenListener
-    from ds_orchestrator.campaign.executor import Stopped
-    from ds_orchestrator.engines.drive_tests import Progress
-    from ds_orchestrator.store.folder_files import make_folder
-    from ds_studies.comparison.compare import compare
+    from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.folder import open_store
+    from ds_studies.comparison.compared_tests import network_of_campaign, tests_of_campaign, tests_of_campaigns
+    from ds_studies.whole_campaign import check_trust
 
-    check_writable(junit, markdown)
-    make_folder(out)
-    sets = [
-        replace(tests, settings=with_engine_without_ros(tests.settings, workers, engine, cluster))
-        for tests in plan.sets
-    ]
-    try:
-        found = compare(
-            sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out,
-            progress=Progress(listen=ScreenListener, say=say),
-        )  # fmt: skip
-    except (KeyboardInterrupt, Stopped):
-        raise Interrupted(f"finished drives are in {out}: the same command goes on") from None
-    unmet = unmet_by(criteria, found)
-    return write_comparison(found, out, unmet, junit=junit, markdown=markdown)
+    folders = [first, *([Path(second)] if is_campaign(second) else [])]
+    found = []
+    for folder in folders:
+        with closing(open_store(folder)) as store:
+            found.append(read_campaign(store))
+        check_trust(found[-1].config, trust or [])
+    is_random = found[0].config.search.method == "random"
+    reference = network_of_campaign(found[0])
+    if len(found) == 1:
+        tests = tests_of_campaign(first, found[0])
+        return Plan(
+            sets=[tests],
+            reference=reference,
+            candidate=network_named(second, tests.settings.simulators),
+            origin="random" if is_random else "reference",
+            source=f"The tests of the campaign {first}, {tests.pairs} drives of each network",
+        )
+    sets = tests_of_campaigns((first, found[0]), (Path(second), found[1]))
+    pairs = sum(tests.pairs for tests in sets)
+    return Plan(
+        sets=sets,
+        reference=reference,
+        candidate=network_of_campaign(found[1]),
+        origin="random" if is_random else "both",
+        source=f"The tests of the campaigns {first} (r-...) and {second} (c-...), {pairs} drives of each network",
+    )
+
+
+def plan_of_networks(first: str, second: str, simulators: list[str], roads: int, seed: int) -> Plan:
+    """Compare two networks on random roads."""
+    from ds_driver.closed_loop.success_rate import unseen_roads
+    from ds_studies.comparison.compared_tests import random_tests
+
+    twin = TWIN if TWIN in simulators and len(simulators) > 1 else None
+    siblings = [name for name in simulators if name != twin]
+    tests = random_tests(unseen_roads(roads, seed), seed, siblings=siblings, twin=twin)
+    return Plan(
+        sets=[tests],
+        reference=network_named(first, simulators),
+        candidate=network_named(second, simulators),
+        origin="random",
+        source=f"{roads} random roads of seed {seed} on {', '.join(simulators)}",
+    )
+
+
+def network_named(driver: str, simulators: Sequence[str]) -> Network:
+    """A network with its digest, checked before anything starts."""
+    from ds_analysis.comparison.drives import Network
+    from ds_driver.closed_loop.drive_request import AUTOPILOT
+    from ds_driver.networks.network_driver import driver_sha256
+    from ds_orchestrator.engines.preflight import check_driver
+
+    check_driver(driver, simulators)
+    return Network(driver=driver, sha256="" if driver == AUTOPILOT else driver_sha256(driver))
 
 
 @campaign_app.command("compare")
@@ -124,12 +170,7 @@ def campaign_compare_command(
     markdown: Markdown = None,
     workers: Workers = None,
     engine: EngineName = None,
-    scheduler: Scheduler = None,
-    listen: Listen = "127.0.0.1",
-    tls_ca: TlsCa = None,
-    tls_cert: TlsCert = None,
-    tls_key: TlsKey = None,
-    unencrypted: Unencrypted = False,
+    cluster: Cluster = None,
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -140,6 +181,10 @@ def campaign_compare_command(
     comparison.md and comparison.json under --out.
     """
     from ds_analysis.comparison.drives import ComparisonError
+    from ds_cli.progress import ScreenListener
+    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_studies.comparison.compare import compare
 
     if (second is None) == (driver is None):
         raise ComparisonError(
@@ -161,9 +206,15 @@ def campaign_compare_command(
     else:
         names = simulators_of(sims or SIMULATORS)
         plan = plan_of_networks(first, candidate, names, roads or ROADS, SEED if seed is None else seed)
-    result = run_comparison(
-        plan, out, criteria, engine=engine, workers=workers,
-        cluster=cluster_of(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted), junit=junit,
-        markdown=markdown,
-    )  # fmt: skip
-    end(result, as_json)
+    check_writable(junit, markdown)
+    make_folder(out)
+    sets = [
+        replace(tests, settings=with_engine_without_ros(tests.settings, workers, engine, cluster))
+        for tests in plan.sets
+    ]
+    with stopped_in(out):
+        found = compare(
+            sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out,
+            progress=Progress(listen=ScreenListener, say=say),
+        )  # fmt: skip
+    end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)

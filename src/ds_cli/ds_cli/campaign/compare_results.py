@@ -1,4 +1,4 @@
-"""Writes and shows a comparison: page, Markdown, JSON, tables, and the roads of tests that newly fail."""
+"""Writes and shows a comparison: page, Markdown, JSON, JUnit, tables, grids, and the roads of tests that newly fail."""
 
 from __future__ import annotations
 
@@ -7,20 +7,27 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.box import SIMPLE
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from ds_cli.campaign.pass_options import write_reports
 from ds_cli.output import Result
 
 if TYPE_CHECKING:
-    from ds_analysis.comparison.analysis import Comparison
+    from ds_analysis.comparison.analysis import CellComparison, Comparison
+    from ds_orchestrator.search.features import Cell
+
+MOST_COLUMNS = 14
+"""Columns of a grid; chosen: they fit on a line of 120 characters."""
 
 
 def write_comparison(
     found: Comparison, out: Path, unmet: Sequence[str], *, junit: Path | None, markdown: Path | None
 ) -> Result:
-    """Write comparison.json, .md and .html, tables and the roads of tests that newly fail."""
+    """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows."""
     from ds_analysis.common.table import write_tables
+    from ds_analysis.comparison.junit import cases_of, junit_of
     from ds_analysis.comparison.markdown import markdown_of
     from ds_analysis.comparison.summary import answer_of, cautions_of, sentences_of
     from ds_analysis.comparison.tables import (
@@ -39,11 +46,13 @@ def write_comparison(
     (out / "comparison.md").write_text(markdown_of(found, road_files, unmet), "utf-8")
     write_tables([simulator_table(found), cell_table(found), drive_table(found)], out / "tables")
     write_comparison_page(found, out / "comparison.html", road_files, unmet)
-    write_reports(found, road_files, unmet, junit=junit, markdown=markdown)
+    if junit is not None:
+        name = f"{found.candidate.driver} against {found.reference.driver}"
+        junit.write_text(junit_of(name, cases_of(found)), "utf-8")
+    if markdown is not None:
+        markdown.write_text(markdown_of(found, road_files, unmet), "utf-8")
 
     def show() -> None:
-        from ds_cli.campaign.difference_grid import difference_grids
-
         console = Console()
         simulator_table(found).show(console)
         grids, cells = difference_grids(found), cell_table(found, most=MOST_ROWS)
@@ -83,3 +92,37 @@ def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
         path.write_text(json.dumps([entry], allow_nan=False) + "\n", "utf-8")
         files[test.name] = str(path)
     return files
+
+
+def difference_grids(comparison: Comparison) -> list[tuple[str, Table]]:
+    """Heading and grid of each simulator, of maps of two features; none for others, or for cells that do not fit."""
+    from ds_orchestrator.search.features import feature_of
+
+    if len(comparison.features) != 2:
+        return []
+    across, up = (feature_of(name) for name in comparison.features)
+    made = []
+    for simulator in dict.fromkeys(one.simulator for one in comparison.cells):
+        cells = {one.cell: one for one in comparison.cells if one.simulator == simulator}
+        columns = sorted({cell[0] for cell in cells})
+        if len(columns) > MOST_COLUMNS:
+            continue
+        table = Table(caption=f"{across.title} →", box=SIMPLE, pad_edge=False, padding=(0, 1))
+        table.add_column(f"{up.title} ↑", justify="right", no_wrap=True)
+        for column in columns:
+            table.add_column(across.label(column), justify="center", min_width=7, no_wrap=True)
+        for row in sorted({cell[1] for cell in cells}, reverse=True):
+            table.add_row(up.label(row), *(_box(cells, (column, row)) for column in columns))
+        made.append((f"{simulator}: tests that newly fail (+) and that are fixed (-), of all", table))
+    return made
+
+
+def _box(cells: dict[Cell, CellComparison], cell: Cell) -> Text:
+    one = cells.get(cell)
+    if one is None:
+        return Text("·", style="dim")
+    counts, difference = one.counts, one.counts.difference or 0.0
+    changes = [f"+{counts.newly_fail}"] if counts.newly_fail else []
+    changes += [f"-{counts.fixed}"] if counts.fixed else []
+    style = "bold white on rgb(198,40,40)" if difference > 0 else "bold white on rgb(46,125,50)"
+    return Text(f"{' '.join(changes) or '0'}/{counts.tests}", style=style if difference else "")

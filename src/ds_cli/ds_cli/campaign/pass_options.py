@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -75,22 +74,3 @@ def check_writable(*paths: Path | None) -> None:
             raise IsADirectoryError(21, "is a folder, expected a file to write", str(path))
         if path is not None and not path.absolute().parent.is_dir():
             raise FileNotFoundError(2, "there is no such folder: create it first", str(path.absolute().parent))
-
-
-def write_reports(
-    comparison: Comparison,
-    road_files: dict[str, str],
-    unmet: Sequence[str],
-    *,
-    junit: Path | None,
-    markdown: Path | None,
-) -> None:
-    """Write the files that a CI job shows."""
-    from ds_analysis.comparison.junit import cases_of, junit_of
-    from ds_analysis.comparison.markdown import markdown_of
-
-    if junit is not None:
-        name = f"{comparison.candidate.driver} against {comparison.reference.driver}"
-        junit.write_text(junit_of(name, cases_of(comparison)), "utf-8")
-    if markdown is not None:
-        markdown.write_text(markdown_of(comparison, road_files, unmet), "utf-8")

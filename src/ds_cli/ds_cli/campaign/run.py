@@ -13,18 +13,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_cli.campaign.engine_options import (
-    EngineName,
-    Listen,
-    Scheduler,
-    TlsCa,
-    TlsCert,
-    TlsKey,
-    Unencrypted,
-    Workers,
-    cluster_of,
-    with_engine,
-)
 from ds_cli.campaign.pass_options import (
     FailOnFailure,
     Junit,
@@ -33,7 +21,18 @@ from ds_cli.campaign.pass_options import (
     criteria_of,
     unmet_in_campaign,
 )
-from ds_cli.options import AttachFlag, Folder, JsonFlag, OutFolder, Trust
+from ds_cli.options import (
+    AttachFlag,
+    Cluster,
+    EngineName,
+    Folder,
+    JsonFlag,
+    OutFolder,
+    Trust,
+    Workers,
+    cluster_of,
+    with_engine,
+)
 from ds_cli.output import Interrupted, Result, answer, duration, end, say
 
 if TYPE_CHECKING:
@@ -227,12 +226,7 @@ def campaign_run_command(
     junit: Junit = None,
     workers: Workers = None,
     engine: EngineName = None,
-    scheduler: Scheduler = None,
-    listen: Listen = "127.0.0.1",
-    tls_ca: TlsCa = None,
-    tls_cert: TlsCert = None,
-    tls_key: TlsKey = None,
-    unencrypted: Unencrypted = False,
+    cluster: Cluster = None,
     attach: AttachFlag = False,
     as_json: JsonFlag = False,
 ) -> None:
@@ -242,14 +236,13 @@ def campaign_run_command(
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    cluster = cluster_of(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
     changed = with_engine(read_config(config, hint=say), workers, engine)
     if dry_run:
         if attach:
             raise ConfigError("--dry-run starts the engine itself: leave out --attach")
-        end(prepare.dry_run(changed, out, cluster), as_json)
+        end(prepare.dry_run(changed, out, cluster_of(cluster)), as_json)
         return
-    end(judged(campaign(changed, out, attach=attach, cluster=cluster), out, criteria, junit), as_json)
+    end(judged(campaign(changed, out, attach=attach, cluster=cluster_of(cluster)), out, criteria, junit), as_json)
 
 
 @campaign_app.command("resume")
@@ -260,12 +253,7 @@ def campaign_resume_command(
     junit: Junit = None,
     workers: Workers = None,
     engine: EngineName = None,
-    scheduler: Scheduler = None,
-    listen: Listen = "127.0.0.1",
-    tls_ca: TlsCa = None,
-    tls_cert: TlsCert = None,
-    tls_key: TlsKey = None,
-    unencrypted: Unencrypted = False,
+    cluster: Cluster = None,
     attach: AttachFlag = False,
     trust: Trust = None,
     as_json: JsonFlag = False,
@@ -273,9 +261,8 @@ def campaign_resume_command(
     """Resume a campaign that was stopped; with any engine."""
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    cluster = cluster_of(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted)
     changed = with_engine(stored_config(folder, trust), workers, engine)
-    end(judged(campaign(changed, folder, attach=attach, cluster=cluster), folder, criteria, junit), as_json)
+    end(judged(campaign(changed, folder, attach=attach, cluster=cluster_of(cluster)), folder, criteria, junit), as_json)
 
 
 @campaign_app.command("status")

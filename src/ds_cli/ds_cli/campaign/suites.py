@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_cli.campaign.compare_plan import network_named
+from ds_cli.campaign.compare import network_named
 from ds_cli.campaign.compare_results import write_comparison
-from ds_cli.campaign.engine_options import (
-    EngineName,
-    Listen,
-    Scheduler,
-    TlsCa,
-    TlsCert,
-    TlsKey,
-    Unencrypted,
-    Workers,
-    cluster_of,
-    with_engine_without_ros,
-)
 from ds_cli.campaign.pass_options import (
     FailOn,
     Junit,
@@ -34,12 +21,19 @@ from ds_cli.campaign.pass_options import (
     criteria_of,
     unmet_by,
 )
-from ds_cli.options import Backend, DriverName, Folder, JsonFlag, Trust, driver_named
-from ds_cli.output import Interrupted, Result, answer, end, say
-
-if TYPE_CHECKING:
-    from ds_analysis.comparison.criteria import Criteria
-    from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_cli.options import (
+    Backend,
+    Cluster,
+    DriverName,
+    EngineName,
+    Folder,
+    JsonFlag,
+    Trust,
+    Workers,
+    driver_named,
+    with_engine_without_ros,
+)
+from ds_cli.output import Result, answer, end, say, stopped_in
 
 app = typer.Typer()
 suite_app = typer.Typer(help="Freeze tests into a regression suite, and run it.", no_args_is_help=True)
@@ -48,11 +42,17 @@ app.add_typer(suite_app, name="suite")
 SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE.json", help="Suite of `ds suite make`.")]
 
 
-def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
-    """Write a suite of a campaign's tests that tell most.
+@suite_app.command("make")
+def suite_make_command(
+    folder: Folder,
+    out: Annotated[Path, typer.Option(metavar="SUITE.json", help="File to write.")] = Path("suite.json"),
+    tests: Annotated[int, typer.Option(min=1, max=2000, help="Largest number of tests.")] = 30,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Freeze the tests of a campaign that tell most: failing ones, boundary ones, and one of every cell.
 
-    Raises:
-        ds_studies.suite.suite_file.SuiteError: the file exists, or the campaign has no test to choose.
+    The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
     """
     from ds_analysis.comparison.summary import count
     from ds_orchestrator.campaign.campaign_data import read_campaign
@@ -86,78 +86,7 @@ def make_suite(folder: Path, out: Path, tests: int, *, force: bool) -> Result:
         print(f"{sizes}, with the margins of {suite.driver}; below 0 it fails.")
         print(out)
 
-    return Result(document=document, show=show)
-
-
-def run_suite_file(
-    path: Path,
-    driver: str,
-    out: Path,
-    criteria: Criteria,
-    *,
-    engine: str | None,
-    workers: int | None,
-    cluster: ClusterOptions,
-    trusted: Collection[str],
-    junit: Path | None,
-    markdown: Path | None,
-    update: Path | None,
-) -> Result:
-    """Drive a suite, compare with its outcomes, and write every result.
-
-    Raises:
-        ds_studies.suite.suite_file.SuiteError: the file is no suite, or was changed.
-        Interrupted: the user stopped it; finished drives are kept.
-    """
-    from ds_cli.progress import ScreenListener
-    from ds_orchestrator.campaign.executor import Stopped
-    from ds_orchestrator.engines.drive_tests import Progress
-    from ds_orchestrator.engines.fingerprint import code_sha256
-    from ds_orchestrator.store.folder_files import make_folder
-    from ds_sim.registry import received_simulator
-    from ds_studies.suite.run_suite import run_suite, settings_of_suite, with_outcomes
-    from ds_studies.suite.suite_file import read_suite, write_suite
-
-    check_writable(junit, markdown, update)
-    suite = read_suite(path)
-    for name in suite.simulators:
-        received_simulator(name, confirmed=trusted, option="--trust")
-    candidate = network_named(driver, suite.simulators)
-    code = code_sha256()
-    changed = suite.code_sha256 != code
-    if changed:
-        say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
-    make_folder(out)
-    settings = with_engine_without_ros(settings_of_suite(suite, driver), workers, engine, cluster)
-    source = f"The {len(suite.tests)} tests of the suite {path.name} on {', '.join(suite.simulators)}" + (
-        ", made with other code of the simulators" if changed else ""
-    )
-    try:
-        found, executions = run_suite(
-            suite, settings, candidate, out / "drives", Progress(listen=ScreenListener, say=say),
-            source=source,
-        )  # fmt: skip
-    except (KeyboardInterrupt, Stopped):
-        raise Interrupted(f"finished drives are in {out}: the same command goes on") from None
-    if update is not None and not found.left_out:
-        write_suite(with_outcomes(suite, candidate, executions, code), update)
-        say(f"{update} expects the outcomes of {driver}")
-    return write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown)
-
-
-@suite_app.command("make")
-def suite_make_command(
-    folder: Folder,
-    out: Annotated[Path, typer.Option(metavar="SUITE.json", help="File to write.")] = Path("suite.json"),
-    tests: Annotated[int, typer.Option(min=1, max=2000, help="Largest number of tests.")] = 30,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
-    as_json: JsonFlag = False,
-) -> None:
-    """Freeze the tests of a campaign that tell most: failing ones, boundary ones, and one of every cell.
-
-    The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
-    """
-    answer(make_suite(folder, out, tests, force=force), as_json)
+    answer(Result(document=document, show=show), as_json)
 
 
 @suite_app.command("run")
@@ -178,12 +107,7 @@ def suite_run_command(
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
-    scheduler: Scheduler = None,
-    listen: Listen = "127.0.0.1",
-    tls_ca: TlsCa = None,
-    tls_cert: TlsCert = None,
-    tls_key: TlsKey = None,
-    unencrypted: Unencrypted = False,
+    cluster: Cluster = None,
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -192,10 +116,33 @@ def suite_run_command(
     Without ROS unless --engine says otherwise. Exit status: 0 done, 1 a drive ended in an error, 2 bad input, 3 a pass
     criterion is not met.
     """
-    result = run_suite_file(
-        suite, driver_named(driver, backend, "cpu"), out,
-        criteria_of(fail_on, max_failures, has_reference=True), engine=engine, workers=workers,
-        cluster=cluster_of(scheduler, listen, tls_ca, tls_cert, tls_key, unencrypted), trusted=trust or [],
-        junit=junit, markdown=markdown, update=update,
-    )  # fmt: skip
-    end(result, as_json)
+    from ds_cli.progress import ScreenListener
+    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.engines.fingerprint import code_sha256
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.registry import received_simulator
+    from ds_studies.suite.run_suite import run_suite, settings_of_suite, with_outcomes
+    from ds_studies.suite.suite_file import read_suite, write_suite
+
+    driver = driver_named(driver, backend, "cpu")
+    criteria = criteria_of(fail_on, max_failures, has_reference=True)
+    check_writable(junit, markdown, update)
+    tests = read_suite(suite)
+    for name in tests.simulators:
+        received_simulator(name, confirmed=trust or [], option="--trust")
+    candidate = network_named(driver, tests.simulators)
+    code = code_sha256()
+    source = f"The {len(tests.tests)} tests of the suite {suite.name} on {', '.join(tests.simulators)}"
+    if tests.code_sha256 != code:
+        say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
+        source += ", made with other code of the simulators"
+    make_folder(out)
+    settings = with_engine_without_ros(settings_of_suite(tests, driver), workers, engine, cluster)
+    with stopped_in(out):
+        found, executions = run_suite(
+            tests, settings, candidate, out / "drives", Progress(listen=ScreenListener, say=say), source=source
+        )
+    if update is not None and not found.left_out:
+        write_suite(with_outcomes(tests, candidate, executions, code), update)
+        say(f"{update} expects the outcomes of {driver}")
+    end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)

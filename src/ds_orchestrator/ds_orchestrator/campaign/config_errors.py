@@ -16,6 +16,7 @@ _EXPECTED: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "string_type": lambda _: "text",
     "list_type": lambda _: "a list, as in [a, b]",
     "model_type": lambda _: "keys with values",
+    "path_not_file": lambda _: "a file that exists",
     "literal_error": lambda context: f"one of {context['expected']}".replace("'", "").replace(" or ", ", "),
     "too_short": lambda context: f"at least {context['min_length']} of them",
     "too_long": lambda context: f"at most {context['max_length']} of them",

@@ -5,12 +5,15 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from pydantic import BaseModel, ConfigDict, FilePath, ValidationError
+
+from ds_orchestrator.campaign.config_errors import problems
+from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.installation import install_command
 
 CONNECT_TIME = 10.0
@@ -21,55 +24,56 @@ class ClusterError(ValueError):
     """A cluster that cannot be used as it was asked for."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ClusterOptions:
-    """Which cluster to use.
+class TlsFiles(BaseModel):
+    """PEM files of one side of an encrypted connection.
+
+    Attributes:
+        ca: certificate of the cluster's authority.
+        cert: own certificate.
+        key: key of the own certificate.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ca: FilePath
+    cert: FilePath
+    key: FilePath
+
+
+class ClusterOptions(BaseModel):
+    """Which cluster to use: the keys of the file that `--cluster` names.
 
     Attributes:
         scheduler: address such as `tls://host:8786`; None for a cluster of its own on this machine.
         listen: address on which the scheduler of an own cluster listens for further workers.
-        tls_ca: certificate of the authority, PEM.
-        tls_cert: own certificate, PEM.
-        tls_key: key of the own certificate, PEM.
+        tls: files of a connection with encryption and authentication; None for one without.
         unencrypted: accept a network connection without encryption and authentication.
     """
 
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
     scheduler: str | None = None
     listen: str = "127.0.0.1"
-    tls_ca: Path | None = None
-    tls_cert: Path | None = None
-    tls_key: Path | None = None
+    tls: TlsFiles | None = None
     unencrypted: bool = False
 
     def check(self) -> None:
         """Check the options against each other, before anything starts.
 
         Raises:
-            ClusterError: an option is missing or does not go with another, or Dask is not installed.
+            ClusterError: an option does not go with another, or Dask is not installed.
         """
-        files = {"--tls-ca": self.tls_ca, "--tls-cert": self.tls_cert, "--tls-key": self.tls_key}
-        missing = [name for name, path in files.items() if path is None]
-        if 0 < len(missing) < len(files):
-            raise ClusterError(f"{', '.join(missing)} missing: TLS takes all of {', '.join(files)}")
-        for name, path in files.items():
-            if path is not None and not path.is_file():
-                raise ClusterError(f"{name} {path}: no such file: expected a PEM file")
         if self.scheduler is not None:
             self._check_address(self.scheduler)
-        elif not self.encrypted and not _is_loopback(self.listen) and not self.unencrypted:
+        elif self.tls is None and not _is_loopback(self.listen) and not self.unencrypted:
             raise ClusterError(
-                f"--listen {self.listen} without TLS lets anybody on that network run code on this machine: give "
-                "--tls-ca, --tls-cert and --tls-key, or say --unencrypted"
+                f"listen: {self.listen} without TLS lets anybody on that network run code on this machine: give the "
+                "files of tls, or say unencrypted: true"
             )
         try:
             import_module("distributed")
         except ImportError:
             raise ClusterError(f"Dask is not installed: type {install_command('dask')}") from None
-
-    @property
-    def encrypted(self) -> bool:
-        """Whether TLS files were given."""
-        return self.tls_ca is not None
 
     def _check_address(self, address: str) -> None:
         try:
@@ -78,26 +82,41 @@ class ClusterOptions:
         except ValueError:
             usable = False
         if not usable:
-            raise ClusterError(f"--scheduler {address!r:.100}: expected tls://HOST:PORT or tcp://HOST:PORT")
-        if parts.scheme == "tls" and not self.encrypted:
-            raise ClusterError(f"--scheduler {address} needs --tls-ca, --tls-cert and --tls-key")
-        if parts.scheme == "tcp" and self.encrypted:
-            raise ClusterError(f"--scheduler {address} is not encrypted: expected tls://, or leave out the TLS files")
+            raise ClusterError(f"scheduler: {address!r:.100}, expected tls://HOST:PORT or tcp://HOST:PORT")
+        if parts.scheme == "tls" and self.tls is None:
+            raise ClusterError(f"scheduler: {address} needs the files of tls: ca, cert and key")
+        if parts.scheme == "tcp" and self.tls is not None:
+            raise ClusterError(f"scheduler: {address} is not encrypted, expected tls://, or no tls files")
         if parts.scheme == "tcp" and not _is_loopback(parts.hostname or "") and not self.unencrypted:
             raise ClusterError(
-                f"--scheduler {address} is neither encrypted nor on this machine, so anybody on the network could "
-                "answer in its place: use tls:// with --tls-ca, --tls-cert and --tls-key, or say --unencrypted"
+                f"scheduler: {address} is neither encrypted nor on this machine, so anybody on the network could "
+                "answer in its place: use tls:// with the files of tls, or say unencrypted: true"
             )
 
     def security(self) -> Any:
         """`distributed.Security` of these options, or None."""
-        if not self.encrypted:
+        if self.tls is None:
             return None
         distributed: Any = import_module("distributed")
-        ca, cert, key = str(self.tls_ca), str(self.tls_cert), str(self.tls_key)
-        roles = {f"tls_{role}_{part}": f for role in ("client", "scheduler", "worker")
-                 for part, f in (("cert", cert), ("key", key))}  # fmt: skip
-        return distributed.Security(tls_ca_file=ca, require_encryption=True, **roles)
+        roles = {f"tls_{role}_{part}": str(getattr(self.tls, part))
+                 for role in ("client", "scheduler", "worker") for part in ("cert", "key")}  # fmt: skip
+        return distributed.Security(tls_ca_file=str(self.tls.ca), require_encryption=True, **roles)
+
+
+def read_cluster(path: Path) -> ClusterOptions:
+    """Read the file that `--cluster` names, such as `scheduler: tcp://127.0.0.1:8786`.
+
+    Raises:
+        ClusterError: one line with the key, what is wrong with it, and what is allowed.
+    """
+    try:
+        return ClusterOptions.model_validate(read_yaml(path, unique_keys=True))
+    except OSError as error:
+        raise ClusterError(f"{path}: cannot be read ({error.strerror}): check the path") from None
+    except BoundedYamlError as error:
+        raise ClusterError(f"{path}: not YAML: {error}") from None
+    except ValidationError as error:
+        raise ClusterError(f"{path}: {problems(error, ClusterOptions)}") from None
 
 
 def connect(address: str, options: ClusterOptions, *, limit: float = CONNECT_TIME) -> Any:
@@ -118,7 +137,7 @@ def connect(address: str, options: ClusterOptions, *, limit: float = CONNECT_TIM
         tls = next((c for c in causes if "certificate" in str(c).lower() or "ssl" in str(c).lower()), None)
         if tls is not None:
             what = " ".join(str(tls).split())[:200]
-            raise ClusterError(f"{address} refuses this TLS connection ({what}): check the three TLS files") from None
+            raise ClusterError(f"{address} refuses this TLS connection ({what}): check the files of tls") from None
         raise ClusterError(f"no scheduler answers at {address} within {limit:.0f} s: is it running?") from None
 
 
@@ -141,7 +160,7 @@ def own_cluster(workers: int, options: ClusterOptions, folder: Path) -> Iterator
             threads_per_worker=1,
             processes=True,
             host=options.listen,
-            protocol="tls://" if options.encrypted else "tcp://",
+            protocol="tls://" if options.tls else "tcp://",
             security=options.security(),
             dashboard_address=None,
             worker_dashboard_address=None,

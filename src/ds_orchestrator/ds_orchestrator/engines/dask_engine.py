@@ -291,7 +291,7 @@ def running_dask(settings: DriveSettings, *, folder: Path, say: Callable[[str], 
         if address is None:
             folder.mkdir(parents=True, exist_ok=True)
             address = stack.enter_context(own_cluster(settings.workers, options, folder))
-            if options.listen != ClusterOptions.listen:
+            if options.listen != ClusterOptions().listen:
                 say(f"further workers may join: dask worker {address}")
         client = connect(address, options)
         engine = DaskEngine(address, options, client, parcel, command_timeout=settings.command_timeout, say=say)
