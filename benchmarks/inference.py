@@ -27,9 +27,9 @@ from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.crops import simulator_crop
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import BuiltInPilot
 from ds_driver.networks.pilot import Frame
-from ds_driver.networks.preprocessing import Crop
 from ds_road import Road
 from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.session import RunRecord

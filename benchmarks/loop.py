@@ -21,8 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
-from ds_driver.networks.preprocessing import Crop
 from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road, generate

@@ -22,8 +22,7 @@ from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
-from ds_driver.networks.eight_bit import compress
-from ds_driver.networks.weights import SHIPPED, generators_in, load_weights
+from ds_driver.networks.weights import SHIPPED, compress, generators_in, load_weights
 from ds_driver.sim2real.generator_set import FOLDER, shipped_set_of
 from ds_sim.registry import SIMULATORS
 

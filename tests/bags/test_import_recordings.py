@@ -12,9 +12,8 @@ import pytest
 from ds_driver.data.crops import crops_of
 from ds_driver.data.dataset import DatasetError, decode, read_samples
 from ds_driver.data.import_recordings import Imported, import_recordings
-from ds_driver.data.pixels import fit_to_network
 from ds_driver.data.recordings import Reading, open_recording
-from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.images import Crop, fit_to_network
 from ds_driver.training.trainer import TrainingPlan, split
 from ds_sim.registry import UntrustedSimulatorError
 

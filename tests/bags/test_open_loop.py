@@ -22,9 +22,8 @@ from ds_analysis.paper.steering_error_stats import EDGES, density, distances, po
 from ds_bags.donkey_tub import TubError, read_tub
 from ds_bags.layout import BagError
 from ds_driver.closed_loop.simulation import make_driver
-from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
-from ds_driver.networks.preprocessing import Crop, ImageError
+from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
 from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import resimulate

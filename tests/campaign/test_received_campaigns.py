@@ -15,7 +15,7 @@ import pytest
 from report_campaigns import make_tests
 from tests.campaign.test_unusable_folders import content, ds
 
-from ds_driver.networks.received import received_driver
+from ds_driver.networks.driver_name import received_driver
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store

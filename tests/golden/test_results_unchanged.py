@@ -20,8 +20,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ds_driver.closed_loop.simulation import make_driver
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
-from ds_driver.networks.preprocessing import Crop
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import SEARCHES

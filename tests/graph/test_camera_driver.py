@@ -24,8 +24,8 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
     from sensor_msgs.msg import Image
 
     from ds_driver.control.command_conversions import Geometry
+    from ds_driver.networks.images import Crop
     from ds_driver.networks.network_driver import NetworkDriver
-    from ds_driver.networks.preprocessing import Crop
     from ds_orchestrator.graph.ros_domain import RosDomain
     from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
     from ds_road import Road

@@ -55,7 +55,7 @@ def evaluation(
         raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []
     if data is not None:
-        from ds_driver.networks.received import received_driver
+        from ds_driver.networks.driver_name import received_driver
 
         received_driver(config.driver, confirmed=trusted)
         tables += _offline_tables(

@@ -11,9 +11,9 @@ import torch
 from ds_analysis.paper.campaign_evaluation import network_of
 from ds_analysis.paper.open_loop import predict
 from ds_driver.data.dataset import drive_path, keep_import, write_drive
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
-from ds_driver.networks.preprocessing import Crop
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.sim2real.generator_file import load_generator, save_generator
 from ds_driver.sim2real.networks import Generator

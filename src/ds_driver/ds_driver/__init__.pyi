@@ -9,9 +9,9 @@ from .data.dataset import DatasetError, Sample, read_samples
 from .data.recordings import Reading, RecordedFrame, Recording, open_recording
 from .networks.architectures import UnknownNetworkError
 from .networks.backends import BackendError
+from .networks.images import Crop, ImageError, prepare
 from .networks.network_driver import NetworkDriver, load_pilot
 from .networks.pilot import DriverError, Frame, Pilot, Prediction
-from .networks.preprocessing import Crop, ImageError, prepare
 from .networks.torch_networks import make_network
 from .networks.weights import WeightsError, shipped_networks
 from .sim2real.generator_file import StoredGenerator, load_generator

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from ds_driver.networks import openvino_backend
+from ds_driver.networks import backends
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.backends import BackendError
+from ds_driver.networks.backends import BackendError, onnx_runner
 from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
-from ds_driver.networks.onnx_backend import onnx_runner
 from ds_driver.networks.onnx_export import to_onnx
-from ds_driver.networks.preprocessing import Crop, prepare
 from ds_driver.networks.torch_networks import load_network, make_network, save_weights
 from ds_driver.networks.weights import load_weights, weights_sha256
 from ds_sim.installation import install_command
@@ -27,7 +26,7 @@ from ds_sim.installation import install_command
 openvino = pytest.importorskip("openvino")  # an extra for users
 FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.uint8)
 needs_bf16 = pytest.mark.skipif(
-    "BF16" not in openvino_backend.cpu_capabilities(openvino.Core()), reason="processor without bfloat16"
+    "BF16" not in backends.cpu_capabilities(openvino.Core()), reason="processor without bfloat16"
 )
 
 
@@ -68,7 +67,7 @@ def test_bfloat16_steers_like_single_precision_to_its_eight_bits(network: str) -
 
 def test_a_processor_without_bfloat16_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """OpenVINO would compute in single precision without a word, and the name would promise something else."""
-    monkeypatch.setattr(openvino_backend, "cpu_capabilities", lambda _: ["FP32", "INT8", "BIN"])
+    monkeypatch.setattr(backends, "cpu_capabilities", lambda _: ["FP32", "INT8", "BIN"])
     with pytest.raises(BackendError, match=r"no bfloat16 \(AVX512_BF16 or AMX\): use the backend openvino$"):
         NetworkDriver("dave2@openvino-bf16")
     NetworkDriver("dave2@openvino")
@@ -78,7 +77,7 @@ def test_a_backend_gives_the_same_bits_in_another_process() -> None:
     script = (
         "import numpy as np\n"
         "from ds_driver.networks.network_driver import NetworkDriver\n"
-        "from ds_driver.networks.preprocessing import Crop\n"
+        "from ds_driver.networks.images import Crop\n"
         "image = np.random.default_rng(3).integers(0, 256, (160, 320, 3), dtype=np.uint8)\n"
         "for b in ('torch', 'onnx', 'openvino'):\n"
         "    print(NetworkDriver('dave2@' + b).steering(image, Crop(54, 0)).hex())"

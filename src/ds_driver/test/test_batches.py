@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from ds_driver.networks import openvino_backend
+from ds_driver.networks import backends
 from ds_driver.networks.architectures import NETWORKS
+from ds_driver.networks.images import Crop, ImageError
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import load_weights
 
@@ -42,7 +42,7 @@ def alone(driver: NetworkDriver, frame: Frame) -> tuple[float, float]:
 @pytest.mark.parametrize("backend", ["openvino", "openvino-bf16"])
 @pytest.mark.parametrize("architecture", sorted(NETWORKS))
 def test_every_batch_size_gives_the_bits_of_single_frames(architecture: str, backend: str, tmp_path: Path) -> None:
-    if backend == "openvino-bf16" and "BF16" not in openvino_backend.cpu_capabilities(openvino.Core()):
+    if backend == "openvino-bf16" and "BF16" not in backends.cpu_capabilities(openvino.Core()):
         pytest.skip("processor without bfloat16")
     torch.manual_seed(2)
     path = tmp_path / "w.safetensors"
@@ -51,7 +51,7 @@ def test_every_batch_size_gives_the_bits_of_single_frames(architecture: str, bac
         list(network.parameters())[-2].mul_(0.2)  # keeps the steering within its range, so nothing is clipped
     save_weights(network, path, architecture=architecture)
     driver = NetworkDriver(f"{path}@{backend}")
-    assert driver.largest_batch == 8 and driver.sees_crop_only and driver.stateless
+    assert driver.largest_batch == 8 and driver.rows_seen(Crop(5, 3), 160) == (5, 157)
     given = frames(9)
     expected = [alone(driver, frame) for frame in given]
     assert len({steering for steering, _ in expected}) == len(given) and max(abs(s) for s, _ in expected) < 1
@@ -76,7 +76,7 @@ def test_backends_whose_bits_depend_on_the_batch_take_one_frame_at_a_time(driver
 def test_batches_are_given_up_where_their_bits_differ(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stands for a processor on which the runtime selects other kernels for other batch sizes."""
     sizes: list[int] = []
-    infer = openvino_backend._infer
+    infer = backends._infer
 
     def other_bits(request: object, batch: np.ndarray) -> list[np.ndarray]:
         sizes.append(len(batch))
@@ -85,7 +85,7 @@ def test_batches_are_given_up_where_their_bits_differ(monkeypatch: pytest.Monkey
     driver = NetworkDriver("chauffeur@openvino")
     given = frames(6)
     expected = [alone(driver, frame) for frame in given]
-    monkeypatch.setattr(openvino_backend, "_infer", other_bits)
+    monkeypatch.setattr(backends, "_infer", other_bits)
     for _ in range(2):
         sizes.clear()
         found = driver.commands(given)
@@ -123,7 +123,7 @@ def test_a_class_with_state_sees_its_frames_in_order(tmp_path: Path, monkeypatch
     )
     monkeypatch.syspath_prepend(tmp_path)
     driver = NetworkDriver("counting_driver:Counting")
-    assert driver.largest_batch == 1 and not driver.sees_crop_only and not driver.stateless
+    assert driver.largest_batch == 1 and driver.rows_seen(Crop(5, 3), 160) is None
     image = np.zeros((160, 320, 3), np.uint8)
     steps = [(0, 1.0), (1, 1.0), (2, 101.0), (3, 1.0), (0, 1.0), (1, 1.0)]
     found = driver.commands([Frame(image=image, speed=speed, step=step) for step, speed in steps])
@@ -139,7 +139,7 @@ def test_a_described_network_says_whether_it_keeps_to_the_crop(crop: str, only: 
         f"file: n.onnx\ninput: {{size: [160, 320], colour: yuv, layout: nhwc, type: uint8, crop: {crop}}}\n"
     )
     driver = NetworkDriver(str(tmp_path / "n.yaml"))
-    assert driver.sees_crop_only is only and driver.largest_batch == 1 and driver.stateless
+    assert (driver.rows_seen(Crop(5, 3), 160) == (5, 157)) is only and driver.largest_batch == 1
     first, second = frames(1)[0], frames(1, seed=6)[0]
     mixed = second.image.copy()
     mixed[54:159] = first.image[54:159]

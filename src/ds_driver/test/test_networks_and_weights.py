@@ -13,12 +13,11 @@ import torch
 from safetensors.torch import save_file
 
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.eight_bit import compress
+from ds_driver.networks.images import Crop, ImageError, prepare
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.onnx_export import to_onnx
-from ds_driver.networks.preprocessing import Crop, ImageError, prepare
 from ds_driver.networks.torch_networks import FastDropout, disable_dropout, load_network, make_network, save_weights
-from ds_driver.networks.weights import Weights, WeightsError, generators_in, load_weights, shipped_networks
+from ds_driver.networks.weights import Weights, WeightsError, compress, generators_in, load_weights, shipped_networks
 from ds_sim.registry import SIMULATORS
 
 

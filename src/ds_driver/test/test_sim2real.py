@@ -20,8 +20,8 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.crops import crops_of
 from ds_driver.data.dataset import decode, drive_path, read_samples, write_drive
 from ds_driver.data.recordings import Reading, open_recording
+from ds_driver.networks.images import Crop
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.preprocessing import Crop
 from ds_driver.sim2real import photographs
 from ds_driver.sim2real.evaluation.checkpoints import HeldOut, assess_checkpoints, flicker, ship
 from ds_driver.sim2real.evaluation.choice import broken_bounds, choose

@@ -19,7 +19,8 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.driver_name import DriverName, received_driver
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import (
     NetworkDriver,
     driver_sha256,
@@ -28,8 +29,6 @@ from ds_driver.networks.network_driver import (
     translation_of,
 )
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
-from ds_driver.networks.preprocessing import Crop
-from ds_driver.networks.received import received_driver
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import architecture_in, generators_in, load_weights
 from ds_driver.sim2real import generator_set

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.data.recordings import RecordedFrame, Recording
-from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.images import Crop
 
 Array = NDArray[np.float64]
 Answer = Callable[[RecordedFrame, Crop], float | None]

@@ -15,7 +15,7 @@ from ds_cli.output import Interrupted, Result, countdown, say
 if TYPE_CHECKING:
     from ds_analysis.paper.open_loop import Answer
     from ds_driver.data.recordings import Reading, RecordedFrame
-    from ds_driver.networks.preprocessing import Crop
+    from ds_driver.networks.images import Crop
 
 
 def bag_drive(

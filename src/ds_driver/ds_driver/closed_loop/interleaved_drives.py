@@ -11,8 +11,8 @@ from ds_driver.closed_loop.drawn_rows import draw_seen_rows
 from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_driver.closed_loop.simulation import Driver, make_driver
 from ds_driver.control.autopilot import ROWS_SEEN
+from ds_driver.networks.images import Crop, ImageError
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
 from ds_sim.registry import make_simulator

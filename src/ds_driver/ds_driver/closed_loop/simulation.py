@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from ds_driver.closed_loop.drawn_rows import draw_seen_rows
 from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
+from ds_driver.networks.images import Crop
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.preprocessing import Crop
 from ds_driver.process_pool import map_in_processes
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from ds_driver.data.dataset import imported_names
-from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.images import Crop
 from ds_sim.registry import received_simulator, spec_of
 
 TRUST = "--trust"

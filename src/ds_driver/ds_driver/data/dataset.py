@@ -12,8 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ds_driver.data.pixels import rgb_of_file
-from ds_driver.networks.preprocessing import ImageError
+from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_driver.whole_files import whole_file, write_whole
 
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"

@@ -18,9 +18,8 @@ from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.crops import TRUST
-from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
+from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
 from ds_driver.networks.pilot import NOT_SIMULATED
-from ds_driver.networks.preprocessing import Crop, ImageError
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.registry import received_simulator, spec_of
 
@@ -42,7 +41,7 @@ class Reading:
         steering: topic and field of the steering, such as `/cmd:drive.steering_angle`; None for the
             commands in a bag of this project or a tub.
         factor: converts the field to steering, -1 full left to +1 full right.
-        rows: image rows to keep, see `ds_driver.data.pixels.fit_to_network`.
+        rows: image rows to keep, see `ds_driver.networks.images.fit_to_network`.
         truth: reference for a driver: the recorded steering, or the autopilot's (bags of this project).
         trusted: user-provided simulators whose code may run.
     """

@@ -1,4 +1,4 @@
-"""Names the backends that run networks, on one thread: PyTorch, ONNX Runtime and OpenVINO.
+"""Runs networks on one thread, with ONNX Runtime, OpenVINO or PyTorch (`torch_networks`), and names these backends.
 
 A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, or `@cuda` (PyTorch on a GPU):
 `dave2@openvino`. All compute in single precision except `openvino-bf16`.
@@ -6,20 +6,26 @@ A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, or 
 
 from __future__ import annotations
 
+import tempfile
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.networks.pilot import DriverError
+from ds_sim.installation import install_command
 
 BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16")
 """auto: `network_driver.BUILT_IN_BACKEND` for built-in networks, the native backend for a network file."""
 DEVICES = ("cpu", "cuda")
-
-Compute = Callable[[NDArray[Any]], list[NDArray[np.float32]]]
+LARGEST_BATCH = 8
+"""Images in one inference; chosen: Dave-2 gains 28 % from 1 to 4 and 3 % from 4 to 8 (benchmarks/inference.py)."""
 
 
 class BackendError(DriverError):
@@ -38,7 +44,7 @@ class Runner:
         largest_batch: images in one input for which each result has the bits that it has alone.
     """
 
-    compute: Compute
+    compute: Callable[[NDArray[Any]], list[NDArray[np.float32]]]
     outputs: tuple[str, ...] = ()
     shape: tuple[int | None, ...] | None = None
     type: str = ""
@@ -54,3 +60,205 @@ def last_line(error: BaseException) -> str:
 def shape_and_type(batch: NDArray[Any]) -> str:
     """Describe an input, for messages."""
     return f"an input of shape {'x'.join(map(str, batch.shape))} and type {batch.dtype}"
+
+
+def check_onnx(content: bytes, where: str) -> None:
+    """Refuse an ONNX file that is damaged or has external data.
+
+    Runtimes look for external data relative to the working directory, and the network's hash would not cover it.
+
+    Raises:
+        BackendError: not an ONNX graph, or one with external data.
+    """
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    model = onnx.ModelProto()
+    try:
+        model.ParseFromString(content)
+    except (DecodeError, RecursionError) as error:
+        raise BackendError(
+            f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
+        ) from None
+    graphs = [model.graph, *(info.algorithm for info in model.training_info)]
+    nodes = [node for function in model.functions for node in function.node]
+    while graphs or nodes:
+        tensors: list[Any] = []
+        for graph in graphs:
+            nodes += graph.node
+            tensors += [*graph.initializer, *(t for s in graph.sparse_initializer for t in (s.values, s.indices))]
+        graphs, attributes, nodes = [], [a for node in nodes for a in node.attribute], []
+        for attribute in attributes:
+            graphs += [attribute.g, *attribute.graphs] if attribute.HasField("g") or attribute.graphs else []
+            sparse = [attribute.sparse_tensor, *attribute.sparse_tensors]
+            tensors += [attribute.t, *attribute.tensors, *(t for s in sparse for t in (s.values, s.indices))]
+        if any(t.external_data or t.data_location == onnx.TensorProto.EXTERNAL for t in tensors):
+            raise BackendError(f"{where} keeps its weights in other files: save it with all of them inside")
+
+
+def onnx_runner(content: bytes, where: str) -> Runner:
+    """Run an ONNX graph with ONNX Runtime; check a foreign file with `check_onnx` first.
+
+    Raises:
+        BackendError: the file is damaged, or has more than one input.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # its messages come as exceptions, too
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its exceptions share no narrower base class
+        raise BackendError(
+            f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
+        ) from None
+    inputs = session.get_inputs()
+    if len(inputs) != 1:
+        names = ", ".join(i.name for i in inputs)
+        raise BackendError(f"{where} has {len(inputs)} inputs ({names}): expected one, the image")
+    name = inputs[0].name
+    kinds = {"tensor(float)": "float32", "tensor(uint8)": "uint8", "tensor(float16)": "float16"}
+
+    def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+        try:
+            found = session.run(None, {name: np.ascontiguousarray(batch)})
+        except Exception as error:
+            raise BackendError(f"the network rejects {shape_and_type(batch)}: {last_line(error)}") from None
+        return [np.asarray(part, np.float32) for part in found]
+
+    return Runner(
+        compute,
+        tuple(o.name for o in session.get_outputs()),
+        tuple(size if isinstance(size, int) else None for size in inputs[0].shape),
+        kinds.get(inputs[0].type, inputs[0].type),
+    )
+
+
+def openvino_runner(
+    content: bytes, where: str, *, kind: str = "onnx", bf16: bool = False, batches: bool = False
+) -> Runner:
+    """Run an ONNX, TensorFlow Lite or TorchScript file with OpenVINO; check a foreign ONNX file first.
+
+    Args:
+        content: content of the file.
+        where: name of the file, for messages.
+        kind: `onnx`, `tflite` or `torchscript`.
+        bf16: compute in bfloat16 instead of single precision.
+        batches: whether the network treats the images of a batch independently; with one input and output.
+
+    Raises:
+        BackendError: OpenVINO is not installed, cannot read the file, or the processor has no bfloat16.
+    """
+    try:
+        import openvino
+    except ImportError:
+        raise BackendError(f"OpenVINO is not installed (60 MB): type {install_command('openvino')}") from None
+    core = openvino.Core()
+    if bf16 and "BF16" not in cpu_capabilities(core):
+        raise BackendError("this processor has no bfloat16 (AVX512_BF16 or AMX): use the backend openvino")
+    settings = {
+        "INFERENCE_NUM_THREADS": 1,
+        "NUM_STREAMS": 1,
+        # The default is bfloat16 on processors that support it, which changes the results.
+        "INFERENCE_PRECISION_HINT": "bf16" if bf16 else "f32",
+        # With pinning, the drivers of several workers would share one core.
+        "ENABLE_CPU_PINNING": False,
+    }
+    try:
+        # OpenVINO reads TensorFlow Lite from files only, and may need the file until the model is compiled.
+        with tempfile.TemporaryDirectory() as folder:
+            model = _read(core, content, kind, Path(folder))
+            compiled = core.compile_model(model, "CPU", settings)
+    except Exception as error:  # its exceptions share no narrower base class
+        raise BackendError(f"{where} cannot be loaded by OpenVINO ({last_line(error)}): is the file whole?") from None
+    if len(compiled.inputs) != 1:
+        raise BackendError(f"{where} has {len(compiled.inputs)} inputs: expected one, the image")
+    request = compiled.create_infer_request()
+    only_input = compiled.inputs[0]
+
+    def compile_for(size: int) -> Any:
+        resized = model.clone()  # shares the weights
+        resized.reshape([size, *only_input.get_shape()[1:]])
+        return core.compile_model(resized, "CPU", settings).create_infer_request()
+
+    return Runner(
+        _Batches(request, compile_for).compute if batches else partial(_infer, request),
+        tuple(next(iter(sorted(o.get_names())), "") for o in compiled.outputs),
+        tuple(d.get_length() if d.is_static else None for d in only_input.get_partial_shape())
+        if only_input.get_partial_shape().rank.is_static
+        else None,
+        only_input.get_element_type().to_dtype().name,
+        LARGEST_BATCH if batches else 1,
+    )
+
+
+def cpu_capabilities(core: Any) -> list[str]:
+    """List what the processor can compute with, in OpenVINO's words: `FP32`, `BF16`, `INT8`, ..."""
+    return list(core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"))
+
+
+class _Batches:
+    """Runs a network on any number of images, each with the bits that it has alone.
+
+    A graph compiled for one batch size gives these bits; a graph for any size gives others and is slower. So there is
+    one graph for each power of two, compiled when first needed, and 7 images are run as 4, 2 and 1. Which kernels
+    OpenVINO selects depends on the processor: each new graph is compared with the graph for one image, and batches are
+    no longer used if a bit differs.
+
+    Args:
+        alone: request of the graph for one image.
+        compile_for: makes the request for a batch size.
+    """
+
+    def __init__(self, alone: Any, compile_for: Any) -> None:
+        self._requests = {1: alone}
+        self._compile_for = compile_for
+        self._largest = LARGEST_BATCH
+
+    def compute(self, batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+        """Run any number of images, at least one."""
+        results, start = [], 0
+        while start < len(batch):
+            size = min(1 << ((len(batch) - start).bit_length() - 1), self._largest)
+            request = self._request(size, batch.shape[1:])
+            if request is None:
+                self._largest = 1
+                continue
+            results.append(_infer(request, batch[start : start + size])[0])
+            start += size
+        return [np.concatenate(results)]
+
+    def _request(self, size: int, shape: tuple[int, ...]) -> Any:
+        """Return the request for a batch size, or None if its bits differ from those of single images."""
+        if size not in self._requests:
+            request = self._compile_for(size)
+            noise = np.random.default_rng(size).integers(0, 256, (size, *shape), dtype=np.uint8)
+            alone = [_infer(self._requests[1], noise[i : i + 1])[0] for i in range(size)]
+            if not np.array_equal(_infer(request, noise)[0], np.concatenate(alone), equal_nan=True):
+                return None
+            self._requests[size] = request
+        return self._requests[size]
+
+
+def _read(core: Any, content: bytes, kind: str, folder: Path) -> Any:
+    if kind == "tflite":
+        file = folder / "network.tflite"
+        file.write_bytes(content)
+        return core.read_model(file)
+    if kind == "torchscript":
+        import openvino
+        import torch
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return openvino.convert_model(torch.jit.load(BytesIO(content)).eval())
+    return core.read_model(BytesIO(content))
+
+
+def _infer(request: Any, batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+    try:
+        found = request.infer([np.ascontiguousarray(batch)], share_inputs=True)
+    except Exception as error:
+        raise BackendError(f"the network rejects {shape_and_type(batch)}: {last_line(error)}") from None
+    return [np.array(output, np.float32) for output in found.values()]

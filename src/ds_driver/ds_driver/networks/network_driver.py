@@ -14,15 +14,19 @@ from numpy.typing import NDArray
 
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.backends import Runner
-from ds_driver.networks.described_network import KINDS, DescribedNetworkPilot, file_of, read_description
+from ds_driver.networks.backends import Runner, onnx_runner, openvino_runner
 from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
-from ds_driver.networks.onnx_backend import onnx_runner
+from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.onnx_export import to_onnx
-from ds_driver.networks.openvino_backend import openvino_runner
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.preprocessing import Crop, prepare
-from ds_driver.networks.user_class import UserClassPilot, source_of
+from ds_driver.networks.user_networks import (
+    KINDS,
+    DescribedNetworkPilot,
+    UserClassPilot,
+    file_of,
+    read_description,
+    source_of,
+)
 from ds_driver.networks.weights import (
     generators_in,
     load_weights,
@@ -63,9 +67,6 @@ class BuiltInPilot(Pilot):
         self._compute = runner.compute
         self.largest_batch = runner.largest_batch
 
-    def start(self) -> None:
-        """Do nothing, as these networks have no state."""
-
     def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
         return Prediction(float(self._compute(prepare(frame.image, frame.crop)[None])[0].reshape(-1)[0]))
@@ -104,7 +105,7 @@ class NetworkDriver:
         """Predict steering in [-1, 1] for one camera image, (160, 320, 3) uint8 RGB; see `Frame` for the simulator.
 
         Raises:
-            ds_driver.networks.preprocessing.ImageError: the image has another size or type.
+            ds_driver.networks.images.ImageError: the image has another size or type.
             ds_driver.networks.pilot.DriverError: the network gives no valid answer.
         """
         frame = Frame(image=image, speed=0.0, crop=crop, simulator=simulator)
@@ -123,11 +124,11 @@ class NetworkDriver:
         """Compute a command for each frame: the bits of `command`, or the error of that frame.
 
         Args:
-            frames: any number, of one or several runs; of several only if `stateless`. At most `largest_batch` frames
-                go through the network at once.
+            frames: any number, of one run, or of several if `largest_batch` is more than one; at most so many go
+                through the network at once.
 
         Raises:
-            ds_driver.networks.preprocessing.ImageError: an image has another size or type.
+            ds_driver.networks.images.ImageError: an image has another size or type.
         """
         size = self.largest_batch
         if size == 1:
@@ -150,11 +151,6 @@ class NetworkDriver:
         """Return the number of frames that the network takes at once with the bits that each gives alone."""
         return self._pilot.largest_batch
 
-    @property
-    def sees_crop_only(self) -> bool:
-        """Return whether the driver never looks at rows outside the crop of a frame."""
-        return self._pilot.sees_crop_only
-
     def rows_seen(self, crop: Crop, height: int, simulator: str | None = None) -> tuple[int, int] | None:
         """Return first row and end of the rows that the driver looks at; None if it may look at all.
 
@@ -169,11 +165,6 @@ class NetworkDriver:
     def stage(self) -> Sim2RealStage | None:
         """Return what translates images before the network sees them; None if it sees them as they are."""
         return getattr(self._pilot, "stage", None)
-
-    @property
-    def stateless(self) -> bool:
-        """Return whether a command depends on its frame alone, so that one driver can serve several runs at once."""
-        return self._pilot.stateless
 
 
 def load_pilot(driver: str) -> Pilot:
@@ -210,6 +201,7 @@ def stage_of(driver: str) -> Sim2RealStage | None:
     return Sim2RealStage(generators, BUILT_IN_BACKEND if name.backend == "auto" else name.backend, name.device)
 
 
+_cached_stage_of = cache(stage_of)
 Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 """Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
 
@@ -224,7 +216,7 @@ def translation_of(driver: str, simulator: str) -> Translation | None:
     Raises:
         DriverError: the generators of the driver are missing.
     """
-    stage = _stage_of(driver)
+    stage = _cached_stage_of(driver)
     if stage is None:
         return None
     name, lock = spec_of(simulator).name, Lock()
@@ -234,11 +226,6 @@ def translation_of(driver: str, simulator: str) -> Translation | None:
             return stage.translate(image, name)
 
     return translated
-
-
-@cache
-def _stage_of(driver: str) -> Sim2RealStage | None:
-    return stage_of(driver)
 
 
 def generators_of(driver: str) -> GeneratorSet | None:
@@ -325,8 +312,7 @@ def _torch_runner(name: str, device: str) -> Runner:
     """Run a network with PyTorch, which takes 2 s and 200 MB to import and is therefore imported on demand."""
     import torch
 
-    from ds_driver.networks.torch_backend import torch_device, torch_runner
-    from ds_driver.networks.torch_networks import load_network
+    from ds_driver.networks.torch_networks import load_network, torch_device, torch_runner
 
     where = torch_device(device)
     network = load_network(name).to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]

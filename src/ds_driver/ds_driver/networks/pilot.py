@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.images import Crop
 
 NOT_SIMULATED = ""
 """In place of a simulator's name: a photograph, or an image that is translated already; a network sees it as it is."""
@@ -65,24 +65,24 @@ class Pilot(Protocol):
     """Network that can drive.
 
     Attributes:
-        largest_batch: frames that `predict_batch` takes at once; more than one only if stateless.
+        largest_batch: frames that `predict_batch` takes at once; more than one only if a prediction depends on its
+            frame alone, so that frames of several runs may alternate.
         sees_crop_only: whether it never looks at rows outside the crop of a frame.
-        stateless: whether a prediction depends on its frame alone, so that frames of several runs may alternate.
     """
 
     largest_batch: int = 1
     sees_crop_only: bool = False
-    stateless: bool = True
 
     def start(self) -> None:
-        """Reset all state at the start of a run."""
+        """Reset all state at the start of a run; most networks have none."""
+        return
 
     def predict(self, frame: Frame) -> Prediction:
         """Predict steering and throttle for a frame.
 
         Raises:
             DriverError: the network gives no valid answer.
-            ds_driver.networks.preprocessing.ImageError: the image has another size or type.
+            ds_driver.networks.images.ImageError: the image has another size or type.
         """
         ...
 
@@ -100,7 +100,7 @@ class Pilot(Protocol):
         """Predict for several frames: the bits of `predict`, or the error of the frame.
 
         Raises:
-            ds_driver.networks.preprocessing.ImageError: an image has another size or type.
+            ds_driver.networks.images.ImageError: an image has another size or type.
         """
         return [self._attempt(frame) for frame in frames]
 

@@ -1,10 +1,13 @@
-"""Reads network weights from safetensors, without pickle; the architecture is in the metadata."""
+"""Reads network weights from safetensors, without pickle; the architecture is in the metadata.
+
+Large layers may be stored as 8-bit integers with a scale per row, which halves the file.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import deserialize, safe_open
+from safetensors.numpy import save_file
 
 from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError
-from ds_driver.networks.eight_bit import SCALE, expand
+from ds_driver.whole_files import whole_file
 
 SHIPPED = Path(__file__).parents[1] / "models"
 """Folder of the shipped networks."""
@@ -28,10 +32,16 @@ _FLOAT32: dict[str, Callable[[bytes], NDArray[np.float32]]] = {
     "BF16": lambda data: (np.frombuffer(data, "<u2").astype(np.uint32) << 16).view(np.float32),
     "F32": lambda data: np.frombuffer(data, "<f4").astype(np.float32),
     "F64": lambda data: np.frombuffer(data, "<f8").astype(np.float32),
-    # One byte each, with scales: `ds_driver.networks.eight_bit`.
+    # One byte each, with scales: `ds_driver.networks.weights`.
     "I8": lambda data: np.frombuffer(data, np.int8).astype(np.float32),
 }
 """Number type in a file -> what reads it."""
+SCALE = ".scale"
+"""End of the name of a tensor of scales."""
+_LARGEST_INTEGER = 127
+"""Largest stored integer; the range is symmetric (Jacob et al. 2018, for weights)."""
+SMALLEST_LAYER = 1_000_000
+"""Fewest weights of a layer that is stored in 8 bits; chosen: smaller ones save less than 1 MB."""
 
 
 class WeightsError(ValueError):
@@ -181,3 +191,42 @@ def load_weights(name_or_path: str) -> Weights:
     if not all(bool(np.isfinite(tensor).all()) for tensor in tensors.values()):
         raise WeightsError(f"weights {path.name} hold NaN or infinity: train the network again")
     return Weights(NETWORKS[name], tensors)
+
+
+def compress(path: Path, out: Path) -> list[str]:
+    """Store the large layers of a weights file in 8 bits.
+
+    Args:
+        path: weights file in half precision.
+        out: file to write; may be `path`.
+
+    Returns:
+        Names of the tensors that were compressed; those that already are in 8 bits stay as they are.
+    """
+    with safe_open(path, framework="numpy") as file:
+        metadata = file.metadata()
+        tensors: dict[str, NDArray[Any]] = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    matrices = {key: value for key, value in tensors.items() if value.ndim == 2 and value.dtype != np.int8}
+    large = [key for key, value in matrices.items() if value.size >= SMALLEST_LAYER]
+    for key in large:
+        values = tensors[key].astype(np.float32)
+        largest = np.abs(values).max(axis=1)
+        scales = np.where(largest > 0, largest / _LARGEST_INTEGER, 1.0).astype(np.float32)
+        tensors[key] = np.rint(values / scales[:, None]).astype(np.int8)
+        tensors[key + SCALE] = scales
+    with whole_file(out) as partial:
+        save_file(tensors, partial, metadata=metadata)
+    return large
+
+
+def expand(tensors: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+    """Multiply stored integers by their rows' scales; other tensors stay as they are.
+
+    Args:
+        tensors: all tensors of a file, integers already as float32.
+    """
+    return {
+        key: value * tensors[key + SCALE][:, None] if key + SCALE in tensors else value
+        for key, value in tensors.items()
+        if not key.endswith(SCALE)
+    }

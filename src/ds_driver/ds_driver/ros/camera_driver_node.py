@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from ds_driver.control.command_conversions import Geometry
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
-from ds_driver.networks.preprocessing import Crop
 from ds_driver.ros.camera_subscriber import CameraSubscriber
 from ds_driver.ros.command_publisher import OUTPUTS, CommandOutput
 from ds_sim.ros.parameters import declare

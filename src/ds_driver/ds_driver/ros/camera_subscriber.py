@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
-from ds_driver.data.pixels import fit_to_network, rgb_of, rgb_of_file
+from ds_driver.networks.images import fit_to_network, rgb_of, rgb_of_file
 from ds_driver.ros.command_publisher import CommandOutput
 from ds_driver.ros.latency_diagnostics import LatencyDiagnostics
 from ds_sim.simulator import Command

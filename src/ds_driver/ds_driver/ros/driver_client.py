@@ -13,7 +13,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from ds_driver.data.recordings import RecordedFrame
-from ds_driver.networks.preprocessing import Crop
+from ds_driver.networks.images import Crop
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import FRAME_TIME

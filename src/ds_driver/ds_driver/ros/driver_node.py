@@ -12,9 +12,9 @@ from rclpy.node import Node
 
 from ds_driver.networks.backends import BACKENDS, DEVICES
 from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
-from ds_driver.networks.preprocessing import Crop
 from ds_driver.ros.simulator_client import SimulatorClient
 from ds_driver.ros.translated_images import TranslatedImages
 from ds_sim.ros.conversions import pixels_of

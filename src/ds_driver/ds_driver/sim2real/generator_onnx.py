@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import TensorProto
 
-from ds_driver.networks.onnx_graph import OnnxGraph
+from ds_driver.networks.onnx_export import OnnxGraph
 from ds_driver.sim2real.generator_file import StoredGenerator
 from ds_driver.sim2real.shape import EPSILON
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
-from ds_driver.data.pixels import rgb_of_file
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
-from ds_driver.networks.preprocessing import ImageError
+from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_driver.sim2real.settings import HELD_OUT
 from ds_driver.sim2real.window import Sim2RealError, resize
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.preprocessing import Crop, checked
 from ds_driver.sim2real.generator_set import GeneratorSet
 from ds_driver.sim2real.translator import Translator
 
@@ -32,7 +32,7 @@ class Sim2RealStage:
         """Translate one camera image, (160, 320, 3) uint8 RGB; the result is not to be cropped.
 
         Raises:
-            ds_driver.networks.preprocessing.ImageError: the image has another size or type.
+            ds_driver.networks.images.ImageError: the image has another size or type.
             DriverError: there is no generator for the simulator.
         """
         return self._translator(simulator).translate(checked(image))
@@ -41,7 +41,7 @@ class Sim2RealStage:
         """Return frames as the network sees them, with the bits of `translate`; frames of one simulator in one batch.
 
         Raises:
-            ds_driver.networks.preprocessing.ImageError: an image has another size or type.
+            ds_driver.networks.images.ImageError: an image has another size or type.
             DriverError: there is no generator for a frame, or the frame does not name its simulator.
         """
         places: dict[str, list[int]] = {}
@@ -77,7 +77,6 @@ class TranslatingPilot(Pilot):
         self._pilot = pilot
         self.stage = stage
         self.largest_batch = pilot.largest_batch
-        self.stateless = pilot.stateless
 
     def start(self) -> None:
         """See `ds_driver.networks.pilot.Pilot`."""

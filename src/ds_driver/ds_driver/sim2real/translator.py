@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.networks.backends import Runner
-from ds_driver.networks.onnx_backend import onnx_runner
-from ds_driver.networks.openvino_backend import openvino_runner
+from ds_driver.networks.backends import Runner, onnx_runner, openvino_runner
 from ds_driver.sim2real.generator_file import StoredGenerator
 from ds_driver.sim2real.generator_onnx import generator_to_onnx
 from ds_driver.sim2real.window import Sim2RealError, prepare, resize
@@ -87,7 +85,7 @@ def _torch_runner(generator: StoredGenerator, device: str) -> Runner:
     """Run a generator with PyTorch, which takes 2 s and 200 MB to import and is therefore imported on demand."""
     import torch
 
-    from ds_driver.networks.torch_backend import torch_device, torch_runner
+    from ds_driver.networks.torch_networks import torch_device, torch_runner
     from ds_driver.sim2real.networks import Generator, to_batch, to_images
 
     where = torch_device(device)

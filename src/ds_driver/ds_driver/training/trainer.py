@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from ds_driver.data.crops import crops_of
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples
 from ds_driver.data.translated import copy_generators, translated_by
-from ds_driver.networks.preprocessing import Crop, prepare
+from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.torch_networks import disable_dropout, make_network, save_weights
 from ds_driver.training.augmentation import augment
 from ds_driver.whole_files import whole_file

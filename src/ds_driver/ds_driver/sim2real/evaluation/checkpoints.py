@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
-from ds_driver.networks.preprocessing import Crop
 from ds_driver.sim2real.evaluation.choice import broken_bounds, choose
 from ds_driver.sim2real.evaluation.features import PUBLIC_NETWORK, driving_features, has_public_network, public_features
 from ds_driver.sim2real.evaluation.kernel_distance import kernel_distance

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from ds_driver.networks.preprocessing import Crop, prepare
+from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.torch_networks import load_network
 from ds_driver.sim2real.window import resize
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH

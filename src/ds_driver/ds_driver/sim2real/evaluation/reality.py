@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import TubRecord, is_tub, read_tub
+from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
-from ds_driver.networks.preprocessing import Crop
 from ds_driver.sim2real.generator_file import StoredGenerator
 from ds_driver.sim2real.lane.lane_view import SAMPLE, match_windows, measure_lane
 from ds_driver.sim2real.photographs import FEWEST, read_photograph, read_photographs

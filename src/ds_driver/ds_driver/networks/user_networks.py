@@ -1,8 +1,13 @@
-"""Drives with an ONNX, TorchScript or TensorFlow Lite file that a YAML file describes."""
+"""Drives with user-provided networks: network files that a YAML file describes, and Python classes."""
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import resource
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ds_driver.networks.backends import BackendError, Runner
-from ds_driver.networks.memory_limit import limited_memory
-from ds_driver.networks.onnx_backend import check_onnx, onnx_runner
-from ds_driver.networks.openvino_backend import openvino_runner
+from ds_driver.networks.backends import BackendError, Runner, check_onnx, last_line, onnx_runner, openvino_runner
+from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.preprocessing import Crop, checked
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded, read_yaml
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
+NETWORK_MEMORY = 4 * 2**30
+"""Bytes beyond what the process has already mapped; chosen: 40 times the largest shipped network."""
+_lock = threading.Lock()
+_inside = 0
+_before = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
 KINDS = {
     ".onnx": "onnx",
     ".pt": "torchscript",
@@ -41,6 +48,34 @@ LARGEST_FILE = 2**29
 """Bytes of a network file; chosen: five times the largest shipped network."""
 _LONGEST = 500
 """Longest error text about a description, characters."""
+
+
+@contextmanager
+def limited_memory(extra: int = NETWORK_MEMORY) -> Iterator[None]:
+    """Make allocations fail beyond the present address space plus `extra` bytes.
+
+    A graph of three nodes can ask for terabytes, and the runtimes set no limit. The limit applies to the whole process,
+    other threads included; nested and concurrent uses keep the first limit.
+
+    Args:
+        extra: bytes that may be mapped in addition.
+    """
+    global _inside, _before
+    with _lock:
+        _inside += 1
+        if _inside == 1:
+            _before = resource.getrlimit(resource.RLIMIT_AS)
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            wanted = pages * resource.getpagesize() + extra
+            limits = [limit for limit in (*_before, wanted) if limit != resource.RLIM_INFINITY]
+            resource.setrlimit(resource.RLIMIT_AS, (min(limits), _before[1]))
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if _inside == 0:
+                resource.setrlimit(resource.RLIMIT_AS, _before)
 
 
 class _Strict(BaseModel):
@@ -209,9 +244,6 @@ class DescribedNetworkPilot(Pilot):
         except MemoryError:
             raise DriverError(f"{file.name} needs more memory than a network may take: make it smaller") from None
 
-    def start(self) -> None:
-        """Do nothing, as network files have no state."""
-
     def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
         batch = self.batch(frame)
@@ -296,7 +328,7 @@ def _runner(file: Path, backend: str, device: str) -> Runner:
         return openvino_runner(content, file.name, kind=kind, bf16=chosen == "openvino-bf16")
     if chosen == "onnx":
         return onnx_runner(content, file.name)
-    from ds_driver.networks.torch_backend import torch_device, torchscript_runner
+    from ds_driver.networks.torch_networks import torch_device, torchscript_runner
 
     return torchscript_runner(content, torch_device(device), file.name)
 
@@ -308,3 +340,83 @@ def _either(names: tuple[str, ...]) -> str:
 def _is_kind(part: object) -> bool:
     """Check for the parts that pydantic adds to a path to name a member type of a union."""
     return isinstance(part, str) and (part in ("float", "int", "str", "Rows") or "[" in part)
+
+
+class UserClassPilot(Pilot):
+    """Wraps a class without constructor arguments, with a method `drive(frame)` and, if it has state, `start()`.
+
+    `drive` takes a `Frame` and returns the steering, or a pair of steering and throttle.
+
+    Args:
+        target: `module:Class`.
+
+    Raises:
+        DriverError: the class cannot be imported or instantiated, or fails on a black image.
+    """
+
+    def __init__(self, target: str) -> None:
+        kind = _find(target)
+        self._target = target
+        try:
+            self._driver = kind()
+        except Exception as error:
+            raise DriverError(f"driver {target} cannot be created ({_describe(error)}): fix its __init__") from None
+        if not callable(getattr(self._driver, "drive", None)):
+            raise DriverError(f"driver {target} has no method drive(frame): see docs/bring_your_own_network.md")
+        self.start()
+        self.predict(Frame(image=np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), speed=0.0))
+        self.start()
+
+    def start(self) -> None:
+        """Call `start` of the class, if it has one, at the start of a run."""
+        start = getattr(self._driver, "start", None)
+        if start is not None:
+            try:
+                start()
+            except Exception as error:
+                raise DriverError(f"{self._target}.start failed ({_describe(error)})") from None
+
+    def predict(self, frame: Frame) -> Prediction:
+        """See `ds_driver.networks.pilot.Pilot`."""
+        checked(frame.image)
+        try:
+            answer: Any = self._driver.drive(frame)
+        except Exception as error:  # any exception in user code is an error, never a failed test
+            raise DriverError(f"{self._target}.drive failed ({_describe(error)})") from None
+        steering, throttle = answer if isinstance(answer, (tuple, list)) and len(answer) == 2 else (answer, None)
+        try:
+            return Prediction(float(steering), None if throttle is None else float(throttle))
+        except (TypeError, ValueError) as error:
+            if isinstance(error, DriverError):
+                raise
+            raise DriverError(
+                f"{self._target}.drive returned {answer!r:.60}: expected the steering, or steering and throttle"
+            ) from None
+
+
+def source_of(target: str) -> Path:
+    """Return the source file of a class.
+
+    Raises:
+        DriverError: the class cannot be imported, or comes from no file.
+    """
+    file = getattr(sys.modules[_find(target).__module__], "__file__", None)
+    if file is None:
+        raise DriverError(f"driver {target} comes from no file: move it to a module")
+    return Path(file)
+
+
+def _find(target: str) -> type:
+    module, _, attribute = target.partition(":")
+    try:
+        kind: type = getattr(import_module(module), attribute)
+    except Exception as error:  # importing a module can raise anything
+        raise DriverError(
+            f"driver {target!r} cannot be imported ({_describe(error)}): expected module:Class, with the module in "
+            "this folder or on PYTHONPATH"
+        ) from None
+    return kind
+
+
+def _describe(error: Exception) -> str:
+    return f"{type(error).__name__}: {last_line(error)}"
