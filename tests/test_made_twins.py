@@ -14,12 +14,12 @@ from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WIDE, WITHIN, made_
 from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
 from scipy.stats import bernoulli, beta, norm
 
+from ds_analysis.paper.simulator_agreement import DrivenRoad
 from ds_analysis.prediction.outcome_table import table_of_outcomes
 from ds_analysis.siblings.outcomes import Outcomes
 from ds_road import generate
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.registry import SimulatorName, make_simulator
-from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_twin_donkey.parameter_file import read_parameters
 
@@ -119,6 +119,6 @@ def test_tests_with_conditions_are_cases_where_every_simulator_lets_them_be_judg
     assert sorted(cases) == ["bullet again", "panda again", "softbody again"]
 
 
-def _run(test: BudgetTest, *, failed: bool) -> RunRecord:
+def _run(test: BudgetTest, *, failed: bool) -> DrivenRoad:
     outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
-    return RunRecord(road=test.road, seed=test.seed, outcome=outcome)
+    return DrivenRoad(road=test.road, outcome=outcome)

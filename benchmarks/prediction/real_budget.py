@@ -16,9 +16,9 @@ Intervals are 95 % of 2,000 resamples of twins and of roads at the same time (th
 Stat. 2007), as all twins drive the same roads; twins that share a maker are still more alike than cars are.
 
 With `--conditions` each road has its own line contrast and visibility, from `CONDITIONS`: a network that completes
-every road can fail there. Tests that the gates exclude on one of a case's simulators are left out of it. The gates' own
-runs are kept, too, and serve every network. Fixed before the first drive: twins, roads, conditions, networks, siblings,
-budgets, rules, scores.
+every road can fail there. Tests that the gates exclude on one of a case's simulators are left out of it. Gates are
+kept, too, and serve every network. Fixed before the first drive: twins, roads, conditions, networks, siblings, budgets,
+rules, scores.
 """
 
 from __future__ import annotations
@@ -36,17 +36,20 @@ from benchmarks.prediction.made_twins import CAMERA, MadeTwin, made_twin
 from rich.console import Console
 
 from ds_analysis.common.table import write_tables
+from ds_analysis.paper.simulator_agreement import DrivenRoad
 from ds_analysis.prediction.outcome_table import OutcomeTable, table_of_outcomes
 from ds_analysis.siblings.outcomes import Outcomes
-from ds_cli.output import countdown, say
-from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_cli.output import say
+from ds_cli.progress import ScreenListener
 from ds_driver.closed_loop.success_rate import unseen_roads
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.engines.drive_tests import Key, Progress, drive_tests, read_drives
 from ds_orchestrator.search.condition_space import ConditionSpace, SearchedCondition
+from ds_orchestrator.store.model import Test
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.gates.gate import gate_of
-from ds_sim.session import RunRecord
-from ds_studies.kept_drives import drive_kept, read_kept
+from ds_sim.gates.gate import Gate
+from ds_studies.same_roads import driven_road
 
 SIMULATORS = ("bullet", "softbody", "panda", "donkey")
 NETWORKS = ("dave2_short", "epoch", "dave2_b")
@@ -54,10 +57,12 @@ CONDITIONS = {"line_contrast": {"low": 0.05, "high": 1.0}, "visibility": {"low":
 """Drawn beside roads; chosen: what the visibility of a lane depends on most directly."""
 
 
-Runs = dict[str, list[RunRecord | None]]
-"""Simulator or twin -> its runs in the tests' order; None for one that is not there."""
+Runs = dict[str, list[DrivenRoad | None]]
+"""Simulator or twin -> its drives in the tests' order; None for one that is not there."""
 Valid = Mapping[str, Sequence[bool]]
 """Simulator or twin -> whether the gates let each test be judged there."""
+Gates = dict[str, Mapping[Key, Gate]]
+"""Simulator or twin -> what is known of the tests' validity there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,48 +94,49 @@ def drive(
     twins: Sequence[MadeTwin],
     workers: int,
     *,
-    valid: Valid | None = None,
+    gates: Gates | None,
     known_only: bool,
-) -> Runs:
+) -> tuple[Runs, Valid]:
     """Drive the tests on every simulator and twin, or read what was driven.
 
     Args:
         out: folder of the benchmark.
-        driver: name of a network; `AUTOPILOT` for the gates.
+        driver: name of a network.
         tests: what to drive.
         twins: made twins, driven whole, one after the other: a stopped run scores those that are done.
         workers: number of processes.
-        valid: the tests that say something about the driver; all if None.
+        gates: what is known of the tests' validity, completed here; None to drive without gates.
         known_only: drive nothing.
     """
-    gated = driver == AUTOPILOT
-    folder = out / ("gates" if gated else driver)
     simulators = {name: (name, dict[str, float]()) for name in SIMULATORS} | {
         twin.name: (twin.simulator(out / "twins"), {key: twin.values[key] for key in CAMERA}) for twin in twins
     }
-    drives = [
-        (
-            name,
-            k,
-            DriveRequest(simulator, driver, test.road, test.seed, replace(test.conditions, **camera), probed=gated),
+    runs: Runs = {}
+    valid: dict[str, list[bool]] = {}
+    for name, (simulator, camera) in simulators.items():
+        settings = DriveSettings(
+            siblings=(simulator,), driver=driver, gates="none" if gates is None else "all", workers=workers
         )
-        for name, (simulator, camera) in simulators.items()
-        for k, test in enumerate(tests)
-        if valid is None or valid[name][k]
-    ]
-    runs: Runs = {name: [None] * len(tests) for name in simulators}
-    if known_only:
-        for name, k, one in drives:
-            runs[name][k] = read_kept(folder, one)
-        return runs
-    progress, kept = countdown(), 0
-    found = drive_kept([one for *_, one in drives], folder, workers=workers, say=say)
-    for done, ((name, k, _), (run, fresh)) in enumerate(zip(drives, found, strict=True), start=1):
-        runs[name][k] = run
-        kept += not fresh
-        if fresh:
-            progress(done - kept, len(drives) - kept, f"{driver} on {name}: {run.outcome.name.lower()}")
-    return runs
+        made = [
+            Test(
+                test_id=f"{k:04d}", sibling=simulator, run=0, number=0, road=test.road, seed=test.seed,
+                conditions=replace(test.conditions, **camera),
+            )
+            for k, test in enumerate(tests)
+        ]  # fmt: skip
+        work, folder = {simulator: made}, out / driver / name
+        if known_only:
+            found = read_drives(folder, work)
+        else:
+            say(f"{driver} on {name}")
+            known = None if gates is None else gates.get(name)
+            found = drive_tests(settings, work, folder, Progress(listen=ScreenListener, say=say), gates=known)
+        if gates is not None:
+            gates[name] = {**gates.get(name, {}), **found.gates}
+        runs[name] = [driven_road(found, test, simulator) for test in made]
+        # A test whose gates were not driven counts as valid, so that a case with it is incomplete.
+        valid[name] = [(test.test_id, simulator) not in found.excluded for test in made]
+    return runs, valid
 
 
 def cases_of(
@@ -159,7 +165,7 @@ def cases_of(
 
 
 def _table(
-    runs: Sequence[Sequence[RunRecord | None]],
+    runs: Sequence[Sequence[DrivenRoad | None]],
     valid: Sequence[Sequence[bool]],
     tests: Sequence[BudgetTest],
     twin: str,
@@ -203,15 +209,13 @@ def main() -> None:
     tests = draw_tests(arguments.tests, conditions=arguments.conditions)
     twins = [made_twin(number, SEED, arguments.made) for number in range(1, arguments.twins + 1)]
     arguments.out.mkdir(parents=True, exist_ok=True)
-    valid: Valid = {name: [True] * len(tests) for name in (*SIMULATORS, *(twin.name for twin in twins))}
-    if arguments.conditions:
-        gates = drive(arguments.out, AUTOPILOT, tests, twins, arguments.workers, known_only=arguments.score)
-        # A test whose gates were not driven counts as valid, so that a case with it is incomplete.
-        valid = {name: [gate is None or gate_of(gate).is_valid for gate in of] for name, of in gates.items()}
-        say(f"gates: {sum(not one for of in valid.values() for one in of)} tests of simulators are excluded")
+    gates: Gates | None = {} if arguments.conditions else None
     scored: list[Scored] = []
     for network in arguments.networks.split(","):
-        runs = drive(arguments.out, network, tests, twins, arguments.workers, valid=valid, known_only=arguments.score)
+        runs, valid = drive(
+            arguments.out, network, tests, twins, arguments.workers, gates=gates, known_only=arguments.score
+        )
+        say(f"gates: {sum(not one for of in valid.values() for one in of)} tests of simulators are excluded")
         cases = cases_of(network, runs, valid, tests, twins, siblings)
         say(f"{network}: scoring {len(cases)} twins")
         scored += [score(case) for case in cases]

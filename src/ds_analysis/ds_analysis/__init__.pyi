@@ -9,7 +9,7 @@ from .comparison.summary import advice_of, answer_of, cautions_of, sentences_of
 from .paper.campaign_evaluation import maps_of
 from .paper.correlation import Correlation, PairedDifference, correlate, evaluate, paired_differences
 from .paper.robustness_checks import RobustnessCheck, check_robustness
-from .paper.simulator_agreement import PairComparison
+from .paper.simulator_agreement import DrivenRoad, PairComparison
 from .prediction.coverage import CellForecast, forecast_cells
 from .prediction.outcome_table import (
     OutcomeTable,
@@ -41,6 +41,7 @@ __all__ = [
     "Correlation",
     "Criteria",
     "DriveOutcome",
+    "DrivenRoad",
     "MarginDrive",
     "MaxFailures",
     "Network",

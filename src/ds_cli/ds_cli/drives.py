@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -14,8 +14,10 @@ from ds_cli.options import (
     ALL,
     AttachFlag,
     Backend,
+    Cluster,
     Device,
     DriverName,
+    EngineName,
     JsonFlag,
     Lane,
     MaxAngle,
@@ -26,12 +28,10 @@ from ds_cli.options import (
     Workers,
     driver_named,
     every_or_named,
+    with_engine_without_ros,
 )
-from ds_cli.output import Interrupted, Result, countdown, end, say
+from ds_cli.output import Result, countdown, end, say, stopped_in
 from ds_sim.conditions.model import Conditions, ConditionsError
-
-if TYPE_CHECKING:
-    from ds_studies.sensitivity.analysis import Sensitivity
 
 app = typer.Typer()
 
@@ -116,84 +116,6 @@ def drive_command(
     end(drive(request), as_json)
 
 
-def sensitivity(
-    driver: str,
-    simulators: list[str],
-    conditions: list[str] | None,
-    *,
-    roads: int,
-    levels: int,
-    segments: int,
-    seed: int,
-    workers: int | None,
-    out: Path | None,
-    gates: Path | None,
-) -> Result:
-    """Find the strength of each condition at which a driver first fails.
-
-    Args:
-        driver: driver name, with its backend.
-        simulators: names of the simulators.
-        conditions: names of the conditions; None for all that have a harder end.
-        roads: number of roads on each simulator.
-        levels: number of levels of strength that may be driven.
-        segments: length of each road, in segments of 25 m.
-        seed: of the roads.
-        workers: processes that drive; None for one per processor.
-        out: folder to write to and to go on from, or None.
-        gates: folder of the autopilot's drives; in `out` if None.
-
-    Raises:
-        ds_sim.conditions.ConditionsError: a condition is unknown, or has no harder end; or so many levels cannot be.
-        ds_studies.kept_drives.KeptDrivesError: the folder holds drives of another driver.
-        Interrupted: the user stopped it.
-    """
-    from rich.console import Console
-
-    from ds_orchestrator.engines.preflight import check_driver
-    from ds_orchestrator.store.folder_files import make_folder
-    from ds_studies.sensitivity.analysis import analyse_sensitivity
-    from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
-
-    if levels not in RESOLUTIONS:
-        raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
-    factors = all_factors() if conditions is None else factors_named(conditions)
-    check_driver(driver, simulators)
-    if out is not None:
-        make_folder(out)
-    folder = None if out is None else out / "drives"
-    try:
-        found = analyse_sensitivity(
-            driver, simulators, factors, roads=roads, levels=levels, segments=segments, seed=seed, workers=workers,
-            folder=folder, gates=gates, progress=countdown(), say=say,
-        )  # fmt: skip
-    except KeyboardInterrupt:
-        again = "" if folder is None else f"finished drives are in {folder}: the same command goes on"
-        raise Interrupted(again) from None
-    document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
-    if out is not None:
-        _write_sensitivity(out, document, found)
-
-    def show() -> None:
-        found.table().show(Console())
-        for line in found.errors:
-            print(f"error: {line}")
-        if out is not None:
-            print(out / "sensitivity.png")
-
-    return Result(document=document, show=show, error=bool(found.errors))
-
-
-def _write_sensitivity(out: Path, document: dict[str, Any], found: Sensitivity) -> None:
-    from ds_analysis.common.table import write_tables
-    from ds_sim.camera.encodings import png
-    from ds_studies.sensitivity.picture import draw_sensitivity
-
-    (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-    write_tables([found.table(), found.long_table()], out)
-    (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
-
-
 @app.command("sensitivity")
 def sensitivity_command(
     driver: DriverName = "dave2",
@@ -213,7 +135,6 @@ def sensitivity_command(
         int, typer.Option(min=2, max=6, help="Length of the roads in segments of 25 m; 6 are the roads of a campaign.")
     ] = 4,
     seed: Seed = 1,
-    workers: Workers = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis goes on there.")
     ] = None,
@@ -223,6 +144,9 @@ def sensitivity_command(
             help="Folder of the autopilot's drives, which other networks' analyses may use; in --out if left out."
         ),
     ] = None,
+    workers: Workers = None,
+    engine: EngineName = None,
+    cluster: Cluster = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find how strong each operating condition must be for a driver to fail.
@@ -230,9 +154,40 @@ def sensitivity_command(
     One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
     as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
     """
-    names = None if conditions is None else [name.strip() for name in conditions.split(",")]
-    result = sensitivity(
-        driver_named(driver, backend, "cpu"), every_or_named(sims), names, roads=roads, levels=levels,
-        segments=segments, seed=seed, workers=workers, out=out, gates=gates,
-    )  # fmt: skip
-    end(result, as_json)
+    from rich.console import Console
+
+    from ds_analysis.common.table import write_tables
+    from ds_orchestrator.campaign.drive_settings import DriveSettings
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.camera.encodings import png
+    from ds_studies.sensitivity.analysis import analyse_sensitivity
+    from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
+    from ds_studies.sensitivity.picture import draw_sensitivity
+
+    driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)
+    if levels not in RESOLUTIONS:
+        raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
+    factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
+    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster)
+    if out is not None:
+        make_folder(out)
+    folder = None if out is None else out / "drives"
+    with stopped_in(folder):
+        found = analyse_sensitivity(
+            settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
+            progress=countdown(), say=say,
+        )  # fmt: skip
+    document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
+    if out is not None:
+        (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_tables([found.table(), found.long_table()], out)
+        (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
+
+    def show() -> None:
+        found.table().show(Console())
+        for line in found.errors:
+            print(f"error: {line}")
+        if out is not None:
+            print(out / "sensitivity.png")
+
+    end(Result(document=document, show=show, error=bool(found.errors)), as_json)

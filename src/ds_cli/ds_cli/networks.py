@@ -1,4 +1,4 @@
-"""`ds collect`, `ds import`, `ds train`, `ds assess`, `ds models`: driving networks, from data to success rates."""
+"""`ds collect`, `ds import`, `ds train`, `ds models`: driving networks, from data to success rates."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_cli.options import (
-    Backend,
     Camera,
-    Device,
     ImageRows,
     JsonFlag,
     RecordedSteering,
@@ -23,7 +21,6 @@ from ds_cli.options import (
     Simulators,
     SteeringFactor,
     Trust,
-    driver_named,
     rows_of,
     simulators_of,
 )
@@ -90,29 +87,6 @@ def _checkpoint(out: Path) -> str:
     """What a stopped training leaves behind; empty if nothing."""
     known = (out / "checkpoint.pt").is_file()
     return f"the finished epochs are kept in {out}; the same command continues" if known else ""
-
-
-def assess(network: str, *, roads: int, seed: int, simulators: list[str]) -> Result:
-    """Drive unseen roads with a network in this process, without ROS."""
-    from ds_driver.closed_loop.success_rate import success_rates
-    from ds_driver.data.collection import roads_both_ways
-    from ds_orchestrator.engines.preflight import check_driver
-
-    check_driver(network, simulators)
-    say(f"driving {roads} roads in both directions on {', '.join(simulators)}: {2 * roads * len(simulators)} drives")
-    try:
-        success = success_rates(network, simulators, roads_both_ways(roads, seed), seed, countdown())
-    except KeyboardInterrupt:
-        raise Interrupted from None
-    document: dict[str, Any] = {"network": network, "roads": roads, "seed": seed, "success": success}
-
-    def show() -> None:
-        table = Table("simulator", "forward", "reverse")
-        for name, rates in document["success"].items():
-            table.add_row(name, *(f"{rate:.2f}" for rate in rates.values()))
-        Console().print(table)
-
-    return Result(document=document, show=show)
 
 
 def models() -> Result:
@@ -203,29 +177,6 @@ def train_command(
         learning_rate=learning_rate, threads=threads,
         device=device, trusted=trust or [],
     )  # fmt: skip
-
-
-@app.command("assess")
-def assess_command(
-    network: Annotated[
-        str, typer.Argument(help="Network: dave2, a .safetensors or .yaml file, or module:Class.")
-    ] = "dave2",
-    backend: Backend = "auto",
-    device: Device = "cpu",
-    roads: Annotated[
-        int, typer.Option(min=1, help="Random roads that no training has seen, each driven both ways.")
-    ] = 25,
-    seed: Seed = 424242,
-    sims: Simulators = "bullet,softbody,panda,donkey",
-    as_json: JsonFlag = False,
-) -> None:
-    """Measure how many unseen roads a network completes on each simulator.
-
-    Each road is driven in both directions.
-    """
-    answer(
-        assess(driver_named(network, backend, device), roads=roads, seed=seed, simulators=simulators_of(sims)), as_json
-    )
 
 
 @app.command("models")

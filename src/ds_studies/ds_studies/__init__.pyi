@@ -1,5 +1,6 @@
 from .comparison.compare import compare
 from .comparison.compared_tests import GivenTests, random_tests, tests_of_campaign, tests_of_campaigns
+from .same_roads import drive_same_roads
 from .sensitivity.analysis import Sensitivity, analyse_sensitivity
 from .sensitivity.factors import RESOLUTIONS, Factor, all_factors, factors_named
 from .sensitivity.thresholds import Threshold
@@ -20,6 +21,7 @@ __all__ = [
     "all_factors",
     "analyse_sensitivity",
     "compare",
+    "drive_same_roads",
     "settings_of_suite",
     "factors_named",
     "random_tests",

@@ -15,12 +15,12 @@ import pytest
 
 from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_driver.closed_loop.simulation import run_drive
+from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.campaign.engine import Watch
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
-from ds_studies import kept_drives
 from ds_studies.sensitivity import analysis, measurement
 from ds_studies.sensitivity.bisection import Bracket, first_failure
 from ds_studies.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
@@ -224,15 +224,16 @@ class MadeUpEngine:
 def engines(monkeypatch: pytest.MonkeyPatch) -> list[MadeUpEngine]:
     """Engines to be used, one after the other."""
     engines: list[MadeUpEngine] = []
-    monkeypatch.setattr(analysis, "running_local", lambda *_, **__: nullcontext(engines.pop(0)))
-    monkeypatch.setattr(kept_drives, "driver_sha256", lambda driver: str(driver))
+    monkeypatch.setattr(analysis, "running_engine", lambda *_, **__: nullcontext(engines.pop(0)))
+    monkeypatch.setattr(analysis, "preflight", lambda settings: None)
+    monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: str(driver))
     return engines
 
 
 def test_an_analysis_goes_on_where_it_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engines: list[MadeUpEngine]
 ) -> None:
-    realised = {"bullet": tuple(FIELDS), "softbody": tuple(FIELDS), "plain": ("steering_lag",)}
+    realised = {"bullet": tuple(FIELDS), "softbody": tuple(FIELDS), "panda": ("steering_lag",)}
     monkeypatch.setattr(analysis, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
     factors = factors_named(["line_contrast", "steering_lag"])
 
@@ -240,15 +241,15 @@ def test_an_analysis_goes_on_where_it_stopped(
         engine = MadeUpEngine()
         engines.append(engine)
         found = analysis.analyse_sensitivity(
-            driver, ["bullet", "softbody", "plain"], factors, roads=3, seed=1, folder=tmp_path / driver,
-            gates=tmp_path / "gates",
+            DriveSettings(siblings=("bullet", "softbody", "panda"), driver=driver, retries=0), factors, roads=3, seed=1,
+            folder=tmp_path / driver, gates=tmp_path / "gates",
         )  # fmt: skip
         return found, engine
 
     found, _ = once()
     assert found.thresholds[1, "bullet"].document()["first_fails"] == 0.3125
     assert found.thresholds[0, "bullet"].verdict == "completes"
-    assert found.thresholds[0, "plain"].verdict == "not applicable"
+    assert found.thresholds[0, "panda"].verdict == "not applicable"
     assert found.thresholds[1, "softbody"].verdict == "error" and len(found.errors) == 1
     assert [factors[position].name for position in found.order] == ["steering_lag", "line_contrast"]
     again, engine = once()
@@ -262,7 +263,7 @@ def test_an_analysis_goes_on_where_it_stopped(
 
 def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine]) -> None:
     engines.append(MadeUpEngine(fails_by_default=True))
-    found = analysis.analyse_sensitivity("dave2", ["bullet"], [LAG], roads=1, seed=1)
+    found = analysis.analyse_sensitivity(DriveSettings(siblings=("bullet",), driver="dave2"), [LAG], roads=1, seed=1)
     assert found.thresholds[0, "bullet"].text == "fails by default"
     assert "completes 0 of 1 roads without any condition" in found.table().notes[1]
 
@@ -272,7 +273,7 @@ def test_thresholds_of_translated_images_say_what_they_are_not(
     driver: str, translated: bool, engines: list[MadeUpEngine]
 ) -> None:
     engines.append(MadeUpEngine())
-    found = analysis.analyse_sensitivity(driver, ["bullet"], [LAG], roads=1, seed=1)
+    found = analysis.analyse_sensitivity(DriveSettings(siblings=("bullet",), driver=driver), [LAG], roads=1, seed=1)
     assert found.document()["translated_images"] == translated
     assert any("sees translated images" in note for note in found.table().notes) == translated
 

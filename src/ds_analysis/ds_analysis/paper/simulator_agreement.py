@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from statsmodels.stats.inter_rater import cohens_kappa
 
+from ds_orchestrator.store.model import Execution
+from ds_road import Road
+from ds_sim.lane_tracker import LaneTracker
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -19,6 +22,51 @@ GRID = 0.5
 """Arc length between two places at which lateral positions are compared, m; chosen: the distance of two frames."""
 APART = 0.5
 """Distance from which two lateral positions count as apart, m; chosen: a quarter of half a lane."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrivenRoad:
+    """What became of one road on one simulator.
+
+    Attributes:
+        road: the road.
+        outcome: how the run ended.
+        max_lateral_position: largest absolute lateral position of the run, m.
+        path: (frames, 2) positions, m.
+        profile: lateral positions along the lane; see `lateral_profile`.
+    """
+
+    road: Road
+    outcome: Outcome
+    max_lateral_position: float = 0.0
+    path: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    profile: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    @classmethod
+    def of_run(cls, run: RunRecord) -> DrivenRoad:
+        """Take what matters from a run."""
+        arc = np.array([o.lane.arc_length for o in run.observations], np.float64)
+        lateral = np.array([o.lane.lateral_position for o in run.observations])
+        return cls(
+            road=run.road,
+            outcome=run.outcome,
+            max_lateral_position=run.max_lateral_position,
+            path=np.array([(o.vehicle.x, o.vehicle.y) for o in run.observations], np.float64).reshape(-1, 2),
+            profile=lateral_profile(arc, lateral, run.road.lane_width / 2),
+        )
+
+    @classmethod
+    def of_execution(cls, road: Road, execution: Execution) -> DrivenRoad:
+        """The same from a store, whose trajectories have no arc lengths: they are found as a simulator finds them."""
+        path, tracker = execution.trajectory[:, :2], LaneTracker(road.lane_centre)
+        arc = np.array([tracker.update(x, y)[1] for x, y in path.tolist()], np.float64)
+        return cls(
+            road=road,
+            outcome=execution.outcome,
+            max_lateral_position=execution.max_lateral_position,
+            path=path,
+            profile=lateral_profile(arc, execution.trajectory[:, 4], road.lane_width / 2),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +108,7 @@ class PairComparison:
     correlation: float | None
 
 
-def compare(runs: Mapping[str, Sequence[RunRecord]]) -> list[PairComparison]:
+def compare(runs: Mapping[str, Sequence[DrivenRoad]]) -> list[PairComparison]:
     """Compare every pair of simulators.
 
     Args:
@@ -72,19 +120,21 @@ def compare(runs: Mapping[str, Sequence[RunRecord]]) -> list[PairComparison]:
     return [_pair(a, b, list(zip(runs[a], runs[b], strict=True))) for a, b in combinations(runs, 2)]
 
 
-def summary(runs: Sequence[RunRecord]) -> dict[str, Any]:
+def summary(runs: Sequence[DrivenRoad]) -> dict[str, Any]:
     """Summarise outcomes and driving quality of one simulator, as JSON values."""
     judged = [run for run in runs if run.outcome.is_verdict]
+    failures = sum(run.outcome.is_failure for run in judged)
     return {
         "roads": len(judged),
         "errors": len(runs) - len(judged),
-        "failures": sum(run.outcome.is_failure for run in judged),
+        "failures": failures,
+        "success_rate": (len(judged) - failures) / len(judged) if judged else None,
         "outcomes": {o.name: n for o in Outcome if (n := sum(run.outcome is o for run in runs))},
         "median_max_lateral_position": float(np.median([r.max_lateral_position for r in judged])) if judged else None,
     }
 
 
-def most_different(runs: Mapping[str, Sequence[RunRecord]], count: int) -> list[int]:
+def most_different(runs: Mapping[str, Sequence[DrivenRoad]], count: int) -> list[int]:
     """Find the indices of the roads on which two simulators get farthest apart, the farthest first."""
     total = len(next(iter(runs.values())))
     widest = [
@@ -94,23 +144,16 @@ def most_different(runs: Mapping[str, Sequence[RunRecord]], count: int) -> list[
     return sorted(range(total), key=lambda i: (-widest[i], i))[:count]
 
 
-def gaps(one: RunRecord, other: RunRecord) -> NDArray[np.float64]:
+def gaps(one: DrivenRoad, other: DrivenRoad) -> NDArray[np.float64]:
     """Compute the distance between the lateral positions of two runs, m, every `GRID` m that both covered."""
     first, second = _lateral(one, other)
     return np.abs(first - second)
 
 
-def _lateral(one: RunRecord, other: RunRecord) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lateral(one: DrivenRoad, other: DrivenRoad) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lateral positions of two runs at the places that both covered."""
-    first, second = profile_of(one), profile_of(other)
-    both = min(len(first), len(second))
-    return first[:both], second[:both]
-
-
-def profile_of(run: RunRecord) -> NDArray[np.float64]:
-    """Lateral positions of a run every `GRID` m along the lane, m; see `lateral_profile`."""
-    arc = np.array([o.lane.arc_length for o in run.observations], np.float64)
-    return lateral_profile(arc, np.array([o.lane.lateral_position for o in run.observations]), run.road.lane_width / 2)
+    both = min(len(one.profile), len(other.profile))
+    return one.profile[:both], other.profile[:both]
 
 
 def lateral_profile(arc: NDArray[np.float64], lateral: NDArray[np.float64], half_lane: float) -> NDArray[np.float64]:
@@ -132,7 +175,7 @@ def lateral_profile(arc: NDArray[np.float64], lateral: NDArray[np.float64], half
     return np.asarray(np.interp(places, along, np.clip(lateral, -half_lane, half_lane)), np.float64)
 
 
-def _pair(first: str, second: str, pairs: list[tuple[RunRecord, RunRecord]]) -> PairComparison:
+def _pair(first: str, second: str, pairs: list[tuple[DrivenRoad, DrivenRoad]]) -> PairComparison:
     judged = [(a, b) for a, b in pairs if a.outcome.is_verdict and b.outcome.is_verdict]
     table = np.zeros((2, 2), int)
     for a, b in judged:

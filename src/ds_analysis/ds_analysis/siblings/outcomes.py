@@ -12,12 +12,11 @@ import shapely
 from numpy.typing import NDArray
 
 from ds_analysis.common.families import Indices, families_of
-from ds_analysis.paper.simulator_agreement import lateral_profile, profile_of
+from ds_analysis.paper.simulator_agreement import DrivenRoad, lateral_profile
 from ds_road import Road
 from ds_road.features import direction_coverage
 from ds_sim.conditions.model import FIELDS, Conditions
 from ds_sim.conditions.scales import share_of
-from ds_sim.session import RunRecord
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.campaign_data import CampaignData
@@ -87,7 +86,7 @@ class Outcomes:
         return self.lateral[:, self.simulators.index(simulator)]
 
 
-def outcomes_of_runs(runs: Mapping[str, Sequence[RunRecord]]) -> Outcomes:
+def outcomes_of_runs(runs: Mapping[str, Sequence[DrivenRoad]]) -> Outcomes:
     """Collect the outcomes of runs.
 
     Args:
@@ -100,7 +99,7 @@ def outcomes_of_runs(runs: Mapping[str, Sequence[RunRecord]]) -> Outcomes:
         [row[0].road for row in judged],
         [[run.outcome.is_failure for run in row] for row in judged],
         [[run.max_lateral_position for run in row] for row in judged],
-        {name: [profile_of(row[column]) for row in judged] for column, name in enumerate(runs)},
+        {name: [row[column].profile for row in judged] for column, name in enumerate(runs)},
         left_out=len(rows) - len(judged),
     )
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ds_analysis.paper.simulator_agreement import DrivenRoad
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.departures import KINDS, Departure, departure, departures_of
 from ds_analysis.siblings.outcomes import outcomes_of_runs
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import Road
 from ds_sim.registry import make_simulator
-from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Observation, Outcome
 
 RIGHT_BEND = Road([(60, 20), (60, 45), (60, 70), (70, 92), (92, 102), (117, 102), (142, 102), (167, 102)])
@@ -24,7 +24,7 @@ MIRRORED: dict[Departure, Departure] = {
 }
 
 
-def leave(road: Road, steering: float, after: float) -> RunRecord:
+def leave(road: Road, steering: float, after: float) -> DrivenRoad:
     """Drive by the autopilot, and from an arc length on with additional steering, right positive."""
     simulator = make_simulator("softbody")
     autopilot = make_driver("autopilot", simulator.spec)
@@ -36,7 +36,7 @@ def leave(road: Road, steering: float, after: float) -> RunRecord:
 
     run = drive_road(simulator, steer, road, 1)
     simulator.close()
-    return run
+    return DrivenRoad.of_run(run)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from scipy.stats import beta, spearmanr
 from sklearn.metrics import roc_auc_score
 
 from ds_analysis.common.cross_validation import auc_roc, best_feature, predict_failures
-from ds_analysis.paper.simulator_agreement import GRID, lateral_profile
+from ds_analysis.paper.simulator_agreement import GRID, DrivenRoad, lateral_profile
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.baseline import baseline_of
 from ds_analysis.siblings.information import AddedInformation, information_about
@@ -23,17 +22,15 @@ from ds_analysis.siblings.nesting import nestings
 from ds_analysis.siblings.outcomes import ROAD_FEATURES, Outcomes, outcomes_of_runs, recorded_profile
 from ds_analysis.siblings.pictures import draw_failures, draw_matrix
 from ds_analysis.siblings.residuals import residual_correlations
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_orchestrator.campaign.executor import execution_of
 from ds_road import MutationError, Road, generate, mutate
 from ds_road.features import lane_curvature
 from ds_sim.conditions.model import Conditions
 from ds_sim.lane_tracker import LaneTracker
+from ds_sim.registry import make_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
-from ds_studies import kept_drives
-from ds_studies.kept_drives import KeptDrivesError, drive_kept
-from ds_twin_donkey.parameter_file import FORMAT, write_parameters
-from ds_twin_donkey.parameters import DonkeyParameters
 
 Array = NDArray[np.float64]
 ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(60))
@@ -279,75 +276,12 @@ def test_outcomes_of_runs_leave_out_errors_and_what_lies_beyond_the_lane() -> No
         "a": [record(road, outcome) for road, outcome in zip(ROADS, (drive, fail, drive), strict=False)],
         "b": [record(road, outcome, offset=-9.0) for road, outcome in zip(ROADS, (error, fail, drive), strict=False)],
     }
-    found = outcomes_of_runs(runs)
+    found = outcomes_of_runs({name: [DrivenRoad.of_run(run) for run in of] for name, of in runs.items()})
     assert found.roads == ROADS[1:3] and found.left_out == 1
     assert found.failed.tolist() == [[True, True], [False, False]]
     assert found.lateral.tolist() == [[0.25, 2.0], [0.25, 2.0]]
     np.testing.assert_array_equal(found.profiles["b"][0], np.full(59, -2.0))
     assert found.features.shape == (2, len(ROAD_FEATURES))
-
-
-def test_a_stopped_comparison_drives_only_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    driven: list[DriveRequest] = []
-    outcomes = {ROADS[0]: Outcome.COMPLETED, ROADS[1]: Outcome.OUT_OF_BOUNDS, ROADS[2]: Outcome.SIM_ERROR}
-
-    def make_up(drive: DriveRequest) -> RunRecord:
-        if len(driven) == 5:
-            raise KeyboardInterrupt
-        driven.append(drive)
-        return record(drive.road, outcomes[drive.road], seed=drive.seed)
-
-    monkeypatch.setattr(kept_drives, "run_drive", make_up)
-    monkeypatch.setattr(kept_drives, "map_in_processes", lambda work, jobs, workers: map(work, jobs))
-    drives = [DriveRequest(name, "autopilot", road, 7) for road in outcomes for name in ("bullet", "donkey")]
-    said: list[str] = []
-
-    def comparison(all_drives: Sequence[DriveRequest] = tuple(drives)) -> list[tuple[RunRecord, bool]]:
-        return list(drive_kept(all_drives, tmp_path / "drives", say=said.append))
-
-    with pytest.raises(KeyboardInterrupt):
-        comparison()
-    del driven[:]
-    found = comparison()
-    # The two errors are driven again.
-    assert driven == drives[4:] and [fresh for _, fresh in found] == [False] * 4 + [True] * 2
-    assert [run.outcome for run, _ in found] == [outcomes[drive.road] for drive in drives]
-    again = record(ROADS[1], Outcome.OUT_OF_BOUNDS, seed=7)
-    assert [o.lane for o in found[2][0].observations] == [o.lane for o in again.observations]
-    # A damaged file is driven again, and so is another seed.
-    (path,) = (tmp_path / "drives" / "bullet").glob(f"{ROADS[0].road_id}-7.run")
-    path.write_bytes(path.read_bytes()[:-3])
-    del driven[:]
-    comparison(drives[:2])
-    comparison([DriveRequest("donkey", "autopilot", ROADS[0], 8)])
-    assert driven == [drives[0], DriveRequest("donkey", "autopilot", ROADS[0], 8)] and said == []
-    settings = tmp_path / "drives" / kept_drives.SETTINGS
-    with pytest.raises(KeptDrivesError, match="holds drives of autopilot, not of dave2: choose another --out"):
-        comparison([DriveRequest("donkey", "dave2", ROADS[0], 7)])
-    settings.write_text(settings.read_text().replace('"code": "', '"code": "0'))
-    comparison(drives[:1])
-    assert len(said) == 1 and "the code has changed" in said[0]
-    settings.write_text("[]")
-    with pytest.raises(KeptDrivesError, match="cannot be read: remove"):
-        comparison(drives[:1])
-
-
-def test_drives_of_a_fitted_car_are_kept_where_its_file_is_moved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(kept_drives, "run_drive", lambda drive: record(drive.road, Outcome.COMPLETED, seed=drive.seed))
-    monkeypatch.setattr(kept_drives, "map_in_processes", lambda work, jobs, workers: map(work, jobs))
-    kept = []
-    for name, friction in (("here", 0.8), ("there", 0.8), ("other", 0.7)):
-        car = tmp_path / name / "car.yaml"
-        car.parent.mkdir()
-        content = {name: {"value": value} for name, value in asdict(DonkeyParameters(friction=friction)).items()}
-        write_parameters(car, {"format": FORMAT, "parameters": content})
-        (found,) = drive_kept(
-            [DriveRequest(f"donkey@{car}", "autopilot", ROADS[0], 7)], tmp_path / "drives", say=lambda line: None
-        )
-        kept.append(not found[1])
-    assert kept == [False, True, False]
 
 
 def test_the_pictures_show_every_road_of_every_simulator() -> None:
@@ -383,3 +317,13 @@ def test_a_stored_trajectory_has_the_profile_of_its_run() -> None:
         np.testing.assert_allclose(
             recorded_profile(road, trajectory), lateral_profile(arc, lateral, 2.0), rtol=0, atol=1e-6
         )
+
+
+def test_a_stored_drive_is_compared_as_its_run_to_the_bit() -> None:
+    simulator = make_simulator("softbody")
+    run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROADS[0], 1)
+    simulator.close()
+    one, other = DrivenRoad.of_run(run), DrivenRoad.of_execution(ROADS[0], execution_of("t", "softbody", run))
+    assert (one.road, one.outcome, one.max_lateral_position) == (other.road, other.outcome, other.max_lateral_position)
+    assert len(one.profile) > 200 and one.profile.tobytes() == other.profile.tobytes()
+    assert one.path.tobytes() == other.path.tobytes()

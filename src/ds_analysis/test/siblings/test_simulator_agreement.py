@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_analysis.paper.simulator_agreement import compare, gaps, most_different, summary
+from ds_analysis.paper.simulator_agreement import DrivenRoad, compare, gaps, most_different, summary
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_all, drive_road, make_driver
 from ds_road import Road
@@ -18,7 +18,7 @@ ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
 
 def run(
     outcome: Outcome = Outcome.COMPLETED, lateral: tuple[float, float] = (0.0, 0.0), length: float = 50.0
-) -> RunRecord:
+) -> DrivenRoad:
     """Create a run whose lateral position changes linearly between two values; its speed varies."""
     record = RunRecord(road=ROAD, seed=0, outcome=outcome)
     for step, share in enumerate(np.linspace(0.0, 1.0, 21) ** 2):
@@ -39,7 +39,7 @@ def run(
             )
         )
         record.commands.append(Command(0.0, 0.0))
-    return record
+    return DrivenRoad.of_run(record)
 
 
 def test_kappa_is_that_of_the_textbook_table() -> None:
@@ -54,6 +54,8 @@ def test_kappa_is_that_of_the_textbook_table() -> None:
     assert found.kappa_interval is not None
     assert found.kappa_interval == pytest.approx((0.4 - 1.96 * 0.127, 0.4 + 1.96 * 0.127), abs=0.005)
     assert summary([run(v[1]) for v in verdicts])["errors"] == 1
+    assert summary([run(v[0]) for v in verdicts])["success_rate"] == 26 / 51
+    assert summary([run(Outcome.SIM_ERROR)])["success_rate"] is None
 
 
 def test_where_there_is_no_kappa_it_says_why() -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ds_orchestrator.campaign.drive_settings import DriveSettings
@@ -43,13 +43,18 @@ class GivenDrives:
 
     Attributes:
         executions: drives with a verdict.
-        excluded: tests by which no network can be judged.
-        errors: why a drive without a verdict has none.
+        gates: what is known of the tests' validity.
+        errors: name of the outcome of a drive without a verdict, and its message.
     """
 
     executions: Mapping[Key, Execution] = field(default_factory=dict)
-    excluded: Mapping[Key, Gate] = field(default_factory=dict)
+    gates: Mapping[Key, Gate] = field(default_factory=dict)
     errors: Mapping[Key, str] = field(default_factory=dict)
+
+    @property
+    def excluded(self) -> set[Key]:
+        """Tests by which no network can be judged."""
+        return {key for key, gate in self.gates.items() if not gate.is_valid}
 
 
 def drive_tests(
@@ -77,19 +82,8 @@ def drive_tests(
     """
     progress = progress or Progress()
     preflight(settings)
-    folder.mkdir(parents=True, exist_ok=True)
-    with (
-        locked(folder),
-        closing(Store(folder / DRIVES_FILE, config=settings.identity())) as store,
-    ):
-        tests = {test.test_id: test for of in work.values() for test in of}
-        store.check(
-            {test.sibling for test in tests.values()}, settings.simulators,
-            runs=1 + max(test.run for test in tests.values()), budget=1 + max(test.number for test in tests.values()),
-        )  # fmt: skip
-        record_provenance(store, settings, folder)
-        if store.note("code", (code := code_sha256())) != code:
-            progress.say(f"the code has changed since {folder} began: its drives are kept, another --out has none")
+    tests = {test.test_id: test for of in work.values() for test in of}
+    with open_drives(settings, folder, progress.say, tests=list(tests.values())) as store:
         for test in tests.values():
             store.add_test(test)
         for (test_id, simulator), gate in (gates or {}).items():
@@ -98,6 +92,31 @@ def drive_tests(
         if _read(store, work).errors:
             _drive(settings, work, folder, store, progress)
         return _read(store, work)
+
+
+@contextmanager
+def open_drives(
+    settings: DriveSettings, folder: Path, say: Callable[[str], None], *, tests: Sequence[Test] = ()
+) -> Iterator[Store]:
+    """Open and lock the store of a folder of given tests, created if missing.
+
+    Args:
+        settings: how they are driven; see `drive_tests` for what may not have changed since the folder began.
+        folder: folder of the drives.
+        say: called with one line if the code has changed since the folder began.
+        tests: those that the store may hold; if empty, any with the run 0 and the number 0.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder), closing(Store(folder / DRIVES_FILE, config=settings.identity())) as store:
+        store.check(
+            {test.sibling for test in tests} or settings.simulators, settings.simulators,
+            runs=1 + max((test.run for test in tests), default=0),
+            budget=1 + max((test.number for test in tests), default=0),
+        )  # fmt: skip
+        record_provenance(store, settings, folder)
+        if store.note("code", (code := code_sha256())) != code:
+            say(f"the code has changed since {folder} began: its drives are kept, another --out has none")
+        yield store
 
 
 def _drive(
@@ -116,14 +135,21 @@ def _drive(
         raise Stopped from None
 
 
+def read_drives(folder: Path, work: Mapping[str, Sequence[Test]]) -> GivenDrives:
+    """Read what became of given tests so far, as `drive_tests` does, and drive nothing."""
+    if not (folder / DRIVES_FILE).exists():
+        return GivenDrives(errors={(test.test_id, name): "not driven" for name, of in work.items() for test in of})
+    with closing(Store(folder / DRIVES_FILE, read_only=True)) as store:
+        return _read(store, work)
+
+
 def _read(store: Store, work: Mapping[str, Sequence[Test]]) -> GivenDrives:
     wanted = {(test.test_id, name) for name, tests in work.items() for test in tests}
     executions = {(one.test_id, one.simulator): one for one in store.executions()}
-    excluded = {key: gate for key, gate in store.gates().items() if not gate.is_valid}
     reasons = {(test, name): f"{outcome}: {message}" for test, name, _, outcome, message in store.errors()}
-    missing = wanted - set(executions) - set(excluded)
-    return GivenDrives(
+    found = GivenDrives(
         executions={key: one for key, one in executions.items() if key in wanted and one.outcome.is_verdict},
-        excluded={key: gate for key, gate in excluded.items() if key in wanted},
-        errors={key: reasons.get(key, "not driven") for key in missing},
+        gates={key: gate for key, gate in store.gates().items() if key in wanted},
     )
+    missing = wanted - set(executions) - found.excluded
+    return replace(found, errors={key: reasons.get(key, "not driven") for key in missing})

@@ -59,7 +59,7 @@ def compare(
                 _recheck(tests, role, network, known, out, progress)
             sides[role] = _complete(tests, role, network, known, out, progress)
         known_excluded = {key for key, gate in tests.gates.items() if not gate.is_valid}
-        excluded += len(known_excluded | set(sides["reference"].excluded) | set(sides["candidate"].excluded))
+        excluded += len(known_excluded | sides["reference"].excluded | sides["candidate"].excluded)
         found, missing = _paired(tests, sides)
         pairs += found
         left_out += missing
@@ -95,7 +95,7 @@ def _complete(
     progress.say(f"{role} {network.driver}: {sum(map(len, missing.values()))} drives")
     found = drive_tests(settings, missing, out / "drives" / f"{role}_on_{tests.name}", progress, gates=tests.gates)
     return GivenDrives(
-        executions={**known, **found.executions}, excluded=found.excluded, errors=found.errors
+        executions={**known, **found.executions}, gates=found.gates, errors=found.errors
     )  # fmt: skip
 
 

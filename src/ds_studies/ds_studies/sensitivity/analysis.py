@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,11 +14,13 @@ from ds_analysis.common.table import Column, Table, Value
 from ds_driver.closed_loop.drive_request import AUTOPILOT
 from ds_driver.networks.network_driver import sees_translated
 from ds_driver.networks.pilot import DriverError
-from ds_orchestrator.engines.local import running_local
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.engines.drive_tests import open_drives
+from ds_orchestrator.engines.preflight import preflight
+from ds_orchestrator.engines.start import running_engine
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import spec_of
-from ds_studies.kept_drives import check_settings
 from ds_studies.sensitivity.drives import Drives
 from ds_studies.sensitivity.factors import LEVELS, Factor
 from ds_studies.sensitivity.measurement import (
@@ -34,8 +35,6 @@ from ds_studies.sensitivity.measurement import (
 )
 from ds_studies.sensitivity.thresholds import Threshold, Verdict, coverage, threshold_of
 
-COMMAND_TIMEOUT = 10.0
-"""Wall-clock time for one answer of the driver, s: that of a campaign."""
 Progress = Callable[[int, int, str], None]
 """Called with the number of measurements done, their total number, and a line about the last one."""
 
@@ -138,15 +137,13 @@ class Sensitivity:
 
 
 def analyse_sensitivity(
-    driver: str,
-    simulators: Sequence[str],
+    settings: DriveSettings,
     factors: Sequence[Factor],
     *,
     roads: int,
     seed: int,
     levels: int = LEVELS,
     segments: int = SEGMENTS,
-    workers: int | None = None,
     folder: Path | None = None,
     gates: Path | None = None,
     progress: Progress = lambda done, total, line: None,
@@ -155,47 +152,48 @@ def analyse_sensitivity(
     """Find for each factor on each simulator the strength at which a driver first fails.
 
     Args:
-        driver: as in `ds_driver.closed_loop.drive_request.DriveRequest`.
-        simulators: names of the simulators.
+        settings: driver, simulators and engine.
         factors: what to vary, one at a time.
         roads: roads on each simulator: the first ones that the driver completes under default conditions.
         seed: of the roads, and of the runs on the first one; it increases by one per road.
         levels: levels of strength that may be driven, one of `RESOLUTIONS`.
         segments: segments of 25 m of each road, at most `MOST_SEGMENTS`.
-        workers: number of processes; the number of available processors if None.
         folder: keeps every finished drive, so that the same call goes on; None keeps nothing.
-        gates: keeps the autopilot's drives, which analyses of several drivers may share; in `folder` if None.
+        gates: keeps the gates, which analyses of several drivers on the same simulators may share; in `folder` if None.
         progress: called after each measurement.
         say: called with one line where something deserves attention.
 
     Raises:
-        ds_studies.kept_drives.KeptDrivesError: the folder holds drives of another driver.
-        ds_driver.closed_loop.worker_process.WorkerError: a process does not start, or cannot load the driver.
+        ds_orchestrator.campaign.config.ConfigError: the driver or a simulator's file has changed since the folder
+            began, or the engine cannot be used so.
+        ds_orchestrator.store.sqlite_file.StoreError: the folder holds drives of another driver or of other simulators.
         ds_driver.networks.pilot.DriverError: a drive under default conditions ended in an error.
+        ds_orchestrator.campaign.executor.CampaignError: a simulator gave no outcome for several tests in a row.
     """
-    tested, gates = (None, gates) if folder is None else (folder / TESTED, gates or folder / GATE)
-    for kept, named in ((tested, driver), (gates, AUTOPILOT)):
-        if kept is not None:
-            check_settings(kept, named, simulators, say)
-    workers = workers or len(os.sched_getaffinity(0))
+    preflight(settings)
     with ExitStack() as stack:
-        logs = Path(stack.enter_context(TemporaryDirectory())) if folder is None else folder / "logs"
-        engine = stack.enter_context(running_local(driver, workers=workers, command_timeout=COMMAND_TIMEOUT, logs=logs))
-        pool = stack.enter_context(ThreadPoolExecutor(engine.capacity or 1))
+        place = folder or Path(stack.enter_context(TemporaryDirectory(prefix="ds_sensitivity_")))
+        tested = stack.enter_context(open_drives(settings, place / TESTED, say))
+        autopilot = replace(settings, driver=AUTOPILOT)
+        gate_store = stack.enter_context(open_drives(autopilot, gates or place / GATE, say))
+        engine = stack.enter_context(running_engine(settings, logs=place / "logs", say=say))
+        capacity = engine.capacity or settings.workers * len(settings.simulators)
+        pool = stack.enter_context(ThreadPoolExecutor(capacity))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)
-        stack.callback(engine.stop)  # first of all, so that no thread waits for a drive
-        drives = Drives(engine=engine, driver=driver, folder=tested, gates=gates)
+        drives = Drives(settings, engine, tested, gate_store)
+        stack.callback(drives.stop)  # first of all, so that no thread waits for a drive
         candidates = candidate_roads(roads, seed, segments=segments)
-        chosen = _choose(drives, simulators, candidates, roads, pool, say)
+        chosen = _choose(drives, settings, candidates, roads, pool, say)
         thresholds = _measure(drives, chosen, factors, pool, needed=roads, levels=levels, progress=progress)
     return Sensitivity(
-        driver=driver, simulators=simulators, factors=factors, needed=roads, roads=chosen, thresholds=thresholds
-    )
+        driver=settings.driver, simulators=settings.simulators, factors=factors, needed=roads, roads=chosen,
+        thresholds=thresholds,
+    )  # fmt: skip
 
 
 def _choose(
     drives: Drives,
-    simulators: Sequence[str],
+    settings: DriveSettings,
     candidates: Sequence[tuple[Road, int]],
     needed: int,
     pool: ThreadPoolExecutor,
@@ -204,14 +202,14 @@ def _choose(
     """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
     found = {
         name: pool.submit(choose_roads, len(candidates), needed, _fails(drives, name, candidates))
-        for name in simulators
+        for name in settings.simulators
     }
     for name, numbers in found.items():
         try:
             completed = len(numbers.result())
         except DriverError as error:
             raise DriverError(f"{error}: fix it and run the same command again") from None
-        say(f"{name}: {drives.driver} completes {completed} of {needed} roads without any condition")
+        say(f"{name}: {settings.driver} completes {completed} of {needed} roads without any condition")
     return {name: [candidates[number] for number in numbers.result()] for name, numbers in found.items()}
 
 

@@ -1,52 +1,71 @@
-"""Drives roads for a sensitivity analysis with an engine, several at a time, and keeps each run in a folder."""
+"""Drives roads for a sensitivity analysis with an engine, several at a time, and keeps each result in a store."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+from dataclasses import replace
 from pathlib import Path
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
 from ds_driver.networks.pilot import DriverError
+from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.campaign.engine import Engine
+from ds_orchestrator.campaign.executor import Executor, SilentListener, Stopped
+from ds_orchestrator.campaign.gatekeeper import GateError, Gatekeeper
+from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
-from ds_sim.gates.gate import gate_of
-from ds_studies.kept_drives import keep, read_kept
+from ds_sim.conditions.text import format_conditions
 from ds_studies.sensitivity.measurement import GATE
 
 
-@dataclass(frozen=True, kw_only=True)
 class Drives:
     """Drives of one driver and of the gates.
 
-    Attributes:
+    Args:
+        settings: driver and simulators.
         engine: drives.
-        driver: name of the driver.
-        folder: of the driver's kept runs; None keeps none.
-        gates: folder of the kept runs of the gates, which do not depend on the driver; None keeps none.
+        tested: keeps the driver's executions.
+        gates: keeps the gates, which do not depend on the driver.
     """
 
-    engine: Engine
-    driver: str
-    folder: Path | None
-    gates: Path | None
+    def __init__(self, settings: DriveSettings, engine: Engine, tested: Store, gates: Store) -> None:
+        self._engine, self._tested, self._gates = engine, tested, gates
+        self._executor = Executor(replace(settings, gates="none"), Path(), tested, engine, SilentListener())
+        self._gatekeeper = Gatekeeper(replace(settings, gates="all"), gates, engine)
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """End every drive now, and start no further one."""
+        self._stopped.set()
+        self._executor.stop()
+        self._engine.stop()
 
     def fails(self, simulator: str, road: Road, seed: int, who: str, conditions: Conditions) -> bool:
         """Whether the driver fails, or for `GATE` whether no driver can be judged.
 
         Raises:
-            DriverError: the drive ended in an error, which is no result.
+            DriverError: every attempt ended in an error, which is no result.
+            ds_orchestrator.campaign.executor.CampaignError: the simulator gave no outcome for several tests in a row.
+            ds_orchestrator.campaign.executor.Stopped: `stop` was called.
         """
-        gated = who == GATE
-        folder = self.gates if gated else self.folder
-        drive = DriveRequest(simulator, AUTOPILOT if gated else self.driver, road, seed, conditions, probed=gated)
-        run = None if folder is None else read_kept(folder, drive)
-        if run is None:
-            run = self.engine.drive(drive)
-            if not run.outcome.is_verdict:
-                message = f": {run.message}" if run.message else ""
-                where = f"{simulator}, road {road.road_id}, seed {seed}"
-                raise DriverError(f"{where}: {run.outcome.name.lower()}{message}")
-            if folder is not None:
-                keep(folder, drive, run)
-        return not gate_of(run).is_valid if gated else run.outcome.is_failure
+        name = "-".join(filter(None, (road.road_id, str(seed), format_conditions(conditions))))
+        test = Test(test_id=name, sibling=simulator, run=0, number=0, road=road, seed=seed, conditions=conditions)
+        error = f"{simulator}, road {road.road_id}, seed {seed}: "
+        if who == GATE:
+            self._gates.add_test(test)
+            try:
+                gate = self._gatekeeper.judge(test, simulator, check_stop=self._check_stop)
+            except GateError as failed:
+                raise DriverError(f"{error}{failed}") from None
+            return gate is not None and not gate.is_valid
+        self._tested.add_test(test)
+        found = self._executor.execute(test, simulator)
+        if found is None:
+            last = [row for row in self._tested.errors() if row[:2] == (name, simulator)][-1]
+            raise DriverError(error + ": ".join(filter(None, (last[3].lower(), last[4]))))
+        return found.outcome.is_failure if isinstance(found, Execution) else True
+
+    def _check_stop(self) -> None:
+        if self._stopped.is_set():
+            raise Stopped

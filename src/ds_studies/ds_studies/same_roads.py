@@ -1,0 +1,50 @@
+"""Drives the same roads with one driver on several simulators, for what a sibling adds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ds_analysis.paper.simulator_agreement import DrivenRoad
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.engines.drive_tests import GivenDrives, Progress, drive_tests
+from ds_orchestrator.store.model import Test
+from ds_road import Road
+from ds_sim.simulator import Outcome
+
+
+def drive_same_roads(
+    settings: DriveSettings, roads: Sequence[Road], seed: int, folder: Path | None, progress: Progress
+) -> dict[str, list[DrivenRoad]]:
+    """Drive roads on every simulator; errors are as in `ds_orchestrator.engines.drive_tests.drive_tests`.
+
+    Args:
+        settings: driver, simulators and engine.
+        roads: roads to drive.
+        seed: of the run on the first road; it increases by one per road.
+        folder: of the drives, where a stopped call goes on, with other roads, too; None keeps nothing.
+        progress: who hears of it.
+
+    Returns:
+        Simulator -> what became of the roads, in their order.
+    """
+    tests = [
+        Test(test_id=f"{road.road_id}-{seed + k}", sibling=settings.siblings[0], run=0, number=0, road=road,
+             seed=seed + k)
+        for k, road in enumerate(roads)
+    ]  # fmt: skip
+    with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_roads_") as place:
+        found = drive_tests(settings, dict.fromkeys(settings.simulators, tests), Path(place), progress)
+        driven = {name: [driven_road(found, test, name) for test in tests] for name in settings.simulators}
+    return {name: [road for road in of if road is not None] for name, of in driven.items()}
+
+
+def driven_road(found: GivenDrives, test: Test, simulator: str) -> DrivenRoad | None:
+    """What became of a test on a simulator; None if it was not driven, or excluded."""
+    key = test.test_id, simulator
+    if key in found.executions:
+        return DrivenRoad.of_execution(test.road, found.executions[key])
+    error = Outcome.__members__.get(found.errors.get(key, "").partition(":")[0])
+    return None if error is None else DrivenRoad(road=test.road, outcome=error)

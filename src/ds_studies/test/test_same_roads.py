@@ -1,0 +1,124 @@
+"""Roads driven on several simulators: what is kept of a stopped comparison, and what it refuses to mix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.executor import Stopped
+from ds_orchestrator.engines import drive_tests, fingerprint
+from ds_orchestrator.engines.drive_tests import Progress
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_road import Road, generate
+from ds_sim.session import NO_IMAGE, RunRecord
+from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+from ds_studies.same_roads import drive_same_roads
+
+ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(4))
+OUTCOMES = dict(
+    zip(ROADS, (Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS, Outcome.SIM_ERROR, Outcome.COMPLETED), strict=True)
+)
+SETTINGS = DriveSettings(siblings=("bullet", "donkey"), driver="autopilot", retries=0)
+
+
+class MadeUpEngine:
+    """Drives nothing, one road at a time; the user stops it after some drives."""
+
+    capacity = 1
+
+    def __init__(self, most: int = 99) -> None:
+        self.driven: list[tuple[str, Road, int]] = []
+        self._most = most
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        if len(self.driven) == self._most:
+            raise KeyboardInterrupt
+        self.driven.append((request.simulator, request.road, request.seed))
+        run = request.ended(OUTCOMES[request.road], "")
+        for step, (x, y) in enumerate(request.road.lane_centre[:40].tolist()):
+            vehicle = VehicleState(x=x, y=y, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
+            lane = LaneState(lateral_position=0.25, lateral_distance=1.75, preview_lateral_position=0.0, arc_length=0.0)
+            run.observations.append(
+                Observation(
+                    image=NO_IMAGE, step=step, time=step * 0.05, vehicle=vehicle, lane=lane, outcome=Outcome.RUNNING
+                )
+            )
+            run.commands.append(Command(0.0, 0.0))
+        run.commands.pop()
+        return run
+
+    def stop(self) -> None:
+        """Nothing runs."""
+
+
+@pytest.fixture
+def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[MadeUpEngine], MadeUpEngine]:
+    """Makes an engine the one that is started next."""
+
+    def used(engine: MadeUpEngine) -> MadeUpEngine:
+        monkeypatch.setattr(drive_tests, "running_engine", lambda *_, **__: nullcontext(engine))
+        return engine
+
+    return used
+
+
+def test_a_stopped_comparison_drives_only_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[MadeUpEngine], MadeUpEngine]
+) -> None:
+    said: list[str] = []
+    progress = Progress(say=said.append)
+    use(MadeUpEngine(most=3))
+    with pytest.raises(Stopped):
+        drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", progress)
+    engine = use(MadeUpEngine())
+    found = drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", progress)
+    assert engine.driven == [("donkey", ROADS[1], 8), ("bullet", ROADS[2], 9), ("donkey", ROADS[2], 9)]
+    for runs in found.values():
+        assert [run.outcome for run in runs] == [OUTCOMES[road] for road in ROADS[:3]]
+        assert [run.road for run in runs] == list(ROADS[:3])
+        assert runs[0].max_lateral_position == 0.25 and set(runs[0].profile) == {0.25} and not len(runs[2].profile)
+        np.testing.assert_array_equal(runs[1].path, ROADS[1].lane_centre[:40])
+    # Errors are driven again, and so are other roads and other seeds.
+    engine = use(MadeUpEngine())
+    drive_same_roads(SETTINGS, ROADS, 7, tmp_path / "drives", progress)
+    assert engine.driven == [(name, ROADS[k], 7 + k) for k in (2, 3) for name in ("bullet", "donkey")]
+    engine = use(MadeUpEngine())
+    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", progress)
+    assert len(engine.driven) == 2 and said == []
+    monkeypatch.setattr(drive_tests, "code_sha256", lambda: "0")
+    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", progress)
+    assert len(engine.driven) == 2 and len(said) == 1 and "the code has changed" in said[0]
+    assert fingerprint.code_sha256() != "0"
+
+
+def test_drives_of_another_driver_or_of_other_weights_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[MadeUpEngine], MadeUpEngine]
+) -> None:
+    use(MadeUpEngine())
+    network = replace(SETTINGS, driver="dave2_short")
+    drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Progress())
+    with pytest.raises(StoreError, match=r"driver.*choose another --out"):
+        drive_same_roads(SETTINGS, ROADS[:1], 7, tmp_path / "drives", Progress())
+    monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: "0")
+    with pytest.raises(ConfigError, match=r"the weights of dave2_short have changed since .*: choose another --out"):
+        drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Progress())
+
+
+def test_without_a_folder_nothing_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[MadeUpEngine], MadeUpEngine]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        engine = use(MadeUpEngine())
+        assert len(drive_same_roads(SETTINGS, ROADS[:1], 7, None, Progress())["donkey"]) == 1
+        assert len(engine.driven) == 2
+    assert not list(tmp_path.iterdir())
