@@ -24,7 +24,7 @@ from rich.table import Table
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_all, make_driver
 from ds_driver.data.collection import roads_both_ways
-from ds_driver.data.crops import simulator_crop
+from ds_driver.data.dataset import simulator_crop
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop

@@ -9,12 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from ds_driver.data.crops import crops_of
-from ds_driver.data.dataset import DatasetError, decode, read_samples
-from ds_driver.data.import_recordings import Imported, import_recordings
-from ds_driver.data.recordings import Reading, open_recording
+from ds_driver.data.dataset import DatasetError, crops_of, decode, read_samples
+from ds_driver.data.recordings import Imported, Reading, import_recordings, open_recording
 from ds_driver.networks.images import Crop, fit_to_network
-from ds_driver.training.trainer import TrainingPlan, split
+from ds_driver.training import TrainingPlan, split
 from ds_sim.registry import UntrustedSimulatorError
 
 COUNT = 250

@@ -17,7 +17,8 @@ import yaml
 from tests.campaign.engines import EngineHere, MadeUpEngine
 
 from ds_analysis.paper.campaign_evaluation import maps_of
-from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import Engine, Watch

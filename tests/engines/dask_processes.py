@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ds_driver.child_process import python_environment
+from ds_driver.processes import python_environment
 
 
 def free_port() -> int:

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from ds_driver.closed_loop import worker_process
-from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import make_simulator

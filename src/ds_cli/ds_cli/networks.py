@@ -55,8 +55,7 @@ def _kept(out: Path, pattern: str, what: str) -> str:
 
 def import_drives(folders: list[Path], out: Path, name: str, reading: Reading) -> Result:
     """Import recordings into a data set, as the drives of one more simulator."""
-    from ds_driver.data.import_recordings import import_recordings
-    from ds_driver.data.recordings import open_recording
+    from ds_driver.data.recordings import import_recordings, open_recording
 
     try:
         found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, countdown())
@@ -71,9 +70,9 @@ def import_drives(folders: list[Path], out: Path, name: str, reading: Reading) -
 
 
 def train(data: Path, out: Path, *, trusted: Collection[str] = (), **settings: Any) -> None:
-    """Train a network; the settings are those of `ds_driver.training.trainer.TrainingPlan`."""
-    from ds_driver.training.trainer import TrainingPlan
-    from ds_driver.training.trainer import train as train_network
+    """Train a network; the settings are those of `ds_driver.training.TrainingPlan`."""
+    from ds_driver.training import TrainingPlan
+    from ds_driver.training import train as train_network
 
     plan = TrainingPlan(**settings)
     try:
@@ -168,7 +167,7 @@ def train_command(
     trust: Trust = None,
 ) -> None:
     """Train one network for all simulators of a data set."""
-    from ds_driver.training.trainer import schedule_of
+    from ds_driver.training import schedule_of
 
     chosen = schedule_of(schedule, network)
     train(

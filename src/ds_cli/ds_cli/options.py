@@ -161,7 +161,7 @@ def driver_named(driver: str, backend: str, device: str) -> str:
         ds_driver.networks.backends.BackendError: backend or device are unknown, do not go together, or are given for
             the autopilot, which runs no network.
     """
-    from ds_driver.closed_loop.drive_request import AUTOPILOT
+    from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.networks.backends import BackendError
     from ds_driver.networks.driver_name import DriverName
 

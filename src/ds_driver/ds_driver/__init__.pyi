@@ -1,9 +1,7 @@
-from .closed_loop.drive_request import AUTOPILOT
 from .closed_loop.simulation import drive_road, make_driver
 from .closed_loop.success_rate import success_rates
-from .control.autopilot import Autopilot, throttle
-from .control.speed_controller import SpeedController
-from .control.stamp_matching import StampMatcher
+from .control.autopilot import AUTOPILOT, Autopilot, throttle
+from .control.other_stacks import SpeedController, StampMatcher
 from .data.collection import CollectionPlan, collect
 from .data.dataset import DatasetError, Sample, read_samples
 from .data.recordings import Reading, RecordedFrame, Recording, open_recording
@@ -19,7 +17,7 @@ from .sim2real.preparation import Sources, prepare_domains, read_sources
 from .sim2real.settings import PRESETS, Sim2RealSettings
 from .sim2real.translator import Translator
 from .sim2real.window import Sim2RealError, Window
-from .training.trainer import TrainingError, TrainingPlan, train
+from .training import TrainingError, TrainingPlan, train
 
 __all__ = [
     "AUTOPILOT",

@@ -14,8 +14,7 @@ import pytest
 from ds_driver.data.collection import CollectionPlan, collect, training_roads
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples, write_manifest
 from ds_driver.networks.images import Crop
-from ds_driver.training.augmentation import augment
-from ds_driver.training.trainer import TrainingError, TrainingPlan, device_of, schedule_of, split, train
+from ds_driver.training import TrainingError, TrainingPlan, augment, device_of, schedule_of, split, train
 from ds_sim.camera.encodings import jpeg
 
 JPEG = jpeg(np.zeros((160, 320, 3), np.uint8))

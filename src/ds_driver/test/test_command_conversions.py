@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.control.command_conversions import KINDS, Geometry, Motion, MotionError, part
+from ds_driver.control.other_stacks import KINDS, Geometry, Motion, MotionError, part
 
 CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ds_bags.layout import Level
 from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.data.crops import crops_of
-from ds_driver.data.dataset import decode, drive_path, read_samples, write_drive
+from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, write_drive
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.images import Crop
 from ds_driver.networks.pilot import DriverError

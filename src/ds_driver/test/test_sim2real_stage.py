@@ -14,8 +14,7 @@ import torch
 
 from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.interleaved_drives import InterleavedDrives
-from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.closed_loop.simulation import InterleavedDrives, drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.architectures import NETWORKS
@@ -40,7 +39,7 @@ from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.translation import translate as translate_data
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError, Window
-from ds_driver.training.trainer import TrainingPlan, train
+from ds_driver.training import TrainingPlan, train
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import make_simulator

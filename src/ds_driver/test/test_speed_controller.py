@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ds_driver.control.speed_controller import SpeedController
+from ds_driver.control.other_stacks import SpeedController
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Command

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ds_driver.control.stamp_matching import StampMatcher
+from ds_driver.control.other_stacks import StampMatcher
 
 STEP = 50_000_000
 

@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT
-from ds_driver.control.autopilot import Autopilot
+from ds_driver.control.autopilot import AUTOPILOT, Autopilot
 from ds_driver.networks.network_driver import Translation, generators_of, translation_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.page_data import in_words

@@ -13,8 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import run_drive
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.campaign.engine import Watch
 from ds_road import Road

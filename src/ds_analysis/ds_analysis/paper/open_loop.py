@@ -165,9 +165,8 @@ def predict(
         ds_driver.data.dataset.DatasetError: the data set cannot be used.
         ValueError: the network cannot be used.
     """
-    from ds_driver.closed_loop.drive_request import AUTOPILOT
-    from ds_driver.data.crops import crops_of
-    from ds_driver.data.dataset import Sample, decode, imported_names, read_samples
+    from ds_driver.control.autopilot import AUTOPILOT
+    from ds_driver.data.dataset import Sample, crops_of, decode, imported_names, read_samples
     from ds_driver.networks.network_driver import load_pilot
     from ds_driver.networks.pilot import NOT_SIMULATED, Frame
     from ds_sim.registry import spec_of

@@ -97,7 +97,7 @@ def bag_drive(
 
 def _network(driver: str) -> Answer:
     from ds_bags.layout import BagError
-    from ds_driver.closed_loop.drive_request import AUTOPILOT
+    from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.networks.network_driver import NetworkDriver
 
     if driver == AUTOPILOT:

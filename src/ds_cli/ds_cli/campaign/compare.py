@@ -133,7 +133,7 @@ def plan_of_networks(first: str, second: str, simulators: list[str], roads: int,
 def network_named(driver: str, simulators: Sequence[str]) -> Network:
     """A network with its digest, checked before anything starts."""
     from ds_analysis.comparison.drives import Network
-    from ds_driver.closed_loop.drive_request import AUTOPILOT
+    from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.networks.network_driver import driver_sha256
     from ds_orchestrator.engines.preflight import check_driver
 

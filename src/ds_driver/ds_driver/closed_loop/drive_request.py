@@ -13,8 +13,6 @@ from ds_sim.conditions.text import from_json, to_json
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
 
-AUTOPILOT = "autopilot"
-
 
 @dataclass(frozen=True)
 class DriveRequest:

@@ -8,19 +8,56 @@ a `ds_driver.closed_loop.drive_request.DriveRequest`); an answer is the key, eig
 from __future__ import annotations
 
 import json
+import mmap
+import os
 import signal
+import struct
 import sys
 from multiprocessing.connection import Connection
 
 from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
-from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, InterleavedDrives, Phase
-from ds_driver.closed_loop.phase_memory import PhaseMemory
+from ds_driver.closed_loop.simulation import ALL_DRIVES, InterleavedDrives, Phase
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.run_codec import RunCodecError, encode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
 
+_LAYOUT = struct.Struct("<QqI")
 KEY_BYTES = 8
+
+
+class PhaseMemory:
+    """A few bytes that one process writes and another reads.
+
+    Args:
+        file: descriptor of the memory, from `descriptor` of the creating side; None to create it.
+
+    Attributes:
+        descriptor: file descriptor, to be passed on to the other process.
+    """
+
+    def __init__(self, file: int | None = None) -> None:
+        if file is None:
+            file = os.memfd_create("phase")
+            os.ftruncate(file, _LAYOUT.size)
+        self.descriptor = file
+        self._memory = mmap.mmap(file, _LAYOUT.size)
+        self._changes = 0
+
+    def note(self, phase: Phase, key: int) -> None:
+        """Write that a phase of a drive has begun."""
+        self._changes += 1
+        _LAYOUT.pack_into(self._memory, 0, self._changes, key, phase)
+
+    def read(self) -> tuple[int, int, Phase]:
+        """Return the number of phases so far, the key of the drive, and the phase."""
+        changes, key, phase = _LAYOUT.unpack_from(self._memory, 0)
+        return changes, key, Phase(phase)
+
+    def close(self) -> None:
+        """Release the memory."""
+        self._memory.close()
+        os.close(self.descriptor)
 
 
 def encoded_request(key: int, request: DriveRequest) -> bytes:

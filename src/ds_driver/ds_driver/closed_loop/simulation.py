@@ -1,23 +1,24 @@
-"""Drives roads in this process or in worker processes, without ROS."""
+"""Drives roads without ROS: one by one, or several at once with one question to the network per frame."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
 from functools import cache
 from typing import TYPE_CHECKING
 
-from ds_driver.closed_loop.drawn_rows import draw_seen_rows
-from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
-from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
-from ds_driver.networks.images import Crop
-from ds_driver.networks.pilot import DriverError
-from ds_driver.process_pool import map_in_processes
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.control.autopilot import AUTOPILOT, ROWS_SEEN, Autopilot
+from ds_driver.networks.images import Crop, ImageError
+from ds_driver.networks.pilot import DriverError, Frame
+from ds_driver.processes import map_in_processes
 from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
-from ds_sim.registry import simulator_of_process
+from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
+from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec, TakesStills
 
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
@@ -40,11 +41,7 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
         return lambda frame: autopilot.command(frame.lane.preview_lateral_position, frame.vehicle.speed)
     from ds_driver.networks.network_driver import NetworkDriver
 
-    return _steered_by(NetworkDriver(driver), spec)
-
-
-def _steered_by(network: NetworkDriver, spec: SimulatorSpec) -> Driver:
-    crop = Crop(spec.crop_top, spec.crop_bottom)
+    network, crop = NetworkDriver(driver), Crop(spec.crop_top, spec.crop_bottom)
     return lambda frame: network.command(frame.image, frame.vehicle.speed, crop, frame.step, spec.name)
 
 
@@ -104,24 +101,178 @@ def drive_all(drives: Sequence[DriveRequest], *, workers: int | None = None) -> 
     return map_in_processes(run_drive, drives, workers=workers)
 
 
-@cache
+def run_drive(drive: DriveRequest) -> RunRecord:
+    """Drive in this process, which keeps simulator and network for the next drive; draws what the driver sees."""
+    drives = _drives_of_process(drive.driver)
+    drives.begin(0, drive)
+    while not (ended := drives.step()):
+        pass
+    return ended[0][1]
+
+
+class Phase(IntEnum):
+    """What a process of drives is doing; the values cross a process boundary."""
+
+    IDLE = 0
+    LOADING = 1
+    SIMULATING = 2
+    DRIVING = 3
+
+
+NotePhase = Callable[[Phase, int], None]
+"""Called with what begins, and with the key of the drive that it is for; -1 for all drives."""
+ALL_DRIVES = -1
+
+
+class InterleavedDrives:
+    """Advances its drives in step, and removes each when it ends.
+
+    A run depends on road, seed, conditions and commands alone, and a network that takes batches answers an image with
+    the same bits in any batch (`NetworkDriver.largest_batch`), so records do not depend on what is interleaved.
+
+    Args:
+        driver: `autopilot`, or any name accepted by `NetworkDriver`.
+        note: called when the phase changes, for a supervisor that notices a hang.
+
+    Attributes:
+        largest_batch: number of drives that the driver answers at once.
+
+    Raises:
+        ValueError: the driver cannot be loaded.
+    """
+
+    def __init__(self, driver: str, note: NotePhase = lambda _phase, _key: None) -> None:
+        self._note = note
+        self._driver = driver
+        self._network = None if driver == AUTOPILOT else _network(driver)
+        self.largest_batch = 1 if self._network is None else self._network.largest_batch
+        self._idle: dict[str, list[Simulator]] = {}
+        self._active: dict[int, _Drive] = {}
+
+    def __len__(self) -> int:
+        return len(self._active)
+
+    def begin(self, key: int, request: DriveRequest) -> None:
+        """Begin a drive; `step` yields its record when it has ended, also where the simulator cannot load the road.
+
+        Args:
+            key: identifies the drive.
+            request: what to drive, with this driver or the autopilot.
+
+        Raises:
+            ValueError: the request is for another driver.
+            ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
+        """
+        if request.driver not in (AUTOPILOT, self._driver):
+            raise ValueError(f"{request.driver} was not started, expected {self._driver}, or {AUTOPILOT}")
+        self._note(Phase.LOADING, key)
+        idle = self._idle.setdefault(request.simulator, [])
+        made = idle.pop() if idle else make_simulator(request.simulator)
+        try:
+            self._active[key] = self._started(made, request)
+        except NotApplicableError:
+            idle.append(made)
+            raise
+
+    def _started(self, made: Simulator, request: DriveRequest) -> _Drive:
+        network, spec = None if request.driver == AUTOPILOT else self._network, made.spec
+        crop = Crop(spec.crop_top, spec.crop_bottom)
+        rows: tuple[int, int] | None = ROWS_SEEN
+        if network is not None:
+            rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
+        _draw_seen_rows(made, rows, probed=request.probed)
+        session = Session(made)
+        autopilot = make_driver(AUTOPILOT, spec) if network is None else None
+        seen = session.start(request.road, request.seed, request.conditions)
+        assert session.run is not None
+        probe = ContrastProbe(session.run, made) if request.probed else None
+        if probe is not None:
+            probe.see(seen)
+        return _Drive(request.simulator, session, crop, autopilot, seen, probe)
+
+    def step(self) -> list[tuple[int, RunRecord]]:
+        """Advance every drive by one frame.
+
+        Returns:
+            Keys and records of the drives that have ended.
+        """
+        waiting = {key: drive for key, drive in self._active.items() if drive.session.driving}
+        if waiting:
+            self._note(Phase.DRIVING, ALL_DRIVES)
+        commands = self._commands(list(waiting.values()))
+        for (key, drive), command in zip(waiting.items(), commands, strict=True):
+            if isinstance(command, DriverError):
+                # As in the ROS graph, a driver without an answer counts as silent.
+                drive.session.end(Outcome.DRIVER_SILENT, str(command))
+                continue
+            self._note(Phase.SIMULATING, key)
+            drive.seen = drive.session.advance(command)
+            if drive.probe is not None:
+                drive.probe.see(drive.seen)
+        ended = [(key, drive) for key, drive in self._active.items() if not drive.session.driving]
+        return [(key, self._record_of(key, drive)) for key, drive in ended]
+
+    def _commands(self, drives: list[_Drive]) -> list[Command | DriverError]:
+        frames = [drive.frame() for drive in drives if drive.autopilot is None]
+        of_network = iter([] if self._network is None else _answers(self._network, frames))
+        return [next(of_network) if drive.autopilot is None else drive.piloted() for drive in drives]
+
+    def _record_of(self, key: int, drive: _Drive) -> RunRecord:
+        del self._active[key]
+        self._idle.setdefault(drive.simulator, []).append(drive.session.simulator)
+        assert drive.session.run is not None
+        return drive.session.run
+
+
+_drives_of_process = cache(InterleavedDrives)
+
+
 def _network(driver: str) -> NetworkDriver:
-    """Network of this worker; it is reset when a run starts."""
+    """Load a network; the autopilot needs none of its libraries."""
     from ds_driver.networks.network_driver import NetworkDriver
 
     return NetworkDriver(driver)
 
 
-def run_drive(drive: DriveRequest) -> RunRecord:
-    """Drive in this process, which keeps simulator and network for the next drive; draws what the driver sees."""
-    simulator = simulator_of_process(drive.simulator)
-    rows: tuple[int, int] | None = ROWS_SEEN
-    if drive.driver == AUTOPILOT:
-        # The autopilot keeps its previous error, so every drive gets a new one.
-        driver = make_driver(AUTOPILOT, simulator.spec)
-    else:
-        network, crop = _network(drive.driver), Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
-        driver = _steered_by(network, simulator.spec)
-        rows = network.rows_seen(crop, simulator.spec.camera.height_px, simulator.spec.name)
-    draw_seen_rows(simulator, rows, probed=drive.probed)
-    return drive_road(simulator, driver, drive.road, drive.seed, drive.conditions, probed=drive.probed)
+def _draw_seen_rows(simulator: Simulator, rows: tuple[int, int] | None, *, probed: bool) -> None:
+    """Draw only the rows that the driver, None for all, or the probe of the lines looks at, if the simulator can."""
+    if not isinstance(simulator, DrawsRows):
+        return
+    if probed and not isinstance(simulator, TakesStills):
+        rows = None  # the contrast is measured on whole images
+    simulator.draw_rows(*(rows or (0, simulator.spec.camera.height_px)))
+
+
+def _answers(network: NetworkDriver, frames: Sequence[Frame]) -> list[Command | DriverError]:
+    """Answer frames together; if one has an image that no network takes, each by itself."""
+    try:
+        return network.commands(frames)
+    except ImageError as error:
+        return [DriverError(str(error))] if len(frames) == 1 else [_answers(network, [f])[0] for f in frames]
+
+
+@dataclass
+class _Drive:
+    """One drive in progress."""
+
+    simulator: str
+    session: Session
+    crop: Crop
+    autopilot: Driver | None
+    seen: Observation | None
+    probe: ContrastProbe | None
+
+    def piloted(self) -> Command:
+        assert self.autopilot is not None and self.seen is not None
+        return self.autopilot(self.seen)
+
+    def frame(self) -> Frame:
+        assert self.seen is not None
+        seen = self.seen
+        return Frame(
+            image=seen.image,
+            speed=seen.vehicle.speed,
+            crop=self.crop,
+            step=seen.step,
+            simulator=self.session.simulator.spec.name,
+        )

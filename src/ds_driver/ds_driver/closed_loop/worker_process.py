@@ -11,11 +11,10 @@ from contextlib import suppress
 from multiprocessing import Pipe
 from pathlib import Path
 
-from ds_driver.child_process import ChildProcesses, last_line_of, python_environment
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.drive_worker import KEY_BYTES, encoded_request
-from ds_driver.closed_loop.interleaved_drives import ALL_DRIVES, Phase
-from ds_driver.closed_loop.phase_memory import PhaseMemory
+from ds_driver.closed_loop.drive_worker import KEY_BYTES, PhaseMemory, encoded_request
+from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
+from ds_driver.processes import ChildProcesses, last_line_of, python_environment
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome

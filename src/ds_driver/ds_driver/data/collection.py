@@ -11,7 +11,7 @@ import numpy as np
 
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.dataset import drive_path, keep_plan, write_drive
-from ds_driver.process_pool import map_in_processes
+from ds_driver.processes import map_in_processes
 from ds_road import Road, generate
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import simulator_of_process

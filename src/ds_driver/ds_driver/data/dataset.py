@@ -1,9 +1,10 @@
-"""Reads and writes data sets: one Parquet file with JPEG images per drive, readable by pandas, Arrow or DuckDB."""
+"""Data sets: one Parquet file with JPEG images per drive; the crops and generators of their simulators."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ds_driver.networks.images import ImageError, rgb_of_file
-from ds_driver.whole_files import whole_file, write_whole
+from ds_bags.layout import TRANSLATED
+from ds_driver.networks.images import Crop, ImageError, rgb_of_file
+from ds_driver.whole_files import whole_file, write_json, write_whole
+from ds_sim.registry import label_of, received_simulator, spec_of
 
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 MOST_UNEQUAL = 2.0
@@ -43,6 +46,10 @@ MOST_ROWS = 1_000_000
 """Largest number of rows of a drive."""
 LONGEST_NAME = 4096
 """Longest name of a simulator, which may contain a path, or road id, characters."""
+GENERATOR = "generator.safetensors"
+"""File of the generator, in the folder of its simulator's drives."""
+TRUST = "--trust"
+"""Command line option that confirms code named by a file."""
 
 
 class DatasetError(ValueError):
@@ -97,14 +104,14 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
     if not path.exists():
-        write_whole(path, text.encode())
+        write_whole(path, text)
     elif path.read_text() != text:
         raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
 
 
 def keep_import(folder: Path, name: str, about: dict[str, object]) -> None:
     """Mark a name as imported recordings, whose images are not cropped."""
-    write_whole(folder / name / IMPORTED, (json.dumps(about, indent=1) + "\n").encode())
+    write_json(folder / name / IMPORTED, about)
 
 
 def imported_names(folder: Path) -> set[str]:
@@ -114,7 +121,6 @@ def imported_names(folder: Path) -> set[str]:
 
 def write_drive(path: Path, rows: list[dict[str, object]]) -> None:
     """Write one drive; the file appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as partial:
         pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial, compression="none")
 
@@ -260,4 +266,72 @@ def write_manifest(folder: Path, about: dict[str, object]) -> None:
         histogram = np.histogram(steering, edges)[0]
         histograms[name] = (np.asarray(histograms.get(name, 0)) + histogram).tolist()
     document = {**about, "images": counts, "steering_bins": edges.round(1).tolist(), "steering": histograms}
-    write_whole(folder / "manifest.json", (json.dumps(document, indent=1) + "\n").encode())
+    write_json(folder / "manifest.json", document)
+
+
+def translated_by(data: Path, names: Collection[str]) -> dict[str, str]:
+    """Return which generators translated a data set: simulator -> SHA-256; empty if its images are plain.
+
+    Args:
+        data: folder of the data set.
+        names: names of the simulators and recordings in its samples.
+
+    Raises:
+        DatasetError: some simulators' images are translated and others' are not, or a mark is damaged.
+    """
+    recorded = imported_names(data)
+    digests = ((name, _digest(data / name / IMPORTED)) for name in sorted(names) if name in recorded)
+    translated = {name: digest for name, digest in digests if digest}
+    plain = sorted(set(names) - recorded)
+    if translated and plain:
+        raise DatasetError(
+            f"{data} has translated images of {', '.join(translated)} and plain ones of {', '.join(plain)}: a network "
+            "sees either; translate all simulators with `ds sim2real translate`"
+        )
+    return translated
+
+
+def copy_generators(data: Path, digests: Mapping[str, str], folder: Path) -> None:
+    """Copy the generators of a data set to a folder, created if missing, as `SIMULATOR.safetensors`.
+
+    Raises:
+        DatasetError: the data set does not hold one.
+    """
+    for name in digests:
+        source = data / name / GENERATOR
+        if not source.is_file():
+            raise DatasetError(f"{source} is missing: translate the data set again")
+        write_whole(folder / f"{label_of(name)}.safetensors", source.read_bytes())
+
+
+def _digest(mark: Path) -> str:
+    try:
+        about = json.loads(mark.read_text())
+        return str(about.get(TRANSLATED, ""))
+    except (OSError, ValueError, AttributeError, RecursionError):
+        raise DatasetError(f"{mark} is damaged: import or translate these images again") from None
+
+
+def crops_of(data: Path, names: Iterable[str], *, trusted: Collection[str] = ()) -> dict[str, Crop]:
+    """Return the crop for each name in a data set: that of the simulator, or none for recordings.
+
+    Args:
+        data: folder of the data set.
+        names: names of simulators or recordings in its samples.
+        trusted: user-provided simulators whose code may run.
+
+    Raises:
+        ds_sim.registry.UnknownSimulatorError: a name denotes neither a simulator nor recordings.
+        ds_sim.registry.UntrustedSimulatorError: a name denotes code that is neither shipped nor trusted.
+    """
+    recorded = imported_names(data)
+    return {
+        name: Crop() if name in recorded else simulator_crop(received_simulator(name, confirmed=trusted, option=TRUST))
+        for name in sorted(set(names))
+    }
+
+
+def simulator_crop(name: str) -> Crop:
+    """Return the crop for the images of a simulator."""
+    spec = spec_of(name)
+    return Crop(spec.crop_top, spec.crop_bottom)

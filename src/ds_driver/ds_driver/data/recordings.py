@@ -1,9 +1,10 @@
-"""Reads camera images and steering from recordings: bags of this project, other bags, Donkey Car tubs."""
+"""Reads and imports images and steering from recordings: bags of this project, other bags, Donkey Car tubs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -17,11 +18,12 @@ from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.control.autopilot import Autopilot
-from ds_driver.data.crops import TRUST
+from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
 from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
-from ds_sim.registry import received_simulator, spec_of
+from ds_sim.camera.encodings import jpeg
+from ds_sim.registry import SIMULATORS, label_of, received_simulator, spec_of
 
 NEAR = 0.1
 """Largest time between an image and its steering value in other bags, s; chosen: two frames at 20 Hz."""
@@ -30,6 +32,12 @@ MAX_IMAGE_FILE = 64 * 2**20
 _PROJECT_BAG = "bag of ours"
 """Kind of a bag of this project; existing data sets store this text."""
 Truth = Literal["recorded", "autopilot"]
+BLOCK = 100
+"""Frames that are used together for training or for validation; chosen: 5 s at 20 Hz. Consecutive frames look alike,
+so splitting them would make the validation too easy."""
+DIRECTION = "recorded"
+UNFINISHED = ".importing"
+"""Folder of an unfinished import, which readers of data sets ignore; an import appears whole or not at all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,3 +268,84 @@ def _field(bag: BagReader, reading: Reading) -> dict[int, float]:
         if math.isfinite(value):
             values[stamp_of(message) if hasattr(message, "header") else logged] = min(max(value, -1.0), 1.0)
     return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """Result of an import.
+
+    Attributes:
+        name: name of the recordings, in place of a simulator's.
+        images: number of labelled images, now in the data set.
+        unlabelled: number of images without steering, which are left out.
+        files: number of files written.
+    """
+
+    name: str
+    images: int
+    unlabelled: int
+    files: int
+
+
+def import_recordings(
+    recordings: list[Recording], out: Path, name: str, progress: Callable[[int, int, str], None]
+) -> Imported:
+    """Write recordings into a data set under a name of their own.
+
+    Images are resized to (160, 320, 3) RGB; training does not crop them.
+
+    Args:
+        recordings: bags or tubs.
+        out: folder of a data set, new or with drives on simulators.
+        name: name of the recordings in training and reports.
+        progress: called after each recording.
+
+    Raises:
+        DatasetError: the name is taken, an image is damaged, or nothing has a label.
+        ds_bags.layout.BagError: a recording is damaged.
+    """
+    if name in SIMULATORS or name != label_of(name) or not name.strip("."):
+        raise DatasetError(
+            f"name {name!r}: expected one without {', '.join(SIMULATORS)}, slashes and spaces: choose another --name"
+        )
+    if (out / name).exists():
+        raise DatasetError(f"{out / name} is there already: choose another --name, or delete it")
+    stems = [recording.path.resolve().name for recording in recordings]
+    if len(set(stems)) < len(stems):
+        raise DatasetError("two recordings have the same name: rename the folder of one")
+    unfinished = out / UNFINISHED
+    shutil.rmtree(unfinished, ignore_errors=True)
+    images = unlabelled = files = 0
+    for done, (recording, stem) in enumerate(zip(recordings, stems, strict=True), start=1):
+        rows: list[dict[str, object]] = []
+        for frame in recording.frames():
+            if frame.image is None:
+                raise DatasetError(f"{frame.trouble}: remove that record, or record it again")
+            if frame.steering is None:
+                unlabelled += 1
+                continue
+            block = f"{stem}.{len(rows) // BLOCK:04d}"
+            rows.append(
+                {
+                    "image": jpeg(frame.image),
+                    "steering": frame.steering,
+                    "speed": frame.speed,
+                    "step": frame.index,
+                    "simulator": name,
+                    "road_id": block,
+                    "direction": DIRECTION,
+                }
+            )
+        for first in range(0, len(rows), BLOCK):
+            part = rows[first : first + BLOCK]
+            write_drive(drive_path(unfinished, name, str(part[0]["road_id"]), DIRECTION), part)
+            files += 1
+        images += len(rows)
+        progress(done, len(recordings), f"{recording.path}: {len(rows)} images")
+    if not images:
+        raise DatasetError("no image has a steering beside it: name its topic with --steering TOPIC:FIELD")
+    about: dict[str, Any] = {"recordings": stems, "kinds": sorted({r.kind for r in recordings}), "images": images}
+    keep_import(unfinished, name, about | {"unlabelled": unlabelled, "rows": recordings[0].reading.rows})
+    (unfinished / name).rename(out / name)
+    unfinished.rmdir()
+    return Imported(name=name, images=images, unlabelled=unlabelled, files=files)

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BACKENDS, DEVICES, BackendError
 from ds_driver.networks.pilot import DriverError
@@ -16,7 +17,6 @@ DESCRIPTIONS = (".yaml", ".yml")
 """Suffixes of the description of a network file."""
 WEIGHTS = ".safetensors"
 """Suffix of a file of weights of a built-in architecture."""
-AUTOPILOT = "autopilot"
 
 
 @dataclass(frozen=True)

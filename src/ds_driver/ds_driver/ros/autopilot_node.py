@@ -11,8 +11,7 @@ from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
 
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
-from ds_driver.ros.simulator_client import Answer, SimulatorClient
-from ds_driver.ros.simulator_info import SimulatorInfo
+from ds_driver.ros.simulator_client import Answer, SimulatorClient, SimulatorInfo
 from ds_sim.ros.conversions import gains_of
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node

@@ -3,27 +3,42 @@
 from __future__ import annotations
 
 import sys
+import time
+from collections import deque
+from collections.abc import Callable
 
+import cv2
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
 
-from ds_driver.control.command_conversions import Geometry
-from ds_driver.networks.images import Crop
+from ds_driver.control.other_stacks import Geometry
+from ds_driver.networks.images import Crop, fit_to_network, rgb_of, rgb_of_file
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
-from ds_driver.ros.camera_subscriber import CameraSubscriber
 from ds_driver.ros.command_publisher import OUTPUTS, CommandOutput
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
-from ds_sim.simulator import MAX_SPEED, Command
+from ds_sim.simulator import MAX_SPEED
 
 MAX_CROP = 152
 """Largest number of cropped rows; `Crop` leaves at least eight of 160."""
+CAMERA_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Matches reliable and best-effort cameras, and keeps only the newest image (REP-2003)."""
+WINDOW = 200
+"""Number of frames in the statistics of the latency; chosen: ten seconds at 20 Hz."""
+REPORT_EVERY = 1.0
+"""Period of the reports of the latency, s; the default of diagnostic_updater."""
 
 
 class CameraDriver(Node):
-    """Answers each image of one camera; needs neither a simulator nor its `state`."""
+    """Answers each image of one camera, of any encoding and size; needs neither a simulator nor its `state`."""
 
     def __init__(self) -> None:
         super().__init__("camera_driver")
@@ -44,16 +59,85 @@ class CameraDriver(Node):
         about = "Rows at the bottom, of the image brought to 160 rows, that the network does not see."
         bottom = declare(self, "crop_bottom", 0, about, low=0, high=MAX_CROP)
         geometry = Geometry(wheelbase, angle) if wheelbase and angle else None
-        sender = CommandOutput(self, output, geometry, max_speed)
-        driver, crop = NetworkDriver(network), Crop(top, bottom)
-
-        def drive(image: NDArray[np.uint8], speed: float) -> Command:
-            return driver.command(image, speed, crop, simulator=NOT_SIMULATED)
-
-        self._camera = CameraSubscriber(
-            self, drive, sender, compressed=compressed, speed_from_odometry=speed_from == "odom"
-        )
+        self._output = CommandOutput(self, output, geometry, max_speed)
+        self._driver, self._crop = NetworkDriver(network), Crop(top, bottom)
+        self._speed = 0.0
+        self._latency = LatencyDiagnostics(self)
+        if compressed:
+            self.create_subscription(CompressedImage, "camera/image_raw/compressed", self._on_compressed, CAMERA_QOS)
+        else:
+            self.create_subscription(Image, "camera/image_raw", self._on_image, CAMERA_QOS)
+        if speed_from == "odom":
+            self.create_subscription(Odometry, "odom", self._on_odometry, CAMERA_QOS)
         self.get_logger().info(f"{network} answers images with {output}")
+
+    def _on_odometry(self, odometry: Odometry) -> None:
+        self._speed = float(odometry.twist.twist.linear.x)
+
+    def _on_image(self, image: Image) -> None:
+        def pixels() -> NDArray[np.uint8]:
+            data = np.frombuffer(image.data, np.uint8)
+            return rgb_of(data, encoding=image.encoding, height=image.height, width=image.width, step=image.step)
+
+        self._answer(image.header, pixels)
+
+    def _on_compressed(self, image: CompressedImage) -> None:
+        self._answer(image.header, lambda: rgb_of_file(bytes(image.data)))
+
+    def _answer(self, header: Header, pixels: Callable[[], NDArray[np.uint8]]) -> None:
+        """Answer an image; one that cannot be answered is logged in one line."""
+        began = time.monotonic()
+        try:
+            image = fit_to_network(pixels())
+            self._output.send(self._driver.command(image, self._speed, self._crop, simulator=NOT_SIMULATED), header)
+        except (ValueError, cv2.error) as error:
+            self._latency.refused += 1
+            self.get_logger().error(f"frame not answered: {' '.join(str(error).split())}", throttle_duration_sec=1.0)
+            return
+        self._latency.add(time.monotonic() - began)
+
+
+class LatencyDiagnostics:
+    """Publishes a driver's latency, from an image to its command, on `/diagnostics`.
+
+    Attributes:
+        answered: number of frames answered.
+        refused: number of frames that could not be answered.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.answered = self.refused = 0
+        self._seconds: deque[float] = deque(maxlen=WINDOW)
+        self._node = node
+        self._last = (0, 0)
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
+        node.create_timer(REPORT_EVERY, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def add(self, seconds: float) -> None:
+        """Record that a frame was answered after a time in s."""
+        self._seconds.append(seconds)
+        self.answered += 1
+
+    def _publish(self) -> None:
+        answered, refused = self.answered - self._last[0], self.refused - self._last[1]
+        self._last = (self.answered, self.refused)
+        level, text = DiagnosticStatus.OK, f"{answered} images answered in the last second"
+        if refused:
+            level, text = DiagnosticStatus.ERROR, f"{refused} images refused in the last second: see the log"
+        elif not answered:
+            level, text = DiagnosticStatus.STALE, "no image in the last second"
+        status = DiagnosticStatus(level=level, name=f"{self._node.get_name()}: latency", message=text)
+        status.hardware_id = self._node.get_fully_qualified_name()
+        values = {"frames answered": str(self.answered), "frames refused": str(self.refused)}
+        if self._seconds:
+            times = 1e3 * np.array(self._seconds)
+            values["latency mean ms"] = f"{times.mean():.3f}"
+            values["latency p95 ms"] = f"{np.quantile(times, 0.95):.3f}"
+            values["latency max ms"] = f"{times.max():.3f}"
+        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
 
 
 def main() -> None:

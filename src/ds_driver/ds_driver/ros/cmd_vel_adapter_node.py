@@ -11,11 +11,9 @@ from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from ds_driver.control.command_conversions import KINDS, Geometry, Motion, MotionError, part
-from ds_driver.control.speed_controller import SpeedController
-from ds_driver.control.stamp_matching import StampMatcher
+from ds_driver.control.other_stacks import KINDS, Geometry, Motion, MotionError, SpeedController, StampMatcher, part
 from ds_driver.ros.command_publisher import message_type
-from ds_driver.ros.simulator_info import SimulatorInfo
+from ds_driver.ros.simulator_client import SimulatorInfo
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 

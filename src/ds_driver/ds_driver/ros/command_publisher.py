@@ -10,7 +10,7 @@ from ds_interfaces.msg import DriveCommand
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from ds_driver.control.command_conversions import KINDS, Geometry, MessageKind, Motion, part
+from ds_driver.control.other_stacks import KINDS, Geometry, MessageKind, Motion, part
 from ds_sim.simulator import Command
 
 DRIVE_COMMAND = "drive_command"

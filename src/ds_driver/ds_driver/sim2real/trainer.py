@@ -26,7 +26,7 @@ from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_i
 from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.sheets import sheet
 from ds_driver.sim2real.window import Sim2RealError, Window
-from ds_driver.training.trainer import device_of
+from ds_driver.training import device_of
 from ds_driver.whole_files import whole_file, write_whole
 from ds_sim.camera.encodings import png
 
@@ -169,7 +169,7 @@ def train(
 
     Raises:
         Sim2RealError: the folder holds another training, or training diverged.
-        ds_driver.training.trainer.TrainingError: the device is not available.
+        ds_driver.training.TrainingError: the device is not available.
     """
     device = device_of(settings.device)
     torch.set_num_threads(settings.threads)

@@ -18,11 +18,10 @@ from ds_bags.layout import TRANSLATED
 from ds_bags.message_rewriter import rewrite_bag
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
-from ds_driver.data.dataset import IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
+from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.data.recordings import MAX_IMAGE_FILE
-from ds_driver.data.translated import GENERATOR
 from ds_driver.networks.images import ImageError, rgb_of, rgb_of_file
-from ds_driver.process_pool import map_in_processes
+from ds_driver.processes import map_in_processes
 from ds_driver.sim2real.generator_file import check_fits, load_generator
 from ds_driver.sim2real.translator import Translator
 from ds_driver.sim2real.window import Sim2RealError

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT, DriveRequest
+from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.campaign.engine import Engine
 from ds_orchestrator.store.model import Test

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.store.store import Store

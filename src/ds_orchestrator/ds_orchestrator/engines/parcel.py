@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.graph.supervisor import ProcessSpec
 
 DRIVER_PROCESS = "driver"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.drive_settings import DriveSettings
 from ds_orchestrator.engines.local import LocalEngine, running_local
 from ds_orchestrator.graph.client import START_TIME, GraphClient

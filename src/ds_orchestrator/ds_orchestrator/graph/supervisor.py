@@ -11,7 +11,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ds_driver.child_process import ChildProcesses, last_line_of
+from ds_driver.processes import ChildProcesses, last_line_of
 
 STOP_TIME = 3.0
 """Limit for a process to obey SIGINT, then SIGTERM, before it is killed, s."""

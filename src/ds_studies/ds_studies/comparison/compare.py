@@ -125,7 +125,7 @@ def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out
 
 def _cannot_drive(network: Network) -> str:
     """Why a network cannot be driven as it was; "" if it can."""
-    from ds_driver.closed_loop.drive_request import AUTOPILOT
+    from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.networks.network_driver import driver_sha256
 
     if network.driver == AUTOPILOT:

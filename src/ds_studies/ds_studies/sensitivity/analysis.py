@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ds_analysis.common.table import Column, Table, Value
-from ds_driver.closed_loop.drive_request import AUTOPILOT
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.network_driver import sees_translated
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.drive_settings import DriveSettings

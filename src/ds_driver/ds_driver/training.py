@@ -8,28 +8,40 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training 
 
 import ctypes
 import hashlib
-import json
 import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ds_driver.data.crops import crops_of
-from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples
-from ds_driver.data.translated import copy_generators, translated_by
+from ds_driver.data.dataset import (
+    DatasetError,
+    Sample,
+    balance,
+    check_equal,
+    copy_generators,
+    crops_of,
+    decode,
+    read_samples,
+    translated_by,
+)
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.torch_networks import disable_dropout, make_network, save_weights
-from ds_driver.training.augmentation import augment
-from ds_driver.whole_files import whole_file
+from ds_driver.whole_files import whole_file, write_json
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 """Options of mallopt(3)."""
 Report = Callable[[str], None]
+MAX_SHIFT = (50, 5)
+"""Largest shift in columns and rows (maxitwo)."""
+STEERING_PER_COLUMN = 0.002
+"""Steering added per column of shift: the lane moves right, so the car must steer right (maxitwo)."""
 
 
 class TrainingError(ValueError):
@@ -119,7 +131,7 @@ def train(
             looks for them.
         plan: settings of the training.
         report: called with lines of progress.
-        crops: crop per simulator; those of `ds_driver.data.crops` if omitted.
+        crops: crop per simulator; those of `ds_driver.data.dataset` if omitted.
         trusted: simulators outside the project that the data set may name.
 
     Returns:
@@ -161,13 +173,9 @@ def train(
         torch.manual_seed(plan.seed * 1000 + number)
         training_loss = _train_epoch(network, optimizer, training, crops, plan, number, report)
         validation_loss = _validate(network, validation, crops, plan)
+        seconds = round(time.monotonic() - started, 1)
         history.append(
-            Epoch(
-                epoch=number,
-                training_loss=training_loss,
-                validation_loss=validation_loss,
-                seconds=round(time.monotonic() - started, 1),
-            )
+            Epoch(epoch=number, training_loss=training_loss, validation_loss=validation_loss, seconds=seconds)
         )
         left = (plan.epochs - number) * history[-1].seconds / 60
         report(f"epoch {number}: training {training_loss:.5f}, validation {validation_loss:.5f}, {left:.0f} min left")
@@ -175,8 +183,7 @@ def train(
             file = out / f"{plan.network}.safetensors"
             save_weights(network, file, architecture=plan.network, generators=generators)
         _save(out / "checkpoint.pt", network, optimizer, identity, history)
-    record = {"plan": asdict(plan), "history": [asdict(e) for e in history]}
-    (out / "training.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+    write_json(out / "training.json", {"plan": asdict(plan), "history": [asdict(e) for e in history]})
     return history
 
 
@@ -354,3 +361,46 @@ def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop])
         digest.update(f"{simulator} {crop.top} {crop.bottom} ".encode())
     settings = {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience", "device")}
     return {**settings, "data": digest.hexdigest()}
+
+
+def augment(image: NDArray[np.uint8], steering: float, rng: np.random.Generator) -> tuple[NDArray[np.uint8], float]:
+    """Augment an image with probability one half, in up to four ways.
+
+    Args:
+        image: (160, 320, 3) uint8 RGB, before cropping.
+        steering: label of the image in [-1, 1], -1 full left.
+        rng: source of all random numbers.
+
+    Returns:
+        Image of the same shape, and its label in [-1, 1].
+    """
+    if rng.random() < 0.5:
+        return image, steering
+    if rng.random() < 0.5:
+        image, steering = np.ascontiguousarray(image[:, ::-1]), -steering
+    if rng.random() < 0.5:
+        columns, rows = (int(rng.integers(-limit, limit + 1)) for limit in MAX_SHIFT)
+        image = _shifted(image, columns, rows)
+        steering = min(max(steering + STEERING_PER_COLUMN * columns, -1.0), 1.0)
+    if rng.random() < 0.5:
+        image = _shadow(image, rng)
+    if rng.random() < 0.5:
+        image = cv2.convertScaleAbs(image, alpha=float(rng.uniform(0.8, 1.2)))
+    return image, steering
+
+
+def _shifted(image: NDArray[np.uint8], columns: int, rows: int) -> NDArray[np.uint8]:
+    """Shift an image right and down, filling with black (maxitwo)."""
+    move = np.array([[1, 0, columns], [0, 1, rows]], np.float32)
+    return cv2.warpAffine(image, move, (image.shape[1], image.shape[0]), flags=cv2.INTER_NEAREST)
+
+
+def _shadow(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Darken one side of a random line to 0.2 to 0.5 of its brightness (maxitwo)."""
+    rows, columns = image.shape[:2]
+    top, bottom = rng.integers(0, columns, 2)
+    side = 0 if rng.random() < 0.5 else columns
+    mask = np.zeros((rows, columns), np.uint8)
+    cv2.fillPoly(mask, [np.array([[top, 0], [bottom, rows], [side, rows], [side, 0]], np.int32)], 255)
+    dark = cv2.convertScaleAbs(image, alpha=float(rng.uniform(0.2, 0.5)))
+    return np.where(mask[:, :, None] > 0, dark, image)

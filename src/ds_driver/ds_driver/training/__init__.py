@@ -1,1 +1,0 @@
-"""Training of driving networks (paper 3.2.2)."""
