@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 from benchmarks.headless import Car, cars, drive
 
-from ds_driver.data.collection import CollectionPlan, training_roads
+from ds_driver.data.collection import CollectionPlan, roads_both_ways
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome
 
@@ -66,7 +66,9 @@ def main() -> None:
 
 def print_training(chosen: dict[str, Car]) -> None:
     """Print one row per simulator: results of the autopilot on the training set, and its top speed."""
-    roads = [way for road in training_roads(CollectionPlan()) for way in (road, road.reversed())]
+    plan = CollectionPlan()
+    trained_on = roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)
+    roads = [way for road in trained_on for way in (road, road.reversed())]
     print("| simulator | drives | completed | smallest lateral distance, m | highest speed, km/h |")
     print("|---|---|---|---|---|")
     for name, car in chosen.items():

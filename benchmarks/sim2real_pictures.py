@@ -16,11 +16,10 @@ import numpy as np
 from benchmarks.conditions.pictures import picture
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.generator_set import open_set
-from ds_driver.sim2real.lane.lane_pairs import lane_shapes
-from ds_driver.sim2real.photographs import read_photographs, split
-from ds_driver.sim2real.stage import Sim2RealStage
-from ds_driver.sim2real.window import prepare
+from ds_driver.sim2real.generator import prepare
+from ds_driver.sim2real.lane_pairs import lane_shapes
+from ds_driver.sim2real.pictures import read_photographs, split
+from ds_driver.sim2real.stage import Sim2RealStage, open_set
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import SIMULATORS, make_simulator

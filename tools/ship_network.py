@@ -23,7 +23,7 @@ from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
 from ds_driver.networks.weights import SHIPPED, compress, generators_in, load_weights
-from ds_driver.sim2real.generator_set import FOLDER, shipped_set_of
+from ds_driver.sim2real.stage import FOLDER, shipped_set_of
 from ds_sim.registry import SIMULATORS
 
 PAPER = {

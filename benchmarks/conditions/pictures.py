@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.generator_set import open_set
-from ds_driver.sim2real.stage import Sim2RealStage
+from ds_driver.sim2real.stage import Sim2RealStage, open_set
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions

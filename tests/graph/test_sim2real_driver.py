@@ -11,11 +11,9 @@ import pytest
 import torch
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.sim2real.generator_file import load_generator, save_generator
+from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
 from ds_driver.sim2real.networks import Generator
-from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.translator import Translator
-from ds_driver.sim2real.window import Window
 from ds_road import Road
 from ds_sim.registry import make_simulator
 

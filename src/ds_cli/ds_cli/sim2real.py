@@ -30,8 +30,9 @@ RealImages = Annotated[
 def train(simulator: str, real: Path, out: Path, settings: Sim2RealSettings, data_sets: list[Path]) -> Result:
     """Measure where both domains show the lane, crop them alike, and train."""
     from ds_driver.sim2real.preparation import prepare_domains, read_sources
-    from ds_driver.sim2real.trainer import CHECKPOINT, EPOCHS
+    from ds_driver.sim2real.trainer import EPOCHS
     from ds_driver.sim2real.trainer import train as train_generators
+    from ds_driver.training import CHECKPOINT
 
     try:
         sources = read_sources(simulator, real, out, settings, countdown(), data_sets=data_sets)
@@ -61,9 +62,8 @@ def train(simulator: str, real: Path, out: Path, settings: Sim2RealSettings, dat
 
 def show(generator: Path, source: Path, out: Path, count: int) -> Result:
     """Draw frames beside their translations."""
-    from ds_driver.sim2real.generator_file import load_generator
-    from ds_driver.sim2real.sheets import sheet
-    from ds_driver.sim2real.source_images import camera_images
+    from ds_driver.sim2real.generator import load_generator
+    from ds_driver.sim2real.pictures import camera_images, sheet
     from ds_driver.sim2real.translator import Translator
     from ds_driver.whole_files import write_whole
     from ds_sim.camera.encodings import png
@@ -77,8 +77,8 @@ def show(generator: Path, source: Path, out: Path, count: int) -> Result:
 
 def translate(source: Path, out: Path, generator: Path, backend: str, workers: int | None) -> Result:
     """Translate a data set, bag or tub."""
-    from ds_driver.sim2real.generator_file import load_generator
-    from ds_driver.sim2real.generator_set import open_set, shipped_sets
+    from ds_driver.sim2real.generator import load_generator
+    from ds_driver.sim2real.stage import open_set, shipped_sets
     from ds_driver.sim2real.translation import translate as translate_all
     from ds_driver.sim2real.translator import Translator
 
@@ -142,9 +142,8 @@ def reality(source: Path, generators: str, networks: list[str], *, whole: bool, 
     from rich.table import Table
 
     from ds_driver.sim2real.evaluation.reality import agreements, matched_windows, read_human_drive
-    from ds_driver.sim2real.generator_file import load_generator
-    from ds_driver.sim2real.generator_set import open_set
-    from ds_driver.sim2real.window import Sim2RealError
+    from ds_driver.sim2real.generator import Sim2RealError, load_generator
+    from ds_driver.sim2real.stage import open_set
 
     if not networks:
         raise Sim2RealError("no networks: name some, as in --drivers dave2,dave2_short")

@@ -15,10 +15,8 @@ from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
 from ds_driver.networks.torch_networks import make_network, save_weights
-from ds_driver.sim2real.generator_file import load_generator, save_generator
+from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
 from ds_driver.sim2real.networks import Generator
-from ds_driver.sim2real.shape import GeneratorShape
-from ds_driver.sim2real.window import Window
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.engines.parcel import parcel_of
 from ds_orchestrator.engines.preflight import check_driver

@@ -12,11 +12,10 @@ from .networks.network_driver import NetworkDriver, load_pilot
 from .networks.pilot import DriverError, Frame, Pilot, Prediction
 from .networks.torch_networks import make_network
 from .networks.weights import WeightsError, shipped_networks
-from .sim2real.generator_file import StoredGenerator, load_generator
+from .sim2real.generator import Sim2RealError, StoredGenerator, Window, load_generator
 from .sim2real.preparation import Sources, prepare_domains, read_sources
 from .sim2real.settings import PRESETS, Sim2RealSettings
 from .sim2real.translator import Translator
-from .sim2real.window import Sim2RealError, Window
 from .training import TrainingError, TrainingPlan, train
 
 __all__ = [

@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,6 +36,7 @@ from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.torch_networks import disable_dropout, make_network, save_weights
 from ds_driver.whole_files import whole_file, write_json
 
+CHECKPOINT = "checkpoint.pt"
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 """Options of mallopt(3)."""
 Report = Callable[[str], None]
@@ -139,6 +141,7 @@ def train(
 
     Raises:
         DatasetError: the data set cannot be used.
+        TrainingError: the folder holds another training, or the device is not available.
         ds_sim.registry.UnknownSimulatorError: part of the data set comes from an unknown simulator.
     """
     device = device_of(plan.device)
@@ -163,7 +166,11 @@ def train(
     torch.manual_seed(plan.seed)
     network = make_network(plan.network).to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.Adam(network.parameters(), lr=plan.learning_rate)
-    history = _resume(out / "checkpoint.pt", network, optimizer, identity)
+    history: list[Epoch] = []
+    if state := load_checkpoint(out, identity):
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+        history = [Epoch(**entry) for entry in state["history"]]
     report(
         f"{len(training)} images for training, {len(validation)} for validation, {len(history)} epochs completed before"
     )
@@ -182,7 +189,8 @@ def train(
         if validation_loss == min(e.validation_loss for e in history):
             file = out / f"{plan.network}.safetensors"
             save_weights(network, file, architecture=plan.network, generators=generators)
-        _save(out / "checkpoint.pt", network, optimizer, identity, history)
+        state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "identity": identity}
+        save_checkpoint(out, state | {"history": [asdict(e) for e in history]})
     write_json(out / "training.json", {"plan": asdict(plan), "history": [asdict(e) for e in history]})
     return history
 
@@ -319,37 +327,29 @@ def _stalled(history: list[Epoch], patience: int) -> bool:
     return len(history) - best.epoch >= patience
 
 
-def _save(
-    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, identity: dict[str, object], history: list[Epoch]
-) -> None:
-    state = {
-        "network": network.state_dict(),
-        "optimizer": optimizer.state_dict(),
-        "identity": identity,
-        "history": [asdict(e) for e in history],
-    }
-    with whole_file(path) as partial:
-        torch.save(state, partial)
+def load_checkpoint(folder: Path, identity: object) -> dict[str, Any]:
+    """Load the checkpoint of a training as plain tensors, never as code; empty if there is none.
 
-
-def _resume(
-    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, identity: dict[str, object]
-) -> list[Epoch]:
-    """Resume from a checkpoint of the same plan, loaded as plain tensors, never as code."""
+    Raises:
+        TrainingError: it is damaged, or of a training with another identity.
+    """
+    path = folder / CHECKPOINT
     if not path.exists():
-        return []
+        return {}
     try:
-        state = torch.load(path, weights_only=True)
+        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
         recorded = state["identity"]
     except Exception as error:  # torch.load may raise anything on a damaged file
-        raise DatasetError(f"{path} cannot be read ({type(error).__name__}): delete it and train again") from None
+        raise TrainingError(f"{path} cannot be read ({type(error).__name__}): delete it and train again") from None
     if recorded != identity:
-        raise DatasetError(
-            f"{path.parent} contains a training with another plan or other data: choose another folder or delete it"
-        )
-    network.load_state_dict(state["network"])
-    optimizer.load_state_dict(state["optimizer"])
-    return [Epoch(**entry) for entry in state["history"]]
+        raise TrainingError(f"{folder} holds a training with other settings or images: choose another --out")
+    return state
+
+
+def save_checkpoint(folder: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint, with the identity of its training, for `load_checkpoint`."""
+    with whole_file(folder / CHECKPOINT) as partial:
+        torch.save(state, partial)
 
 
 def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop]) -> dict[str, object]:

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from ds_driver.data.collection import CollectionPlan, collect, training_roads
+from ds_driver.data.collection import CollectionPlan, collect, roads_both_ways
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples, write_manifest
 from ds_driver.networks.images import Crop
-from ds_driver.training import TrainingError, TrainingPlan, augment, device_of, schedule_of, split, train
+from ds_driver.training import CHECKPOINT, TrainingError, TrainingPlan, augment, device_of, schedule_of, split, train
 from ds_sim.camera.encodings import jpeg
 
 JPEG = jpeg(np.zeros((160, 320, 3), np.uint8))
@@ -29,7 +29,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_road_is_driven_both_ways_and_labelled_by_the_autopilot(data: Path) -> None:
-    roads = {road.road_id for road in training_roads(PLAN)}
+    roads = {road.road_id for road in roads_both_ways(PLAN.roads, PLAN.seed, max_angle=PLAN.max_angle)}
     files = sorted(path.name for path in (data / "donkey").glob("*.parquet"))
     assert files == sorted(f"{road}-{way}.parquet" for road in roads for way in ("forward", "reverse"))
     table = pq.read_table(data / "donkey" / files[0]).to_pylist()
@@ -85,15 +85,15 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
     assert whole[1].training_loss < whole[0].training_loss
     best = (tmp_path / "whole" / "dave2.safetensors").read_bytes()
     assert best == (tmp_path / "parts" / "dave2.safetensors").read_bytes()
-    with pytest.raises(DatasetError, match="another plan or other data"):
+    with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
         train(data, tmp_path / "parts", replace(plan(2), seed=9), lambda _: None, crops)
-    with pytest.raises(DatasetError, match="another plan or other data"):
+    with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
         train(data, tmp_path / "parts", plan(3), lambda _: None, {"donkey": Crop(50, 0)})
     with pytest.raises(DatasetError, match="75 images for training, expected at least one batch of 128"):
         train(data, tmp_path / "few", replace(plan(1), batch_size=128), lambda _: None, crops)
     for content in (b"", b"no checkpoint"):
-        (tmp_path / "parts" / "checkpoint.pt").write_bytes(content)
-        with pytest.raises(DatasetError, match="cannot be read"):
+        (tmp_path / "parts" / CHECKPOINT).write_bytes(content)
+        with pytest.raises(TrainingError, match="cannot be read"):
             train(data, tmp_path / "parts", plan(2), lambda _: None, crops)
 
 

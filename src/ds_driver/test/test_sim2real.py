@@ -21,27 +21,30 @@ from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, w
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.images import Crop
 from ds_driver.networks.pilot import DriverError
-from ds_driver.sim2real import photographs
-from ds_driver.sim2real.evaluation.checkpoints import HeldOut, assess_checkpoints, flicker, ship
-from ds_driver.sim2real.evaluation.choice import broken_bounds, choose
-from ds_driver.sim2real.evaluation.kernel_distance import kernel_distance
-from ds_driver.sim2real.evaluation.lane_kept import lane_kept, lines_of_photographs
-from ds_driver.sim2real.evaluation.line_truth import LineProjector
-from ds_driver.sim2real.generator_file import StoredGenerator, check_fits, load_generator, save_generator
-from ds_driver.sim2real.image_pool import ImagePool
-from ds_driver.sim2real.lane.lane_alignment import align_lane
-from ds_driver.sim2real.lane.lane_pairs import HEIGHTS, NEIGHBOURS, lane_shapes, pair_lanes
-from ds_driver.sim2real.lane.lane_view import BOUND, lane_difference, match_windows, measure_lane
-from ds_driver.sim2real.lane.line_finder import find_lines
-from ds_driver.sim2real.networks import Discriminator, Generator, InstanceNorm, to_batch, to_images
+from ds_driver.sim2real import pictures
+from ds_driver.sim2real.evaluation.checkpoints import HeldOut, assess_checkpoints, broken_bounds, choose, flicker, ship
+from ds_driver.sim2real.evaluation.image_distance import kernel_distance
+from ds_driver.sim2real.evaluation.lane_kept import LineProjector, lane_kept, lines_of_photographs
+from ds_driver.sim2real.generator import (
+    GeneratorShape,
+    Sim2RealError,
+    StoredGenerator,
+    Window,
+    check_fits,
+    load_generator,
+    prepare,
+    save_generator,
+)
+from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, align_lane, lane_shapes, pair_lanes
+from ds_driver.sim2real.lane_view import BOUND, find_lines, lane_difference, match_windows, measure_lane
+from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, InstanceNorm, to_batch, to_images
 from ds_driver.sim2real.preparation import network_window, prepare_domains, read_card, read_sources, settings_of
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
-from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.simulated_frames import check_roads_are_new, sim2real_roads, simulated_frames
-from ds_driver.sim2real.trainer import CHECKPOINT, EPOCHS, Domains, learning_rate_share, train
+from ds_driver.sim2real.trainer import EPOCHS, Domains, learning_rate_share, train
 from ds_driver.sim2real.translation import translate
 from ds_driver.sim2real.translator import Translator
-from ds_driver.sim2real.window import Sim2RealError, Window, prepare
+from ds_driver.training import CHECKPOINT, TrainingError
 from ds_driver.whole_files import write_whole
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
@@ -180,7 +183,7 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
     for name in names:
         contents = [(tmp_path / folder / EPOCHS / name).read_bytes() for folder in ("whole", "stopped")]
         assert contents[0] == contents[1], name
-    with pytest.raises(Sim2RealError, match="other settings or images"):
+    with pytest.raises(TrainingError, match="other settings or images"):
         train(data, replace(SETTINGS, seed=2), tmp_path / "whole", lines.append)
 
 
@@ -199,7 +202,7 @@ def test_a_full_disk_and_a_damaged_checkpoint_lose_nothing(tmp_path: Path, monke
             write_whole(tmp_path / CHECKPOINT, b"new")
     assert (tmp_path / CHECKPOINT).read_bytes() == kept and not list(tmp_path.glob(".*partial"))
     (tmp_path / CHECKPOINT).write_bytes(kept[: len(kept) // 2])
-    with pytest.raises(Sim2RealError, match="delete it and train again"):
+    with pytest.raises(TrainingError, match="delete it and train again"):
         train(data, one, tmp_path, lambda line: None)
 
 
@@ -281,7 +284,7 @@ def test_photographs_of_nothing_like_a_road_are_refused() -> None:
 def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
     def refused(match: str) -> None:
         with pytest.raises(Sim2RealError, match=match) as caught:
-            photographs.read_photographs(tmp_path)
+            pictures.read_photographs(tmp_path)
         assert "\n" not in str(caught.value)
 
     refused("no photographs, expected at least 20")
@@ -290,14 +293,14 @@ def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
     refused("one photograph, expected at least 20")
     for i in range(1, 25):
         (tmp_path / f"a{i:02d}.jpg").write_bytes(image)
-    found = photographs.read_photographs(tmp_path, limit=22)
-    assert found.shape == (22, 60, 80, 3) and [len(part) for part in photographs.split(found)] == [18, 4]
+    found = pictures.read_photographs(tmp_path, limit=22)
+    assert found.shape == (22, 60, 80, 3) and [len(part) for part in pictures.split(found)] == [18, 4]
     (tmp_path / "a07.jpg").write_bytes(jpeg(np.zeros((60, 90, 3), np.uint8)))
     refused("a07.jpg: photographs of 80 x 60 and 90 x 60 px")
     (tmp_path / "a07.jpg").write_bytes(image[:50])
     refused("a07.jpg: an image is damaged")
     with pytest.raises(Sim2RealError, match="does not exist"):
-        photographs.read_photographs(tmp_path / "nowhere")
+        pictures.read_photographs(tmp_path / "nowhere")
 
 
 def test_windows_and_sizes_that_do_not_fit_are_refused() -> None:

@@ -30,15 +30,13 @@ from ds_driver.networks.network_driver import (
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import architecture_in, generators_in, load_weights
-from ds_driver.sim2real import generator_set
+from ds_driver.sim2real import stage as stages
 from ds_driver.sim2real.evaluation.reality import agreements, matched_windows, read_human_drive
-from ds_driver.sim2real.generator_file import load_generator, save_generator
-from ds_driver.sim2real.generator_set import FOLDER
+from ds_driver.sim2real.generator import GeneratorShape, Sim2RealError, Window, load_generator, save_generator
 from ds_driver.sim2real.networks import Generator
-from ds_driver.sim2real.shape import GeneratorShape
+from ds_driver.sim2real.stage import FOLDER
 from ds_driver.sim2real.translation import translate as translate_data
 from ds_driver.sim2real.translator import Translator
-from ds_driver.sim2real.window import Sim2RealError, Window
 from ds_driver.training import TrainingPlan, train
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
@@ -131,7 +129,8 @@ def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> N
     def check(driver: str, simulators: tuple[str, ...]) -> None:
         generators = generators_of(driver)
         assert generators is not None
-        generators.check(simulators)
+        for simulator in simulators:
+            generators.generator(simulator)
 
     def refused(driver: object, match: str, *simulators: str) -> None:
         with pytest.raises(DriverError, match=match) as caught:
@@ -158,16 +157,16 @@ def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> N
 def test_a_shipped_set_is_found_by_its_name_and_by_a_networks_generators(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(generator_set, "SHIPPED", tmp_path / "models")
+    monkeypatch.setattr(stages, "SHIPPED", tmp_path / "models")
     network = tmp_path / "moved.safetensors"
     network.write_bytes((folder / "real.safetensors").read_bytes())
     digests = generators_in(str(network))
-    assert generator_set.shipped_set_of(digests) is None
+    assert stages.shipped_set_of(digests) is None
     shutil.copytree(folder / FOLDER, tmp_path / "models" / FOLDER / "track")
-    assert generator_set.shipped_set_of(digests) == "track" and list(generator_set.shipped_sets()) == ["track"]
+    assert stages.shipped_set_of(digests) == "track" and list(stages.shipped_sets()) == ["track"]
     by_name, by_network = generators_of("dave2+track"), generators_of(str(network))
     assert by_name is not None and by_network is not None and by_name.files == by_network.files
-    by_network.check(WINDOWS)
+    assert all(by_network.generator(name).simulator == name for name in WINDOWS)
 
 
 def test_another_generator_is_another_driver(folder: Path, tmp_path: Path) -> None:

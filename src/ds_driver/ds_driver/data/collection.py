@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from zlib import crc32
 
@@ -43,11 +44,6 @@ class CollectionPlan:
     every: int = 1
 
 
-def training_roads(plan: CollectionPlan) -> list[Road]:
-    """Generate the roads of a plan, valid in both directions; the same seed gives the same roads."""
-    return roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)
-
-
 def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
     """Generate random roads that are valid in both directions; the same seed gives the same roads."""
     rng = np.random.default_rng(seed)
@@ -62,17 +58,12 @@ def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
-    plan: CollectionPlan
-    folder: Path
+    path: Path
     simulator: str
     road: Road
     road_id: str
     direction: str
     index: int
-
-    @property
-    def path(self) -> Path:
-        return drive_path(self.folder, self.simulator, self.road_id, self.direction)
 
 
 def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
@@ -90,15 +81,14 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
     keep_plan(folder, asdict(plan))
     jobs = [
         _Job(
-            plan=plan,
-            folder=folder,
+            path=drive_path(folder, name, road.road_id, direction),
             simulator=name,
             road=road if direction == "forward" else road.reversed(),
             road_id=road.road_id,
             direction=direction,
             index=index,
         )
-        for index, road in enumerate(training_roads(plan))
+        for index, road in enumerate(roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle))
         for direction in DIRECTIONS
         for name in simulators
     ]
@@ -106,15 +96,15 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
     known = len(jobs) - len(missing)
     if known:
         progress(known, len(jobs), f"{known} drives are there already")
-    for done, line in enumerate(map_in_processes(_collect, missing), start=known + 1):
+    for done, line in enumerate(map_in_processes(partial(_collect, plan), missing), start=known + 1):
         progress(done, len(jobs), line)
 
 
-def _collect(job: _Job) -> str:
+def _collect(plan: CollectionPlan, job: _Job) -> str:
     """Drive one road and write its file; return a line for the user."""
     simulator = simulator_of_process(job.simulator)
-    rng = np.random.default_rng([job.plan.seed, job.index, job.direction == "reverse", crc32(job.simulator.encode())])
-    rows, outcome = _drive(simulator, job.road, rng, job.plan)
+    rng = np.random.default_rng([plan.seed, job.index, job.direction == "reverse", crc32(job.simulator.encode())])
+    rows, outcome = _drive(simulator, job.road, rng, plan)
     for row in rows:
         row.update(simulator=job.simulator, road_id=job.road_id, direction=job.direction)
     write_drive(job.path, rows)

@@ -39,8 +39,7 @@ from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
 
 if TYPE_CHECKING:
-    from ds_driver.sim2real.generator_set import GeneratorSet
-    from ds_driver.sim2real.stage import Sim2RealStage
+    from ds_driver.sim2real.stage import GeneratorSet, Sim2RealStage
 
 BUILT_IN_BACKEND = "onnx"
 """Default backend of the built-in networks; chosen by measurement (docs/bring_your_own_network.md)."""
@@ -239,7 +238,7 @@ def generators_of(driver: str) -> GeneratorSet | None:
     trained_with = {} if name.generators or not _is_weights(name) else generators_in(name.network)
     if not name.generators and not trained_with:
         return None
-    from ds_driver.sim2real.generator_set import NONE, open_set, set_of_network
+    from ds_driver.sim2real.stage import NONE, open_set, set_of_network
 
     if trained_with:
         return set_of_network(name.network, path_of_weights(name.network), trained_with)

@@ -1,12 +1,13 @@
-"""Generators and discriminators of CycleGAN (Zhu et al. 2017, section 7.1)."""
+"""Generators and discriminators of CycleGAN, and their pool of earlier translations (Zhu et al. 2017, 4 and 7.1)."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ds_driver.sim2real.shape import EPSILON, GeneratorShape
+from ds_driver.sim2real.generator import EPSILON, GeneratorShape
 
 INITIAL_DEVIATION = 0.02
 """Standard deviation of the initial weights (Zhu et al. 2017, section 7.1)."""
@@ -115,3 +116,35 @@ def to_batch(images: Tensor) -> Tensor:
 def to_images(batch: Tensor) -> Tensor:
     """Convert what a generator returns to (n, rows, columns, 3) uint8 RGB."""
     return ((batch.float() + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1).contiguous()
+
+
+class ImagePool:
+    """Keeps up to `size` images; a full pool returns an earlier one half of the time, and keeps the new one instead."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.images: list[Tensor] = []
+
+    def query(self, image: Tensor, rng: np.random.Generator) -> Tensor:
+        """Return the image itself, or an earlier one in exchange.
+
+        Args:
+            image: (1, 3, rows, columns), without gradient.
+            rng: source of all random numbers.
+        """
+        if len(self.images) < self.size:
+            self.images.append(image)
+            return image
+        if not self.images or rng.random() < 0.5:
+            return image
+        index = int(rng.integers(len(self.images)))
+        earlier, self.images[index] = self.images[index], image
+        return earlier
+
+    def state(self) -> Tensor:
+        """Return the images as one tensor, for a checkpoint."""
+        return torch.cat(self.images).cpu() if self.images else torch.zeros(0)
+
+    def restore(self, state: Tensor, device: torch.device) -> None:
+        """Take the images of a checkpoint."""
+        self.images = [image.contiguous(memory_format=torch.channels_last) for image in state.to(device).split(1)]

@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.lane.lane_pairs import LanePairs, pair_lanes
-from ds_driver.sim2real.lane.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
-from ds_driver.sim2real.photographs import read_photographs, split
+from ds_driver.sim2real.generator import GeneratorShape, Sim2RealError, Window, prepare
+from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
+from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
+from ds_driver.sim2real.pictures import evenly, read_photographs, split
 from ds_driver.sim2real.settings import Sim2RealSettings
-from ds_driver.sim2real.shape import GeneratorShape
 from ds_driver.sim2real.simulated_frames import SimulatedFrames, check_roads_are_new, simulated_frames
 from ds_driver.sim2real.trainer import SHOWN, Domains
-from ds_driver.sim2real.window import Sim2RealError, Window, prepare
-from ds_driver.whole_files import write_whole
+from ds_driver.whole_files import write_json
 from ds_sim.registry import spec_of
 from ds_sim.simulator import SimulatorSpec
 
@@ -121,11 +120,11 @@ def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains,
     """
     frames, match, size = sources.frames, sources.match, sources.settings.shape.size
     images = frames.images[~frames.held_out]
-    small = _prepared(images[_even(len(images), sources.settings.images)], match.simulated, size)
+    small = _prepared(images[evenly(len(images), sources.settings.images)], match.simulated, size)
     small_real = _prepared(sources.photographs, match.real, size)
     pairs = pair_lanes(small, small_real)
     held_out_frames = np.flatnonzero(frames.held_out)
-    shown = frames.images[held_out_frames[_even(len(held_out_frames), SHOWN)]]
+    shown = frames.images[held_out_frames[evenly(len(held_out_frames), SHOWN)]]
     held_out_real = sources.held_out_real
     domains = Domains(
         simulated=small[pairs.simulated],
@@ -134,7 +133,7 @@ def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains,
         simulated_lanes=pairs.simulated_lanes,
         real_lanes=pairs.photographed_lanes,
         shown_simulated=_prepared(shown, match.simulated, size),
-        shown_real=held_out_real[_even(len(held_out_real), SHOWN)],
+        shown_real=held_out_real[evenly(len(held_out_real), SHOWN)],
         simulator=sources.simulator,
         window=match.simulated,
         real_window=match.real,
@@ -211,17 +210,10 @@ def _write_card(path: Path, source: Path, sources: Sources, domains: Domains, pa
             for name, view, position in zip(("simulated", "real"), sources.views, match.positions, strict=True)
         },
         "difference": round(match.difference, 4),
-        "pairs": {
-            "photographs_used": len(np.unique(pairs.photographs)),
-            "lines_apart": round(pairs.apart, 4),
-        },
+        "pairs": {"photographs_used": len(np.unique(pairs.photographs)), "lines_apart": round(pairs.apart, 4)},
     }
-    write_whole(path, (json.dumps(card, indent=1, allow_nan=False) + "\n").encode())
+    write_json(path, card)
 
 
 def _prepared(images: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
     return np.stack([prepare(image, window, size) for image in images])
-
-
-def _even(count: int, limit: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64))

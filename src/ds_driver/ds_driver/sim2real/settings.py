@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ds_driver.sim2real.shape import GeneratorShape
+from ds_driver.sim2real.generator import GeneratorShape
 
 ROAD_SEED = 20_150_715
 """Seed of the simulated roads; chosen: no other verb has it as its default, and `train --unlike` compares the

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,8 @@ from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.processes import map_in_processes
+from ds_driver.sim2real.generator import Sim2RealError
 from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
-from ds_driver.sim2real.window import Sim2RealError
 from ds_driver.whole_files import whole_file
 from ds_road import Road
 from ds_sim.registry import simulator_of_process
@@ -91,39 +92,18 @@ def simulated_frames(
     Raises:
         Sim2RealError: the file is damaged or has other settings.
     """
-    identity = json.dumps(
-        {
-            "simulator": simulator,
-            "roads": settings.roads,
-            "seed": settings.seed,
-            "road_seed": settings.road_seed,
-            "every": settings.every,
-            "longest": settings.longest,
-        }
-    )
+    relevant = {name: getattr(settings, name) for name in ("roads", "seed", "road_seed", "every", "longest")}
+    identity = json.dumps({"simulator": simulator, **relevant})
     roads = sim2real_roads(settings)
     if file.exists():
         return _read(file, identity, roads)
-    first_held_out = _first_held_out(roads)
-    jobs = [
-        _Job(
-            simulator=simulator,
-            road=road,
-            index=index,
-            seed=settings.seed,
-            every=settings.every,
-            pairs=index >= first_held_out,
-            longest=settings.longest,
-        )
-        for index, road in enumerate(roads)
-    ]
-    drives = []
-    for done, drive in enumerate(map_in_processes(_drive, jobs, workers=settings.threads), start=1):
+    drives, work = [], partial(_drive, simulator, settings, roads)
+    for drive in map_in_processes(work, range(len(roads)), workers=settings.threads):
         drives.append(drive)
-        progress(done, len(jobs), f"{simulator}: {len(drive[0])} images")
+        progress(len(drives), len(roads), f"{simulator}: {len(drive[0])} images")
     images, states, steps = (np.concatenate([drive[part] for drive in drives]) for part in range(3))
     numbers = np.concatenate([np.full(len(drive[0]), index, np.int32) for index, drive in enumerate(drives)])
-    with whole_file(file) as partial, partial.open("wb") as stream:
+    with whole_file(file) as unfinished, unfinished.open("wb") as stream:
         np.savez(stream, images=images, states=states, steps=steps, drives=numbers, identity=np.array(identity))
     return _frames(images, states, numbers, steps, roads)
 
@@ -159,28 +139,19 @@ def _first_held_out(roads: tuple[Road, ...]) -> int:
     return len(roads) - 2 * max(1, round(HELD_OUT * len(roads) / 2))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    simulator: str
-    road: Road
-    index: int
-    seed: int
-    every: int
-    pairs: bool
-    longest: int | None
-
-
-def _drive(job: _Job) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int32]]:
+def _drive(
+    name: str, settings: Sim2RealSettings, roads: tuple[Road, ...], index: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int32]]:
     """Drive one road; images, states when they were exposed, and steps."""
-    simulator = simulator_of_process(job.simulator)
-    spec = simulator.spec
+    simulator = simulator_of_process(name)
+    spec, longest = simulator.spec, settings.longest
     driver = make_driver(AUTOPILOT, spec)
-    seed = int(np.random.default_rng([job.seed, job.index]).integers(2**31))
-    observation = simulator.load(job.road, seed=seed)
+    seed = int(np.random.default_rng([settings.seed, index]).integers(2**31))
+    observation = simulator.load(roads[index], seed=seed)
     states, images, poses, steps = [observation.vehicle], [], [], []
-    while observation.outcome is Outcome.RUNNING and (job.longest is None or observation.step < job.longest):
-        phase = observation.step % job.every
-        if phase == 0 or (job.pairs and phase == 1):
+    while observation.outcome is Outcome.RUNNING and (longest is None or observation.step < longest):
+        phase = observation.step % settings.every
+        if phase == 0 or (phase == 1 and index >= _first_held_out(roads)):
             images.append(observation.image.copy())
             exposed = states[max(0, observation.step - spec.camera.latency)]
             poses.append([float(getattr(exposed, name)) for name in STATE_FIELDS])

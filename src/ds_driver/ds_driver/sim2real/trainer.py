@@ -19,18 +19,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ds_driver.sim2real.generator_file import save_generator
-from ds_driver.sim2real.image_pool import ImagePool
-from ds_driver.sim2real.lane.lane_alignment import align_lane
-from ds_driver.sim2real.networks import Discriminator, Generator, to_batch, to_images
+from ds_driver.sim2real.generator import Sim2RealError, Window, save_generator
+from ds_driver.sim2real.lane_pairs import align_lane
+from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, to_batch, to_images
+from ds_driver.sim2real.pictures import sheet
 from ds_driver.sim2real.settings import Sim2RealSettings
-from ds_driver.sim2real.sheets import sheet
-from ds_driver.sim2real.window import Sim2RealError, Window
-from ds_driver.training import device_of
-from ds_driver.whole_files import whole_file, write_whole
+from ds_driver.training import device_of, load_checkpoint, save_checkpoint
+from ds_driver.whole_files import write_whole
 from ds_sim.camera.encodings import png
 
-CHECKPOINT = "checkpoint.pt"
 EPOCHS = "epochs"
 """Folder of the stored generators and sheets."""
 SHOWN = 4
@@ -49,7 +46,7 @@ class Domains:
         simulated: for training.
         real: for training.
         pairs: (simulated images, k) for each of them, indices of the real images to draw from; see
-            `ds_driver.sim2real.lane.lane_pairs`.
+            `ds_driver.sim2real.lane_pairs`.
         simulated_lanes: (simulated images, 2 * heights) where they show the lines.
         real_lanes: (real images, 2 * heights), the same.
         shown_simulated: held-out ones for the sheets.
@@ -168,15 +165,15 @@ def train(
         Mean losses of each epoch.
 
     Raises:
-        Sim2RealError: the folder holds another training, or training diverged.
-        ds_driver.training.TrainingError: the device is not available.
+        Sim2RealError: training diverged.
+        ds_driver.training.TrainingError: the folder holds another training, or the device is not available.
     """
     device = device_of(settings.device)
     torch.set_num_threads(settings.threads)
     torch.backends.cudnn.deterministic = True
     gan = CycleGan(settings, device)
     identity = _identity(domains, settings)
-    history = _resume(out / CHECKPOINT, gan, identity, device)
+    history = _resume(out, gan, identity, device)
     (out / EPOCHS).mkdir(exist_ok=True)
     steps = settings.steps or max(len(domains.simulated), len(domains.real))
     while len(history) < settings.epochs:
@@ -213,7 +210,7 @@ def train(
                 window=domains.window,
                 real_window=domains.real_window,
             )
-        _save(out / CHECKPOINT, gan, identity, history)
+        save_checkpoint(out, _state(gan) | {"identity": identity, "history": history})
     return history
 
 
@@ -264,29 +261,18 @@ def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
     return json.dumps([domains.simulator, plan, windows, digest.hexdigest()], sort_keys=True)
 
 
-def _save(path: Path, gan: CycleGan, identity: str, history: list[dict[str, float]]) -> None:
-    state = {
+def _state(gan: CycleGan) -> dict[str, Any]:
+    return {
         "networks": [network.state_dict() for network in gan.networks()],
         "optimizers": [optimizer.state_dict() for optimizer in gan.optimizers],
         "pools": [pool.state() for pool in gan.pools],
-        "identity": identity,
-        "history": history,
     }
-    with whole_file(path) as partial:
-        torch.save(state, partial)
 
 
-def _resume(path: Path, gan: CycleGan, identity: str, device: torch.device) -> list[dict[str, float]]:
-    """Resume from a checkpoint of the same training, loaded as plain tensors, never as code."""
-    if not path.exists():
+def _resume(folder: Path, gan: CycleGan, identity: str, device: torch.device) -> list[dict[str, float]]:
+    state = load_checkpoint(folder, identity)
+    if not state:
         return []
-    try:
-        state = torch.load(path, weights_only=True, map_location=device)
-        recorded = state["identity"]
-    except Exception as error:  # torch.load may raise anything on a damaged file
-        raise Sim2RealError(f"{path} cannot be read ({type(error).__name__}): delete it and train again") from None
-    if recorded != identity:
-        raise Sim2RealError(f"{path.parent} holds a training with other settings or images: choose another --out")
     for network, tensors in zip(gan.networks(), state["networks"], strict=True):
         network.load_state_dict(tensors)
     for optimizer, values in zip(gan.optimizers, state["optimizers"], strict=True):

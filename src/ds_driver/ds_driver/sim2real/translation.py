@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,9 @@ from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, rea
 from ds_driver.data.recordings import MAX_IMAGE_FILE
 from ds_driver.networks.images import ImageError, rgb_of, rgb_of_file
 from ds_driver.processes import map_in_processes
-from ds_driver.sim2real.generator_file import check_fits, load_generator
+from ds_driver.sim2real.generator import Sim2RealError, check_fits, load_generator
 from ds_driver.sim2real.translator import Translator
-from ds_driver.sim2real.window import Sim2RealError
-from ds_driver.whole_files import write_whole
+from ds_driver.whole_files import write_json, write_whole
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.encodings import jpeg
 
@@ -75,46 +74,37 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
         known = sorted({path.parent.name for path in folder.glob("*/*.parquet")})
         has = f"it has those of {', '.join(known)}" if known else "it has none at all"
         raise Sim2RealError(f"{folder} has no drives of {simulator}, whose images the generator translates: {has}")
-    _claim(out / simulator / IMPORTED, translator)
-    (out / simulator).mkdir(parents=True, exist_ok=True)
+    target = out / simulator
+    _claim(target / IMPORTED, translator)
     keep_import(out, simulator, {MARK: translator.generator.sha256})
-    write_whole(out / simulator / GENERATOR, translator.generator.content)
-    jobs = [_Drive(file=file, target=out / simulator / file.name) for file in files]
-    done_jobs: Iterable[Path]
+    write_whole(target / GENERATOR, translator.generator.content)
+    finished: Iterable[Path]
     if workers == 1:
-        done_jobs = (_translate_drive(translator, job) for job in jobs)
+        finished = (_translate_drive(translator, target, file) for file in files)
     else:
-        work = partial(_translate_in_worker, out / simulator / GENERATOR, translator.backend)
-        done_jobs = map_in_processes(work, jobs, workers=workers)
-    for done, file in enumerate(done_jobs, start=1):
+        work = partial(_translate_in_worker, translator.backend, target)
+        finished = map_in_processes(work, files, workers=workers)
+    for done, file in enumerate(finished, start=1):
         progress(done, len(files), f"{simulator}: {file.stem}")
     if (folder / "manifest.json").is_file():
         write_manifest(out, _facts(folder / "manifest.json"))
     return len(files)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Drive:
-    """A drive of a data set, and where its translation goes."""
-
-    file: Path
-    target: Path
-
-
-def _translate_drive(translator: Translator, drive: _Drive) -> Path:
-    if not drive.target.exists():
-        read_drive(drive.file)
-        rows: list[dict[str, Any]] = pq.read_table(drive.file).to_pylist()
+def _translate_drive(translator: Translator, out: Path, file: Path) -> Path:
+    if not (out / file.name).exists():
+        read_drive(file)
+        rows: list[dict[str, Any]] = pq.read_table(file).to_pylist()
         for row in rows:
             row["image"] = jpeg(translator.translate(decode(row["image"])))
-        write_drive(drive.target, rows)
-    return drive.file
+        write_drive(out / file.name, rows)
+    return file
 
 
-def _translate_in_worker(generator: Path, backend: str, drive: _Drive) -> Path:
-    if drive.target.exists():
-        return drive.file
-    return _translate_drive(_translator(generator, backend), drive)
+def _translate_in_worker(backend: str, out: Path, file: Path) -> Path:
+    if (out / file.name).exists():
+        return file
+    return _translate_drive(_translator(out / GENERATOR, backend), out, file)
 
 
 @lru_cache(maxsize=1)
@@ -163,14 +153,8 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
         shape = {"height": message.height, "width": message.width, "step": message.step}
         pixels = translated(rgb_of(data, encoding=message.encoding, **shape))
         rows, columns = pixels.shape[:2]
-        changes = {
-            "height": rows,
-            "width": columns,
-            "step": 3 * columns,
-            "encoding": "rgb8",
-            "data": pixels.reshape(-1),
-        }
-        return replace(message, **changes)
+        shape = {"height": rows, "width": columns, "step": 3 * columns}
+        return replace(message, encoding="rgb8", data=pixels.reshape(-1), **shape)
 
     def compressed(message: Any) -> Any:
         pixels = translated(rgb_of_file(np.frombuffer(message.data, np.uint8).tobytes()))
@@ -186,10 +170,9 @@ def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) ->
     images = [record.image for record in tub.records if record.image is not None]
     if not images:
         raise Sim2RealError(f"{folder} is a tub without images: nothing to translate")
-    (out / "images").mkdir(parents=True, exist_ok=True)
     mark = out / f"{MARK}.json"
     _claim(mark, translator)
-    write_whole(mark, (json.dumps({MARK: translator.generator.sha256}, indent=1) + "\n").encode())
+    write_json(mark, {MARK: translator.generator.sha256})
     for done, image in enumerate(images, start=1):
         target = out / "images" / image.name
         if not target.exists():

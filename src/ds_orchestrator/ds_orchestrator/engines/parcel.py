@@ -97,7 +97,7 @@ def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
     """Add the generators that a worker does not have; return what follows the network's name there."""
     from ds_driver.networks.driver_name import WEIGHTS
     from ds_driver.networks.network_driver import generators_of
-    from ds_driver.sim2real.generator_set import FOLDER, NONE, shipped_sets
+    from ds_driver.sim2real.stage import FOLDER, NONE, shipped_sets
 
     generators = generators_of(str(name))
     if name.generators == NONE or name.generators in shipped_sets():

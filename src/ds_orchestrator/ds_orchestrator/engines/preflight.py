@@ -63,4 +63,5 @@ def check_driver(driver: str, simulators: Sequence[str]) -> None:
     load_pilot(driver)
     generators = generators_of(driver)
     if generators is not None:
-        generators.check(spec_of(name).name for name in simulators)
+        for name in simulators:
+            generators.generator(spec_of(name).name)

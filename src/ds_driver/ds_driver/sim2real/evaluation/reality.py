@@ -13,11 +13,10 @@ from ds_bags.donkey_tub import TubRecord, is_tub, read_tub
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
-from ds_driver.sim2real.generator_file import StoredGenerator
-from ds_driver.sim2real.lane.lane_view import SAMPLE, match_windows, measure_lane
-from ds_driver.sim2real.photographs import FEWEST, read_photograph, read_photographs
+from ds_driver.sim2real.generator import Sim2RealError, StoredGenerator, Window, prepare, resize
+from ds_driver.sim2real.lane_view import SAMPLE, match_windows, measure_lane
+from ds_driver.sim2real.pictures import FEWEST, read_photograph, read_photographs
 from ds_driver.sim2real.settings import HELD_OUT
-from ds_driver.sim2real.window import Sim2RealError, Window, prepare, resize
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 GAP = 0.5

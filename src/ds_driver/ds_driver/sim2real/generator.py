@@ -1,4 +1,4 @@
-"""Stores generators: safetensors in half precision that say what they translate, and a JSON card beside them."""
+"""Stored generators: their size, what they see of an image, and their files; known without PyTorch."""
 
 from __future__ import annotations
 
@@ -8,20 +8,106 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from ds_driver.sim2real.shape import GeneratorShape
-from ds_driver.sim2real.window import Sim2RealError, Window
 from ds_driver.whole_files import write_whole
 
+EPSILON = 1e-5
+"""Added to the variance of an instance normalisation (PyTorch's default)."""
+MIN_SIDE = 8
+"""Fewest rows and columns of a window, px; chosen: less than a lane line is wide near the car."""
 KIND = "sim2real generator 1"
 """Key of the metadata, and format of the file."""
 LARGEST_FILE = 2**28
 """Bytes of a generator's file; chosen: ten times the paper's size in half precision."""
 MOST_FILTERS, MOST_BLOCKS, MOST_PIXELS = 256, 32, 2**22
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeneratorShape:
+    """Size of a generator.
+
+    Attributes:
+        filters: channels of the first layer (paper: 64).
+        blocks: residual blocks (paper: 9).
+        rows: rows of the image, a multiple of 4.
+        columns: columns of the image, a multiple of 4.
+    """
+
+    filters: int
+    blocks: int
+    rows: int
+    columns: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return rows and columns."""
+        return self.rows, self.columns
+
+
+class Sim2RealError(ValueError):
+    """Photographs, generators or settings that cannot be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Part of an image that is shown to a generator, px of that image.
+
+    Attributes:
+        top: first row.
+        bottom: end of the rows.
+        left: first column.
+        right: end of the columns.
+    """
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    def __post_init__(self) -> None:
+        if min(self.top, self.left) < 0 or self.bottom - self.top < MIN_SIDE or self.right - self.left < MIN_SIDE:
+            raise Sim2RealError(f"crop {self}: expected at least {MIN_SIDE} rows and columns, none of them negative")
+
+    def __str__(self) -> str:
+        return f"rows {self.top} to {self.bottom}, columns {self.left} to {self.right}"
+
+
+def prepare(image: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Cut out a window and resize it, without state and without chance.
+
+    Args:
+        image: (rows, columns, 3) uint8 RGB.
+        window: part to cut out.
+        size: rows and columns of the result.
+
+    Returns:
+        (*size, 3) uint8 RGB.
+
+    Raises:
+        Sim2RealError: the image does not have the window, or is not uint8 RGB.
+    """
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+        raise Sim2RealError(f"image of shape {image.shape} and type {image.dtype}, expected (rows, columns, 3) uint8")
+    if window.bottom > image.shape[0] or window.right > image.shape[1]:
+        raise Sim2RealError(
+            f"image of {image.shape[0]} x {image.shape[1]} px, expected one with {window}: it comes from another camera"
+        )
+    part = image[window.top : window.bottom, window.left : window.right]
+    return resize(part, size)
+
+
+def resize(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Resize to rows and columns: by areas where the image shrinks in both directions, else bilinearly."""
+    rows, columns = image.shape[:2]
+    if (rows, columns) == size:
+        return np.ascontiguousarray(image)
+    method = cv2.INTER_AREA if rows >= size[0] and columns >= size[1] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, (size[1], size[0]), interpolation=method), np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,23 +138,15 @@ class StoredGenerator:
 
 def tensor_shapes(shape: GeneratorShape) -> dict[str, tuple[int, ...]]:
     """Return names and shapes of a generator's tensors."""
-    f, found = shape.filters, {"layers.1.weight": (shape.filters, 3, 7, 7), "layers.1.bias": (shape.filters,)}
-    for layer, channels in ((4, f), (7, 2 * f)):
-        found |= {
-            f"layers.{layer}.weight": (2 * channels, channels, 3, 3),
-            f"layers.{layer}.bias": (2 * channels,),
-        }
-    for block in range(10, 10 + shape.blocks):
-        for part in (1, 5):
-            found[f"layers.{block}.body.{part}.weight"] = (4 * f, 4 * f, 3, 3)
-            found[f"layers.{block}.body.{part}.bias"] = (4 * f,)
-    up = 10 + shape.blocks
-    for layer, channels in ((up, 4 * f), (up + 3, 2 * f)):
-        found |= {
-            f"layers.{layer}.weight": (channels, channels // 2, 3, 3),
-            f"layers.{layer}.bias": (channels // 2,),
-        }
-    return found | {f"layers.{up + 7}.weight": (3, f, 7, 7), f"layers.{up + 7}.bias": (3,)}
+    f, up = shape.filters, 10 + shape.blocks
+    weights = {"1": (f, 3, 7, 7), "4": (2 * f, f, 3, 3), "7": (4 * f, 2 * f, 3, 3)}
+    weights |= {f"{block}.body.{part}": (4 * f, 4 * f, 3, 3) for block in range(10, up) for part in (1, 5)}
+    weights |= {f"{up}": (4 * f, 2 * f, 3, 3), f"{up + 3}": (2 * f, f, 3, 3), f"{up + 7}": (3, f, 7, 7)}
+    # Transposed convolutions have their inputs first.
+    biases = {layer: (size[layer in (f"{up}", f"{up + 3}")],) for layer, size in weights.items()}
+    return {f"layers.{layer}.weight": size for layer, size in weights.items()} | {
+        f"layers.{layer}.bias": size for layer, size in biases.items()
+    }
 
 
 def save_generator(
@@ -81,14 +159,9 @@ def save_generator(
     real_window: Window,
 ) -> None:
     """Write a generator's weights as float16, in a file that appears whole or not at all."""
-    about = {
-        "simulator": simulator,
-        "shape": asdict(shape),
-        "window": asdict(window),
-        "real_window": asdict(real_window),
-    }
+    windows = {"window": asdict(window), "real_window": asdict(real_window)}
     # One entry, as the order of several is that of a hash table, which differs between processes.
-    metadata = {KIND: json.dumps(about)}
+    metadata = {KIND: json.dumps({"simulator": simulator, "shape": asdict(shape), **windows})}
     # The format has no strides and its writer does not look at them: weights trained channels last would be permuted.
     halves = {name: np.ascontiguousarray(value, np.float16) for name, value in tensors.items()}
     write_whole(path, save(halves, metadata=metadata))
@@ -111,10 +184,10 @@ def load_generator(path: Path) -> StoredGenerator:
                 raise Sim2RealError(f"{path} is no generator: expected a file of `ds sim2real train`")
             about: dict[str, Any] = json.loads(metadata[KIND])
             shape = GeneratorShape(**{name: _whole(value) for name, value in about["shape"].items()})
-            windows = [
+            window, real_window = (
                 Window(**{name: _whole(value) for name, value in about[key].items()})
                 for key in ("window", "real_window")
-            ]
+            )
             if not (
                 1 <= shape.filters <= MOST_FILTERS
                 and 0 <= shape.blocks <= MOST_BLOCKS
@@ -135,13 +208,9 @@ def load_generator(path: Path) -> StoredGenerator:
         raise Sim2RealError(f"{path} cannot be read ({text}): the file is damaged, copy it again") from None
     if not all(bool(np.isfinite(value).all()) for value in tensors.values()):
         raise Sim2RealError(f"{path} holds NaN or infinity: train the generator again")
+    content = path.read_bytes()
     return StoredGenerator(
-        simulator=simulator,
-        shape=shape,
-        window=windows[0],
-        real_window=windows[1],
-        tensors=tensors,
-        content=path.read_bytes(),
+        simulator=simulator, shape=shape, window=window, real_window=real_window, tensors=tensors, content=content
     )
 
 

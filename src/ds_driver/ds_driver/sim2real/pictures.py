@@ -1,27 +1,29 @@
-"""Reads real photographs: a Donkey Car tub, a bag, or a folder of images."""
+"""Reads photographs and camera images: a Donkey Car tub, a bag, a data set or a folder; makes sheets of pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
+from ds_driver.data.dataset import decode, read_samples
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
+from ds_driver.sim2real.generator import Sim2RealError, resize
 from ds_driver.sim2real.settings import HELD_OUT
-from ds_driver.sim2real.window import Sim2RealError, resize
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
+from ds_sim.registry import SIMULATORS
 
-Item = TypeVar("Item")
 SUFFIXES = (".jpg", ".jpeg", ".png")
 LARGEST_WIDTH = 640
 """Columns to which larger photographs are reduced; chosen: twice what the largest generator sees."""
 FEWEST = 20
 """Fewest photographs; chosen: a fifth is held out, and lines are measured on the others."""
+GAP = 4
+"""White pixels between pictures."""
 
 
 def read_photographs(source: Path, *, limit: int | None = None) -> NDArray[np.uint8]:
@@ -63,11 +65,11 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
         raise Sim2RealError(f"{source} does not exist: expected a tub, a bag, or a folder of photographs")
     if is_tub(source):
         records = [record.image for record in read_tub(source).records if record.image is not None]
-        yield from map(_decoded, _even(records, limit))
+        yield from (_decoded(records[i]) for i in evenly(len(records), limit))
         return
     if (source / "metadata.yaml").exists() or source.suffix in (".bag", ".mcap", ".db3"):
         frames = list(open_recording(source, Reading()).frames())
-        for frame in _even(frames, limit):
+        for frame in (frames[i] for i in evenly(len(frames), limit)):
             if frame.image is None:
                 raise Sim2RealError(f"{frame.trouble}: remove that image, or record it again")
             yield f"{source}, image {frame.index}", frame.image
@@ -75,7 +77,7 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
     if not source.is_dir():
         raise Sim2RealError(f"{source} is a file: expected a tub, a bag, or a folder of photographs")
     files = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
-    yield from map(_decoded, _even(files, limit))
+    yield from (_decoded(files[i]) for i in evenly(len(files), limit))
 
 
 def read_photograph(file: Path) -> NDArray[np.uint8]:
@@ -101,7 +103,45 @@ def _decoded(file: Path) -> tuple[str, NDArray[np.uint8]]:
         raise Sim2RealError(f"{file}: {reason}: remove that file, or copy it again") from None
 
 
-def _even(items: list[Item], limit: int | None) -> list[Item]:
-    if limit is None or len(items) <= limit:
-        return items
-    return [items[i] for i in np.linspace(0, len(items) - 1, limit).round().astype(int)]
+def evenly(count: int, limit: int | None) -> NDArray[np.int64]:
+    """Choose at most `limit` of `count` items, evenly, all if None; return their indices."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit or count)).round().astype(np.int64))
+
+
+def camera_images(source: Path, simulator: str, count: int) -> list[NDArray[np.uint8]]:
+    """Read evenly chosen images of a simulator's camera.
+
+    Args:
+        source: data set, bag, tub, or folder of images.
+        simulator: simulator whose images they are; checked where the source says so.
+        count: largest number of images.
+
+    Raises:
+        Sim2RealError: there are none, or they are of another simulator.
+    """
+    if source.is_dir() and next(source.glob("*/*.parquet"), None) is not None:
+        samples = [sample for sample in read_samples(source) if sample.simulator == simulator]
+        if not samples:
+            raise Sim2RealError(f"{source} has no drives of {simulator}, whose images the generator translates")
+        return [decode(samples[i].jpeg) for i in evenly(len(samples), count)]
+    if (source / "metadata.yaml").exists() or source.suffix in (".mcap", ".db3", ".bag"):
+        group = open_recording(source, Reading()).group
+        if group in SIMULATORS and group != simulator:
+            raise Sim2RealError(
+                f"the generator translates images of {simulator}, {source} is of {group}: choose the one of {group}"
+            )
+    images = [image for _, image in read_images(source, count)]
+    if not images:
+        raise Sim2RealError(f"{source} has no images: expected a data set, a bag, a tub or {', '.join(SUFFIXES)} files")
+    return images
+
+
+def sheet(rows: Sequence[Sequence[NDArray[np.uint8]]]) -> NDArray[np.uint8]:
+    """Arrange pictures of one size in rows, which may differ in length: (rows, columns, 3) uint8 RGB."""
+    height, width = rows[0][0].shape[:2]
+    longest = max(map(len, rows))
+    page = np.full((len(rows) * (height + GAP) - GAP, longest * (width + GAP) - GAP, 3), 255, np.uint8)
+    for top, row in zip(range(0, len(page), height + GAP), rows, strict=True):
+        for left, picture in zip(range(0, page.shape[1], width + GAP), row, strict=False):
+            page[top : top + height, left : left + width] = picture
+    return page

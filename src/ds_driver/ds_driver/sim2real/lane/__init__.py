@@ -1,1 +1,0 @@
-"""Where the lane is: finds its lines in images, and shows it alike in both domains."""
