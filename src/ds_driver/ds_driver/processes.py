@@ -32,11 +32,7 @@ class ChildProcesses:
     ) -> subprocess.Popen[bytes]:
         """Start a child in a session of its own, so that Ctrl-C in the terminal reaches only this process.
 
-        Args:
-            command: program and arguments.
-            environment: its whole environment.
-            log: file to which its standard output and standard error are appended.
-            pass_fds: file descriptors that it inherits.
+        It has the given environment only, and inherits the descriptors `pass_fds`; what it prints is appended to `log`.
         """
 
         def spawn() -> subprocess.Popen[bytes]:

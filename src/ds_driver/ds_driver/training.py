@@ -126,15 +126,9 @@ def train(
 ) -> list[Epoch]:
     """Train a network; an interrupted training resumes after the last complete epoch.
 
-    Args:
-        data: folder of the data set.
-        out: output folder, created if missing, for `<network>.safetensors` (best epoch), the checkpoint, and
-            `training.json` at the end; and for a translated data set its generators in `sim2real`, where the network
-            looks for them.
-        plan: settings of the training.
-        report: called with lines of progress.
-        crops: crop per simulator; those of `ds_driver.data.dataset` if omitted.
-        trusted: simulators outside the project that the data set may name.
+    The folder `out`, created if missing, gets `<network>.safetensors` (best epoch), the checkpoint, and at the end
+    `training.json`; and for a translated data set its generators in `sim2real`, where the network looks for them. Crops
+    are those of `crops_of` if omitted; the data set may name `trusted` simulators outside the project.
 
     Returns:
         Losses of all epochs, including those before an interruption.

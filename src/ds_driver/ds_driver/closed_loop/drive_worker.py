@@ -29,11 +29,7 @@ KEY_BYTES = 8
 class PhaseMemory:
     """A few bytes that one process writes and another reads.
 
-    Args:
-        file: descriptor of the memory, from `descriptor` of the creating side; None to create it.
-
-    Attributes:
-        descriptor: file descriptor, to be passed on to the other process.
+    Its `descriptor` is passed on to the other process, which opens the memory with it.
     """
 
     def __init__(self, file: int | None = None) -> None:

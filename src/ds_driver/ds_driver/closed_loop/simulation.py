@@ -27,11 +27,7 @@ Driver = Callable[[Observation], Command]
 
 
 def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
-    """Make a driver for one simulator: the autopilot with its gains, or a network with its crop.
-
-    Args:
-        driver: name as in `DriveRequest.driver`.
-        spec: spec of the simulator.
+    """Make the driver of a name for one simulator: the autopilot with its gains, or a network with its crop.
 
     Raises:
         ValueError: the name is unknown, or the driver cannot be loaded.
@@ -56,13 +52,8 @@ def drive_road(
 ) -> RunRecord:
     """Drive a road until the run ends; failures of simulator or driver end the run as an error.
 
-    Args:
-        simulator: draws whole images if the run is probed, unless it satisfies `ds_sim.simulator.TakesStills`.
-        driver: answers every frame.
-        road: road to drive.
-        seed: seed of the run.
-        conditions: operating conditions of the run.
-        probed: measure the contrast of the lines; see `ds_sim.gates`.
+    A probed run measures the contrast of the lines (`ds_sim.gates`), on whole images unless the simulator satisfies
+    `ds_sim.simulator.TakesStills`.
 
     Raises:
         ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no run then.
@@ -154,10 +145,6 @@ class InterleavedDrives:
 
     def begin(self, key: int, request: DriveRequest) -> None:
         """Begin a drive; `step` yields its record when it has ended, also where the simulator cannot load the road.
-
-        Args:
-            key: identifies the drive.
-            request: what to drive, with this driver or the autopilot.
 
         Raises:
             ValueError: the request is for another driver.

@@ -28,12 +28,7 @@ def success_rates(
 ) -> dict[str, dict[str, float]]:
     """Share of the roads that a driver completes on each simulator, by direction, without ROS.
 
-    Args:
-        driver: `autopilot`, a shipped network, or a weights file.
-        simulators: names of the simulators.
-        roads: roads to drive, each in both directions.
-        seed: seed of the runs on the first road; it increases by one per road.
-        progress: called after every drive.
+    Each road is driven in both directions; `seed` is that of the runs on the first road, and increases by one per road.
 
     Returns:
         Simulator -> `forward` and `reverse` -> share in [0, 1].

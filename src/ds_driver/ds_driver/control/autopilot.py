@@ -42,9 +42,6 @@ class Autopilot:
     The lateral position is taken at a preview point ahead of the vehicle (`preview_lateral_position`), as a human
     driver looks ahead; the authors' simulators also send the autopilot a separate error (`cte_pid`).
 
-    Args:
-        gains: gains for the vehicle.
-
     Examples:
         >>> from ds_driver import Autopilot
         >>> from ds_sim import spec_of

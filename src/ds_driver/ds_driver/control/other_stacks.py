@@ -101,16 +101,18 @@ class Motion:
             raise MotionError("a request needs either a speed or a throttle")
 
 
-def _finite(**values: float) -> None:
-    for name, value in values.items():
+def _numbers(message: Any, *paths: str) -> list[float]:
+    """Read finite numbers of a message by their paths."""
+    values = [float(part(message, path)) for path in paths]
+    for path, value in zip(paths, values, strict=True):
         if not math.isfinite(value):
-            raise MotionError(f"{name} is {value}: expected a finite number")
+            raise MotionError(f"{path} is {value}: expected a finite number")
+    return values
 
 
 def from_twist(twist: Any, geometry: Geometry) -> Motion:
     """Convert a geometry_msgs/Twist: linear.x in m/s, angular.z in rad/s, left positive."""
-    speed, yaw_rate = float(twist.linear.x), float(twist.angular.z)
-    _finite(**{"linear.x": speed, "angular.z": yaw_rate})
+    speed, yaw_rate = _numbers(twist, "linear.x", "angular.z")
     return Motion(geometry.steering_of(geometry.angle_for(speed, yaw_rate)), speed=speed)
 
 
@@ -122,8 +124,7 @@ def to_twist(twist: Any, motion: Motion, geometry: Geometry) -> None:
 
 def from_ackermann(drive: Any, geometry: Geometry) -> Motion:
     """Convert an ackermann_msgs/AckermannDrive: steering_angle in rad, left positive; speed in m/s."""
-    angle, speed = float(drive.steering_angle), float(drive.speed)
-    _finite(steering_angle=angle, speed=speed)
+    angle, speed = _numbers(drive, "steering_angle", "speed")
     return Motion(geometry.steering_of(angle), speed=speed)
 
 
@@ -134,8 +135,7 @@ def to_ackermann(drive: Any, motion: Motion, geometry: Geometry) -> None:
 
 def from_servo(servo: Any, _geometry: Geometry) -> Motion:
     """Convert a deepracer_interfaces_pkg/ServoCtrlMsg: angle in [-1, 1], left positive; throttle in [-1, 1]."""
-    angle, throttle = float(servo.angle), float(servo.throttle)
-    _finite(angle=angle, throttle=throttle)
+    angle, throttle = _numbers(servo, "angle", "throttle")
     for name, value in (("angle", angle), ("throttle", throttle)):
         if abs(value) > 1.0:
             raise MotionError(f"{name} is {value:g}: expected a share from -1 to 1, not a pulse width")
@@ -151,8 +151,7 @@ def to_servo(servo: Any, motion: Motion, _geometry: Geometry) -> None:
 
 def from_autoware(control: Any, geometry: Geometry) -> Motion:
     """Convert an autoware_control_msgs/Control: steering_tire_angle in rad, left positive; velocity in m/s."""
-    angle, speed = float(control.lateral.steering_tire_angle), float(control.longitudinal.velocity)
-    _finite(steering_tire_angle=angle, velocity=speed)
+    angle, speed = _numbers(control, "lateral.steering_tire_angle", "longitudinal.velocity")
     return Motion(geometry.steering_of(angle), speed=speed)
 
 

@@ -69,12 +69,6 @@ class _Job:
 def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
     """Drive every road; skip drives whose file exists, so a stopped collection resumes.
 
-    Args:
-        plan: settings of the collection.
-        simulators: names of the simulators to drive on.
-        folder: folder of the data set, created if missing.
-        progress: called after each drive.
-
     Raises:
         ds_driver.data.dataset.DatasetError: the folder holds drives of another plan.
     """

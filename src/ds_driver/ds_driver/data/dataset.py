@@ -236,13 +236,7 @@ def check_equal(samples: list[Sample]) -> None:
 
 
 def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | None = None) -> list[Sample]:
-    """Draw the same number of samples from every simulator (paper 3.2.2), without replacement.
-
-    Args:
-        samples: samples, any number per simulator.
-        rng: generator that draws the samples.
-        limit: largest number of samples per simulator.
-    """
+    """Draw the same number of samples, at most `limit`, from every simulator (paper 3.2.2), without replacement."""
     by_simulator: dict[str, list[Sample]] = {}
     for sample in samples:
         by_simulator.setdefault(sample.simulator, []).append(sample)
@@ -271,10 +265,6 @@ def write_manifest(folder: Path, about: dict[str, object]) -> None:
 
 def translated_by(data: Path, names: Collection[str]) -> dict[str, str]:
     """Return which generators translated a data set: simulator -> SHA-256; empty if its images are plain.
-
-    Args:
-        data: folder of the data set.
-        names: names of the simulators and recordings in its samples.
 
     Raises:
         DatasetError: some simulators' images are translated and others' are not, or a mark is damaged.
@@ -314,11 +304,6 @@ def _digest(mark: Path) -> str:
 
 def crops_of(data: Path, names: Iterable[str], *, trusted: Collection[str] = ()) -> dict[str, Crop]:
     """Return the crop for each name in a data set: that of the simulator, or none for recordings.
-
-    Args:
-        data: folder of the data set.
-        names: names of simulators or recordings in its samples.
-        trusted: user-provided simulators whose code may run.
 
     Raises:
         ds_sim.registry.UnknownSimulatorError: a name denotes neither a simulator nor recordings.

@@ -294,12 +294,6 @@ def import_recordings(
 
     Images are resized to (160, 320, 3) RGB; training does not crop them.
 
-    Args:
-        recordings: bags or tubs.
-        out: folder of a data set, new or with drives on simulators.
-        name: name of the recordings in training and reports.
-        progress: called after each recording.
-
     Raises:
         DatasetError: the name is taken, an image is damaged, or nothing has a label.
         ds_bags.layout.BagError: a recording is damaged.

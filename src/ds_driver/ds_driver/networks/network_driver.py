@@ -46,12 +46,7 @@ BUILT_IN_BACKEND = "onnx"
 
 
 class BuiltInPilot(Pilot):
-    """Drives with one of the paper's networks.
-
-    Args:
-        network: name of a shipped network, or a weights file.
-        backend: one of `ds_driver.networks.backends.BACKENDS`.
-        device: `cpu`, or `cuda` with PyTorch.
+    """Drives with one of the paper's networks: a shipped one by name, or a weights file.
 
     Raises:
         ds_driver.networks.weights.WeightsError: the weights cannot be used.
@@ -151,13 +146,7 @@ class NetworkDriver:
         return self._pilot.largest_batch
 
     def rows_seen(self, crop: Crop, height: int, simulator: str | None = None) -> tuple[int, int] | None:
-        """Return first row and end of the rows that the driver looks at; None if it may look at all.
-
-        Args:
-            crop: crop of the simulator's images.
-            height: rows of its images.
-            simulator: name of the simulator; None if unknown.
-        """
+        """Return first row and end of the rows that the driver looks at, None if it may look at all; see `Pilot`."""
         return self._pilot.rows_seen(crop, height, simulator)
 
     @property
@@ -207,10 +196,6 @@ Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 def translation_of(driver: str, simulator: str) -> Translation | None:
     """Return how a driver sees a simulator's images, for recordings and pictures; None if it sees them as they are.
-
-    Args:
-        driver: name of the driver.
-        simulator: name of the simulator in the registry.
 
     Raises:
         DriverError: the generators of the driver are missing.

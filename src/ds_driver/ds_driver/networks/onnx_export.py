@@ -42,10 +42,7 @@ class OnnxGraph:
     def file(self, name: str, given: tuple[str, int, Sequence[Any]], result: tuple[str, int, Sequence[Any]]) -> bytes:
         """Return the content of an ONNX file; the last node computes the result.
 
-        Args:
-            name: name of the graph.
-            given: name, element type and shape of the input.
-            result: the same of the output.
+        `given` and `result` are name, element type and shape of the input and of the output.
         """
         self._nodes[-1].output[0] = result[0]
         graph = helper.make_graph(

@@ -118,14 +118,7 @@ def load_network(name_or_path: str) -> nn.Module:
 def save_weights(
     network: nn.Module, path: Path, *, architecture: str, generators: dict[str, str] | None = None
 ) -> None:
-    """Write a network's weights as float16, which halves the file; `load_weights` returns float32.
-
-    Args:
-        network: trained network.
-        path: file to write.
-        architecture: its name.
-        generators: see `ds_driver.networks.weights.metadata_of`.
-    """
+    """Write a network's weights as float16, which halves the file; `load_weights` returns float32."""
     tensors = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
     with whole_file(path) as partial:
         save_file(tensors, partial, metadata=metadata_of(architecture, generators or {}))
@@ -163,12 +156,7 @@ def torch_device(name: str) -> torch.device:
 
 
 def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -> Runner:
-    """Run a network with PyTorch.
-
-    Args:
-        network: maps one tensor to a tensor or a sequence of tensors; already on the device.
-        device: device of the network.
-    """
+    """Run a network that maps one tensor to a tensor or a sequence of tensors, and is on the device already."""
     torch.set_num_threads(1)
 
     @torch.inference_mode()
@@ -187,11 +175,6 @@ def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -
 
 def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runner:
     """Run a TorchScript file with PyTorch.
-
-    Args:
-        content: content of the file.
-        device: device to run on.
-        where: name of the file, for messages.
 
     Raises:
         BackendError: the file is not TorchScript.

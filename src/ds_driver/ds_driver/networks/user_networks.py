@@ -56,9 +56,6 @@ def limited_memory(extra: int = NETWORK_MEMORY) -> Iterator[None]:
 
     A graph of three nodes can ask for terabytes, and the runtimes set no limit. The limit applies to the whole process,
     other threads included; nested and concurrent uses keep the first limit.
-
-    Args:
-        extra: bytes that may be mapped in addition.
     """
     global _inside, _before
     with _lock:
@@ -199,11 +196,7 @@ def read_description(path: Path) -> DescribedNetwork:
 
 
 def file_of(path: Path, description: DescribedNetwork) -> Path:
-    """Return the path of the network file.
-
-    Args:
-        path: path of the description.
-        description: content of the description.
+    """Return the path of the network file that a description, from `path`, names.
 
     Raises:
         DriverError: the file is missing, or of an unknown format.
@@ -219,12 +212,7 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
 
 
 class DescribedNetworkPilot(Pilot):
-    """Drives with a described network file.
-
-    Args:
-        path: path of the description.
-        backend: `auto`, or a backend that can run the file.
-        device: `cpu`, or `cuda` for TorchScript.
+    """Drives with a network file, from the path of its description.
 
     Raises:
         DriverError: the description or the file cannot be used.
@@ -346,9 +334,6 @@ class UserClassPilot(Pilot):
     """Wraps a class without constructor arguments, with a method `drive(frame)` and, if it has state, `start()`.
 
     `drive` takes a `Frame` and returns the steering, or a pair of steering and throttle.
-
-    Args:
-        target: `module:Class`.
 
     Raises:
         DriverError: the class cannot be imported or instantiated, or fails on a black image.

@@ -194,11 +194,7 @@ def load_weights(name_or_path: str) -> Weights:
 
 
 def compress(path: Path, out: Path) -> list[str]:
-    """Store the large layers of a weights file in 8 bits.
-
-    Args:
-        path: weights file in half precision.
-        out: file to write; may be `path`.
+    """Store the large layers of a weights file in half precision in 8 bits; `out` may be `path`.
 
     Returns:
         Names of the tensors that were compressed; those that already are in 8 bits stay as they are.
@@ -220,11 +216,7 @@ def compress(path: Path, out: Path) -> list[str]:
 
 
 def expand(tensors: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
-    """Multiply stored integers by their rows' scales; other tensors stay as they are.
-
-    Args:
-        tensors: all tensors of a file, integers already as float32.
-    """
+    """Multiply stored integers, already as float32, by their rows' scales; other tensors stay as they are."""
     return {
         key: value * tensors[key + SCALE][:, None] if key + SCALE in tensors else value
         for key, value in tensors.items()

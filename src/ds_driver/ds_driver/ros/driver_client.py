@@ -29,11 +29,7 @@ class NoDriverError(RuntimeError):
 
 
 class DriverClient:
-    """Calls a driver node as a function of frames; provides the topics and the service of a simulator.
-
-    Args:
-        namespace: namespace in which the driver expects a simulator.
-    """
+    """Calls a driver node as a function of frames, in place of the simulator in its namespace."""
 
     def __init__(self, namespace: str) -> None:
         init_ros()

@@ -150,11 +150,7 @@ class DriverNode(Node):
         return Crop(*(reported if given == SIMULATORS else given for given, reported in pairs))
 
     def rows_seen(self, spec: SimulatorSpec) -> tuple[int, int] | None:
-        """Return first row and end of the rows that the network looks at; None if it may look at all.
-
-        Args:
-            spec: description of the simulator in this node's own namespace.
-        """
+        """Return the rows that the network sees in images of its own namespace's simulator, as `Pilot.rows_seen`."""
         crop = self._crop_of(0, spec.crop_top, spec.crop_bottom)
         return self._driver.rows_seen(crop, spec.camera.height_px, spec.name)
 

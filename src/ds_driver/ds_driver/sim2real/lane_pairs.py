@@ -110,11 +110,7 @@ def lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float64
 
 
 def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> LanePairs:
-    """Find the photographs that show the lane where simulated images show it.
-
-    Args:
-        simulated: (n, rows, columns, 3) uint8 RGB, prepared.
-        photographs: (m, rows, columns, 3) uint8 RGB, prepared.
+    """Find photographs that show the lane where simulated images do; both (n, rows, columns, 3) uint8 RGB, prepared.
 
     Raises:
         Sim2RealError: too few images show both lines.

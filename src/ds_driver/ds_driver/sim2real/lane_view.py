@@ -196,11 +196,7 @@ def lane_difference(views: tuple[LaneView, LaneView], windows: tuple[Window, Win
 
 
 def measure_lane(images: NDArray[np.uint8], what: str) -> LaneView:
-    """Measure where images show the lane.
-
-    Args:
-        images: (n, rows, columns, 3) uint8 RGB.
-        what: for messages, such as `photographs`.
+    """Measure where images, (n, rows, columns, 3) uint8 RGB, show the lane; `what` names them in messages.
 
     Raises:
         Sim2RealError: the images show nothing like a road.

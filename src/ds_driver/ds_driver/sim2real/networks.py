@@ -126,12 +126,7 @@ class ImagePool:
         self.images: list[Tensor] = []
 
     def query(self, image: Tensor, rng: np.random.Generator) -> Tensor:
-        """Return the image itself, or an earlier one in exchange.
-
-        Args:
-            image: (1, 3, rows, columns), without gradient.
-            rng: source of all random numbers.
-        """
+        """Return the image itself, (1, 3, rows, columns) without gradient, or an earlier one in exchange."""
         if len(self.images) < self.size:
             self.images.append(image)
             return image

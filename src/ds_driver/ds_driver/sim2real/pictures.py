@@ -27,11 +27,7 @@ GAP = 4
 
 
 def read_photographs(source: Path, *, limit: int | None = None) -> NDArray[np.uint8]:
-    """Read photographs in their order, evenly chosen if there are more than `limit`.
-
-    Args:
-        source: tub, bag, or folder of JPEG and PNG files, which are read in the order of their names.
-        limit: largest number of photographs.
+    """Read photographs in their order, files in that of their names, evenly chosen if there are more than `limit`.
 
     Returns:
         (n, rows, columns, 3) uint8 RGB.
@@ -109,12 +105,7 @@ def evenly(count: int, limit: int | None) -> NDArray[np.int64]:
 
 
 def camera_images(source: Path, simulator: str, count: int) -> list[NDArray[np.uint8]]:
-    """Read evenly chosen images of a simulator's camera.
-
-    Args:
-        source: data set, bag, tub, or folder of images.
-        simulator: simulator whose images they are; checked where the source says so.
-        count: largest number of images.
+    """Read at most `count` evenly chosen images of a simulator's camera from a data set, bag, tub, or folder.
 
     Raises:
         Sim2RealError: there are none, or they are of another simulator.

@@ -66,14 +66,8 @@ def read_sources(
 ) -> Sources:
     """Read photographs, drive for simulated images, and find the crops that show the lane alike.
 
-    Args:
-        simulator: name of the simulator.
-        source: tub, bag or folder of photographs.
-        out: folder of the training, created if missing; keeps the simulated images.
-        settings: settings of the training.
-        progress: called after each simulated drive.
-        data_sets: folders of data sets whose roads must not be used.
-        expected: card of a finished training; the same photographs must lead to its crops.
+    The folder `out`, created if missing, keeps the simulated images. Roads of `data_sets` must not be used. If the card
+    of a finished training is `expected`, the same photographs must lead to its crops.
 
     Raises:
         Sim2RealError: photographs or settings cannot be used.
@@ -105,12 +99,7 @@ def read_sources(
 
 
 def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains, tuple[str, ...]]:
-    """Crop both domains, pair their images, and write the training's card.
-
-    Args:
-        sources: frames, photographs and crops.
-        source: where the photographs come from.
-        out: folder of the training, for the card `sim2real.json`.
+    """Crop both domains, pair their images, and write the training's card, `sim2real.json`, to its folder.
 
     Returns:
         Images for training, and warnings for the user.

@@ -81,13 +81,7 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
 def simulated_frames(
     simulator: str, settings: Sim2RealSettings, file: Path, progress: Callable[[int, int, str], None]
 ) -> SimulatedFrames:
-    """Drive the roads, or read the file of an earlier call with the same settings.
-
-    Args:
-        simulator: name of the simulator.
-        settings: settings of the training.
-        file: `.npz` that keeps the frames.
-        progress: called after each drive.
+    """Drive the roads, or read the `.npz` file of an earlier call with the same settings.
 
     Raises:
         Sim2RealError: the file is damaged or has other settings.

@@ -92,10 +92,7 @@ def shipped_set_of(digests: Mapping[str, str]) -> str | None:
 
 
 def open_set(name: str) -> GeneratorSet:
-    """Open a set of generators.
-
-    Args:
-        name: name of a shipped set, or a folder with a file `SIMULATOR.safetensors` for each simulator.
+    """Open a shipped set of generators by name, or a folder with a file `SIMULATOR.safetensors` for each simulator.
 
     Raises:
         DriverError: there is no such set.
@@ -113,12 +110,7 @@ def open_set(name: str) -> GeneratorSet:
 
 
 def set_of_network(name: str, weights: Path, digests: Mapping[str, str]) -> GeneratorSet:
-    """Find the generators that a network was trained with: beside its weights, or in a shipped set.
-
-    Args:
-        name: of the network, for messages.
-        weights: its file.
-        digests: simulator -> SHA-256 of its generator, from the file.
+    """Find the generators, simulator -> SHA-256, that a network was trained with: beside its weights, or shipped.
 
     Raises:
         DriverError: one is missing.
@@ -154,13 +146,7 @@ def _sha256(path: Path) -> str:
 
 
 class Sim2RealStage:
-    """Translates camera images of several simulators, each with its own generator.
-
-    Args:
-        generators: generators by simulator.
-        backend: one of `ds_driver.sim2real.translator.BACKENDS`.
-        device: `cpu`, or `cuda` with PyTorch.
-    """
+    """Translates camera images of several simulators, each with its own generator."""
 
     def __init__(self, generators: GeneratorSet, backend: str = "onnx", device: str = "cpu") -> None:
         self.generators = generators

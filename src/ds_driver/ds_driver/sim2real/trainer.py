@@ -74,12 +74,7 @@ class Domains:
 
 
 class CycleGan:
-    """Two generators, two discriminators, their optimisers and pools.
-
-    Args:
-        settings: settings of the training.
-        device: where it computes.
-    """
+    """Two generators, two discriminators, their optimisers and pools."""
 
     def __init__(self, settings: Sim2RealSettings, device: torch.device) -> None:
         torch.manual_seed(settings.seed)
@@ -153,13 +148,6 @@ def train(
     """Train; an interrupted training continues after the last whole epoch, with the results of an undisturbed one.
 
     Writes `epochs/epoch_NNN.safetensors` and `.png` (simulated, translated, back; real, simulated, back).
-
-    Args:
-        domains: images.
-        settings: settings of the training.
-        out: existing folder.
-        report: called with lines of progress.
-        now: clock for the time left, s.
 
     Returns:
         Mean losses of each epoch.

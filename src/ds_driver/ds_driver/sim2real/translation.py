@@ -37,12 +37,8 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 def translate(source: Path, out: Path, translator: Translator, progress: Progress, *, workers: int | None = 1) -> int:
     """Translate a data set, bag or tub of simulated drives; what is there already is kept, so a stopped one continues.
 
-    Args:
-        source: data set of `ds collect`, bag of this project, or tub.
-        out: folder to write, new or one that the same generator wrote.
-        translator: translates.
-        progress: called after each drive, or each hundred images of a tub.
-        workers: number of processes for a data set; as many as there are processors if None. Bags and tubs take one.
+    A data set is translated by as many processes as there are processors if `workers` is None; bags and tubs take one.
+    `progress` is called after each drive, or each hundred images.
 
     Returns:
         Number of translated drives, or of images of a bag or tub.

@@ -135,12 +135,7 @@ class HeldOut:
 
 
 class Assessor:
-    """Computes the numbers of a set of images; what does not depend on a generator is computed once.
-
-    Args:
-        held_out: frames and photographs.
-        driver: name of the frozen network.
-    """
+    """Computes the numbers of a set of images; what does not depend on a generator is computed once."""
 
     def __init__(self, held_out: HeldOut, driver: str) -> None:
         self._held_out = held_out
@@ -194,12 +189,6 @@ def assess_checkpoints(
 ) -> dict[str, Any]:
     """Assess every checkpoint of a training, write `assessment.json`, and choose one.
 
-    Args:
-        folder: folder of the training.
-        held_out: frames and photographs that training did not see.
-        driver: name of the frozen network whose steering is compared.
-        progress: called after each checkpoint.
-
     Returns:
         Content of the file: numbers of the untranslated images and of each checkpoint, and the one chosen.
 
@@ -233,16 +222,7 @@ def assess_checkpoints(
 
 
 def ship(folder: Path, assessment: dict[str, Any], card: dict[str, Any], out: Path) -> list[Path]:
-    """Write the chosen generator with its card and its ONNX file.
-
-    Args:
-        folder: folder of the training.
-        assessment: of `assess_checkpoints`.
-        card: of the training.
-        out: folder to write to, created if missing.
-
-    Returns:
-        Files written.
+    """Write the chosen generator with its card and its ONNX file; return the files.
 
     Raises:
         Sim2RealError: no checkpoint is within the bounds.

@@ -110,12 +110,7 @@ class LaneKept:
 
 
 def lane_kept(images: Sequence[NDArray[np.uint8]], truths: Sequence[Truth]) -> LaneKept:
-    """Find the lines in images and compare them with the truth.
-
-    Args:
-        images: (rows, columns, 3) uint8 RGB each.
-        truths: masks of each image, from `ds_driver.sim2real.evaluation.lane_kept`.
-    """
+    """Find the lines in images, (rows, columns, 3) uint8 RGB each, and compare them with masks of `LineProjector`."""
     common = either = 0
     shifts: list[float] = []
     rows, found_rows = dict.fromkeys(LANE_LINES, 0), dict.fromkeys(LANE_LINES, 0)

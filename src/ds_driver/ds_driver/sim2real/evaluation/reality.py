@@ -89,9 +89,7 @@ class Agreement:
 def read_human_drive(source: Path, *, whole: bool = False) -> Photographed:
     """Read the photographs of a tub that training never saw, its last fifth, with the human's steering.
 
-    Args:
-        source: tub.
-        whole: read all of it, for a tub that no training has used.
+    `whole` reads all of it, for a tub that no training has used.
 
     Raises:
         Sim2RealError: it is no tub, or has too few photographs with steering, or the human never steered.
@@ -123,11 +121,8 @@ def matched_windows(
 ) -> dict[str, Window]:
     """Return the crop of the photographs for each generator's simulator.
 
-    Args:
-        generators: of a set.
-        photographed: photographs to crop.
-        trained_on: photographs that the generators were trained on, if those are of another track or camera: the lane
-            is then shown as there.
+    Give the photographs that the generators were trained on, if those are of another track or camera: the lane is then
+    shown as there.
 
     Raises:
         Sim2RealError: photographs show nothing like a lane, or are of another size than in training.
@@ -151,12 +146,8 @@ def agreements(
 
     Blocks of consecutive frames are resampled together, as neighbours are alike.
 
-    Args:
-        networks: names; each sees the photographs as they are, whatever it was trained on.
-        photographed: photographs.
-        windows: simulator -> crop of the photographs.
-        size: rows and columns of the generators, to which crops are reduced as in driving.
-        progress: called after each network and window.
+    Each network sees the photographs as they are, whatever it was trained on, cropped by `windows`, of each simulator,
+    and reduced to `size`, the generators' rows and columns, as in driving.
     """
     answers: dict[str, dict[str, Array]] = {}
     for index, network in enumerate(networks):
