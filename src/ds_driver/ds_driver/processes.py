@@ -17,6 +17,8 @@ from typing import TypeVar
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
+Progress = Callable[[int, int, str], None]
+"""Called with the number of jobs done, their total number, and a line about the last one."""
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 

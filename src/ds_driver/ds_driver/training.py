@@ -124,14 +124,11 @@ def train(
     *,
     trusted: Collection[str] = (),
 ) -> list[Epoch]:
-    """Train a network; an interrupted training resumes after the last complete epoch.
+    """Train a network, or resume after the last complete epoch; return the losses of all epochs.
 
     The folder `out`, created if missing, gets `<network>.safetensors` (best epoch), the checkpoint, and at the end
     `training.json`; and for a translated data set its generators in `sim2real`, where the network looks for them. Crops
     are those of `crops_of` if omitted; the data set may name `trusted` simulators outside the project.
-
-    Returns:
-        Losses of all epochs, including those before an interruption.
 
     Raises:
         DatasetError: the data set cannot be used.

@@ -178,11 +178,7 @@ class InterleavedDrives:
         return _Drive(request.simulator, session, crop, autopilot, seen, probe)
 
     def step(self) -> list[tuple[int, RunRecord]]:
-        """Advance every drive by one frame.
-
-        Returns:
-            Keys and records of the drives that have ended.
-        """
+        """Advance every drive by one frame; return keys and records of those that have ended."""
         waiting = {key: drive for key, drive in self._active.items() if drive.session.driving}
         if waiting:
             self._note(Phase.DRIVING, ALL_DRIVES)

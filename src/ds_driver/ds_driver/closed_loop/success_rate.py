@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_all
 from ds_driver.data.collection import DIRECTIONS
 from ds_driver.networks.pilot import DriverError
+from ds_driver.processes import Progress
 from ds_road import Road, generate
 from ds_sim.simulator import Outcome
-
-Progress = Callable[[int, int, str], None]
-"""Called with the number of drives done, their total number, and a line about the last one."""
 
 
 def unseen_roads(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:

@@ -65,10 +65,7 @@ class WorkerProcess:
         self._next = 0
 
     def start(self) -> int:
-        """Start the process unless it runs.
-
-        Returns:
-            Number of drives that it answers at once.
+        """Start the process unless it runs; return the number of drives that it answers at once.
 
         Raises:
             WorkerError: it does not start, or cannot load the driver.
@@ -104,20 +101,21 @@ class WorkerProcess:
         self._stopped = True
         with self._lock:
             if self._process is not None:
-                self._process.kill()
+                self._process.child.kill()
 
     def close(self) -> None:
         """End the process."""
         self.stop()
         with self._lock:
             if self._process is not None:
-                self._process.join()
+                self._process.child.wait()
+                self._process.reader.join()
             self._children.close()
 
     @property
     def pid(self) -> int | None:
         """Process id; None before the first start."""
-        return None if self._process is None else self._process.pid
+        return None if self._process is None else self._process.child.pid
 
     def _running(self) -> _Process:
         """The process, started if it does not run; the lock is held."""
@@ -140,7 +138,7 @@ class _Process:
         self._connection, theirs = Pipe()
         self._memory = PhaseMemory()
         descriptors = (theirs.fileno(), self._memory.descriptor)
-        self._child = children.start(
+        self.child = children.start(
             [sys.executable, "-m", "ds_driver.closed_loop.drive_worker", *map(str, descriptors), driver],
             environment=python_environment(),
             log=log,
@@ -151,16 +149,12 @@ class _Process:
         self._lock = threading.Lock()
         self._drives: dict[int, tuple[DriveRequest, Future[RunRecord]]] = {}
         self._ended = ""
-        self._reader = threading.Thread(target=self._read, name="drives", daemon=True)
-        self._reader.start()
-
-    @property
-    def pid(self) -> int:
-        return self._child.pid
+        self.reader = threading.Thread(target=self._read, name="drives", daemon=True)
+        self.reader.start()
 
     @property
     def alive(self) -> bool:
-        return not self._ended and self._child.poll() is None
+        return not self._ended and self.child.poll() is None
 
     def request(self, key: int, asked: DriveRequest) -> Future[RunRecord]:
         """Send a drive; its future holds the record, or `_Lost` if the process ends."""
@@ -174,20 +168,13 @@ class _Process:
             self._connection.send_bytes(encoded_request(key, asked))
         return answer
 
-    def kill(self) -> None:
-        self._child.kill()
-
-    def join(self) -> None:
-        self._child.wait()
-        self._reader.join()
-
     def _greeting(self) -> int:
         deadline = time.monotonic() + START_TIME
         while not self._connection.poll(_POLL):
-            if self._child.poll() is not None and not self._connection.poll():
+            if self.child.poll() is not None and not self._connection.poll():
                 raise self._lost()
             if time.monotonic() > deadline:
-                self._child.kill()
+                self.child.kill()
                 raise WorkerError(f"a worker process did not load its driver within {START_TIME:.0f} s")
         try:
             greeting = json.loads(self._connection.recv_bytes())
@@ -198,8 +185,8 @@ class _Process:
         return int(greeting["largest_batch"])
 
     def _lost(self) -> _Lost:
-        self._child.wait()
-        status = self._child.returncode
+        self.child.wait()
+        status = self.child.returncode
         if status < 0:
             return _Lost(f"killed by signal {-status}")
         return _Lost(f"exit status {status}, {last_line_of(self._log)}")
@@ -213,9 +200,9 @@ class _Process:
                     self._receive(self._connection.recv_bytes())
                     continue
             except (EOFError, OSError, RunCodecError):
-                self._child.kill()
+                self.child.kill()
                 break
-            if self._child.poll() is not None:
+            if self.child.poll() is not None:
                 break
             changes, key, phase = self._memory.read()
             now = time.monotonic()
@@ -223,7 +210,7 @@ class _Process:
                 known, since = changes, now
             elif now - since > self._limits.get(phase, now):
                 self._blame(phase, key)
-                self._child.kill()
+                self.child.kill()
                 break
         lost = self._lost()
         with self._lock:

@@ -13,16 +13,13 @@ _STANDSTILL = 0.1
 
 
 def throttle(steering: float, speed: float, *, max_speed: float = 30.0, min_speed: float = 15.0) -> float:
-    """Throttle by the paper's equation 2.
+    """Throttle in [0, 1] by the paper's equation 2.
 
     Args:
         steering: steering in [-1, 1].
         speed: current speed, m/s.
         max_speed: speed threshold, and K = H below it, km/h (paper 4.2.4: 30).
         min_speed: K = L above the threshold, km/h (maxitwo: 15).
-
-    Returns:
-        Throttle in [0, 1].
     """
     kmh = speed * 3.6
     k = min_speed if kmh > max_speed else max_speed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -12,14 +11,11 @@ import numpy as np
 
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.dataset import drive_path, keep_plan, write_drive
-from ds_driver.processes import map_in_processes
+from ds_driver.processes import Progress, map_in_processes
 from ds_road import Road, generate
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import simulator_of_process
 from ds_sim.simulator import Command, Outcome, Simulator
-
-Progress = Callable[[int, int, str], None]
-"""Called with the number of finished drives, the total, and a line about the last drive."""
 
 DIRECTIONS = ("forward", "reverse")
 

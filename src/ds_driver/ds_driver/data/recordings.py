@@ -21,6 +21,7 @@ from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
 from ds_driver.networks.pilot import NOT_SIMULATED
+from ds_driver.processes import Progress
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import SIMULATORS, label_of, received_simulator, spec_of
@@ -172,7 +173,7 @@ def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
                 image = fit_to_network(_pixels(message), reading.rows)
             except ImageError as error:
                 trouble = f"{recording.path}, image {index}: {error}"
-            steering, speed = labels.at(time)
+            steering, speed = labels(time)
             yield RecordedFrame(
                 index=index,
                 seconds=(time - first) / 1e9,
@@ -211,35 +212,12 @@ def _pixels(message: Any) -> NDArray[np.uint8]:
     return rgb_of(data, encoding=message.encoding, height=message.height, width=message.width, step=message.step)
 
 
-class _Labels:
-    """Steering and speed over time.
-
-    Args:
-        steering: time in ns -> value.
-        speed: time in ns -> m/s.
-        exact: use only values with the same time, instead of the nearest within `NEAR`.
-    """
-
-    def __init__(self, steering: dict[int, float], speed: dict[int, float], *, exact: bool) -> None:
-        self._steering = steering
-        self._speed = speed
-        self._exact = exact
-        self._times = np.array(sorted(steering), dtype=np.int64)
-
-    def at(self, time: int) -> tuple[float | None, float]:
-        """Return steering, or None, and speed at a time in ns."""
-        if self._exact or not self._times.size:
-            return self._steering.get(time), self._speed.get(time, 0.0)
-        after = int(np.searchsorted(self._times, time))
-        near = min(self._times[max(0, after - 1) : after + 1], key=lambda t: abs(int(t) - time))
-        return (self._steering[int(near)] if abs(int(near) - time) <= NEAR * 1e9 else None), 0.0
-
-
-def _labels(bag: BagReader, recording: Recording) -> _Labels:
+def _labels(bag: BagReader, recording: Recording) -> Callable[[int], tuple[float | None, float]]:
+    """Return what gives steering, or None, and speed, m/s, at a time in ns."""
     if recording.reading.steering is not None:
-        return _Labels(_field(bag, recording.reading), {}, exact=False)
+        return _nearest(_field(bag, recording.reading))
     if recording.kind != _PROJECT_BAG:
-        return _Labels({}, {}, exact=True)
+        return lambda _time: (None, 0.0)
     recorded = read_run(bag, trusted=recording.reading.trusted)
     observations = recorded.run.observations
     speed = {stamp: o.vehicle.speed for stamp, o in zip(recorded.stamps, observations, strict=True)}
@@ -249,7 +227,20 @@ def _labels(bag: BagReader, recording: Recording) -> _Labels:
     else:
         steering = [command.steering for command in recorded.run.commands]
     # The last frame of a run has no command.
-    return _Labels(dict(zip(recorded.stamps, steering, strict=False)), speed, exact=True)
+    labels = dict(zip(recorded.stamps, steering, strict=False))
+    return lambda time: (labels.get(time), speed.get(time, 0.0))
+
+
+def _nearest(steering: dict[int, float]) -> Callable[[int], tuple[float | None, float]]:
+    """Look up the value that is nearest in time, within `NEAR`."""
+    times = np.array(sorted(steering), dtype=np.int64)
+
+    def at(time: int) -> tuple[float | None, float]:
+        after = int(np.searchsorted(times, time))
+        near = min(map(int, times[max(0, after - 1) : after + 1]), key=lambda t: abs(t - time), default=None)
+        return (None if near is None or abs(near - time) > NEAR * 1e9 else steering[near]), 0.0
+
+    return at
 
 
 def _field(bag: BagReader, reading: Reading) -> dict[int, float]:
@@ -272,14 +263,7 @@ def _field(bag: BagReader, reading: Reading) -> dict[int, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """Result of an import.
-
-    Attributes:
-        name: name of the recordings, in place of a simulator's.
-        images: number of labelled images, now in the data set.
-        unlabelled: number of images without steering, which are left out.
-        files: number of files written.
-    """
+    """Result of an import: its `images` are in the data set, `unlabelled` ones, without steering, are left out."""
 
     name: str
     images: int
@@ -287,9 +271,7 @@ class Imported:
     files: int
 
 
-def import_recordings(
-    recordings: list[Recording], out: Path, name: str, progress: Callable[[int, int, str], None]
-) -> Imported:
+def import_recordings(recordings: list[Recording], out: Path, name: str, progress: Progress) -> Imported:
     """Write recordings into a data set under a name of their own.
 
     Images are resized to (160, 320, 3) RGB; training does not crop them.

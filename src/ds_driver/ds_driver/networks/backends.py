@@ -193,6 +193,13 @@ def openvino_runner(
     )
 
 
+def graph_runner(content: bytes, where: str, backend: str) -> Runner:
+    """Run an ONNX graph of this project with a backend other than `torch`, in batches where their bits allow it."""
+    if backend == "onnx":
+        return onnx_runner(content, where)
+    return openvino_runner(content, where, bf16=backend == "openvino-bf16", batches=True)
+
+
 def cpu_capabilities(core: Any) -> list[str]:
     """List what the processor can compute with, in OpenVINO's words: `FP32`, `BF16`, `INT8`, ..."""
     return list(core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"))

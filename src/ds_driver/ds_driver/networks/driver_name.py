@@ -104,7 +104,7 @@ def _split_generators(name: str) -> tuple[str, str]:
 
 
 def received_driver(driver: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> str:
-    """Check a driver's name that was read from a received file, before anything is loaded.
+    """Check and return a driver's name that was read from a received file, before anything is loaded.
 
     The autopilot, shipped networks, safetensors weights, and described ONNX or TensorFlow Lite files run no code of
     their own. A Python class runs its module, and a TorchScript file is a program that can write files: the user has
@@ -114,9 +114,6 @@ def received_driver(driver: object, *, confirmed: Collection[str] = (), option: 
         driver: name in the file.
         confirmed: names that the user gave on the command line or in their own configuration.
         option: command line option that confirms a name, for the message.
-
-    Returns:
-        The name, safe to load.
 
     Raises:
         DriverError: the name is not text, would run unconfirmed code, or has no readable description.

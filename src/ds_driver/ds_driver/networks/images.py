@@ -35,12 +35,7 @@ class ImageError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """Image rows hidden from a network: those above the horizon, and the front of the vehicle.
-
-    Attributes:
-        top: rows cut off at the top.
-        bottom: rows cut off at the bottom.
-    """
+    """Image rows hidden from a network: the `top` above the horizon, and the `bottom` with the front of the vehicle."""
 
     top: int = 0
     bottom: int = 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.backends import Runner, onnx_runner, openvino_runner
+from ds_driver.networks.backends import Runner, graph_runner
 from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.onnx_export import to_onnx
@@ -57,7 +57,11 @@ class BuiltInPilot(Pilot):
     sees_crop_only = True
 
     def __init__(self, network: str, backend: str = "auto", device: str = "cpu") -> None:
-        runner = _runner(network, BUILT_IN_BACKEND if backend == "auto" else backend, device)
+        if backend == "torch":
+            runner = _torch_runner(network, device)
+        else:
+            chosen = BUILT_IN_BACKEND if backend == "auto" else backend
+            runner = graph_runner(to_onnx(load_weights(network)), network, chosen)
         self._compute = runner.compute
         self.largest_batch = runner.largest_batch
 
@@ -280,16 +284,7 @@ def driver_sha256(driver: str) -> str:
         parts = [source_of(name.network)]
     else:
         return weights_sha256(name.network)
-    return hashlib.sha256(b"".join(_digest(part) for part in parts)).hexdigest()
-
-
-def _runner(name: str, backend: str, device: str) -> Runner:
-    if backend == "torch":
-        return _torch_runner(name, device)
-    content = to_onnx(load_weights(name))
-    if backend == "onnx":
-        return onnx_runner(content, name)
-    return openvino_runner(content, name, bf16=backend == "openvino-bf16", batches=True)
+    return hashlib.sha256(b"".join(hashlib.sha256(part.read_bytes()).digest() for part in parts)).hexdigest()
 
 
 def _torch_runner(name: str, device: str) -> Runner:
@@ -319,8 +314,3 @@ def _finite(steering: float) -> Prediction | DriverError:
 
 def _within(value: float, low: float) -> float:
     return min(max(value, low), 1.0)
-
-
-def _digest(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").digest()

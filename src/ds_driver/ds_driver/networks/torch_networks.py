@@ -37,8 +37,8 @@ class DrivingNetwork(nn.Module):
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
-        self.features = _sequence(architecture.features)
-        self.steering = _sequence(architecture.steering)
+        self.features = nn.Sequential(*map(_module, architecture.features))
+        self.steering = nn.Sequential(*map(_module, architecture.steering))
         if architecture.initialise_for_relu:
             for layer in self.features.modules():
                 if isinstance(layer, nn.Conv2d):
@@ -122,10 +122,6 @@ def save_weights(
     tensors = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
     with whole_file(path) as partial:
         save_file(tensors, partial, metadata=metadata_of(architecture, generators or {}))
-
-
-def _sequence(layers: Sequence[Layer]) -> nn.Sequential:
-    return nn.Sequential(*map(_module, layers))
 
 
 def _module(layer: Layer) -> nn.Module:

@@ -305,7 +305,8 @@ def _runner(file: Path, backend: str, device: str) -> Runner:
     possible = _BACKENDS_OF[kind]
     chosen = possible[0] if backend == "auto" else backend
     if chosen not in possible:
-        raise BackendError(f"backend {chosen} cannot run {file.name}: expected {_either(possible)}")
+        expected = ", ".join(possible[:-1]) + f" or {possible[-1]}"
+        raise BackendError(f"backend {chosen} cannot run {file.name}: expected {expected}")
     try:
         content = read_bounded(file, LARGEST_FILE)
     except (BoundedYamlError, OSError) as error:
@@ -319,10 +320,6 @@ def _runner(file: Path, backend: str, device: str) -> Runner:
     from ds_driver.networks.torch_networks import torch_device, torchscript_runner
 
     return torchscript_runner(content, torch_device(device), file.name)
-
-
-def _either(names: tuple[str, ...]) -> str:
-    return " or ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _is_kind(part: object) -> bool:

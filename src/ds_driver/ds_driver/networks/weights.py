@@ -50,12 +50,7 @@ class WeightsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """Trained weights of an architecture.
-
-    Attributes:
-        architecture: one of `ds_driver.networks.architectures.NETWORKS`.
-        tensors: name in the file -> values, with the names and shapes of `Architecture.shapes`.
-    """
+    """Trained weights of an architecture, with the names and shapes of `Architecture.shapes`."""
 
     architecture: Architecture
     tensors: dict[str, NDArray[np.float32]]
@@ -96,10 +91,7 @@ def architecture_in(path: Path) -> str:
 
 
 def generators_in(name_or_path: str) -> dict[str, str]:
-    """Read which generators translated the images that a network was trained on: simulator -> SHA-256.
-
-    Returns:
-        Empty for a network that was trained on plain images.
+    """Read which generators, simulator -> SHA-256, translated the images that a network was trained on; empty if none.
 
     Raises:
         WeightsError: the file is missing.
@@ -194,11 +186,7 @@ def load_weights(name_or_path: str) -> Weights:
 
 
 def compress(path: Path, out: Path) -> list[str]:
-    """Store the large layers of a weights file in half precision in 8 bits; `out` may be `path`.
-
-    Returns:
-        Names of the tensors that were compressed; those that already are in 8 bits stay as they are.
-    """
+    """Store the large layers of a weights file in half precision in 8 bits; return their names. `out` may be `path`."""
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata()
         tensors: dict[str, NDArray[Any]] = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118

@@ -98,12 +98,7 @@ class CameraDriver(Node):
 
 
 class LatencyDiagnostics:
-    """Publishes a driver's latency, from an image to its command, on `/diagnostics`.
-
-    Attributes:
-        answered: number of frames answered.
-        refused: number of frames that could not be answered.
-    """
+    """Publishes a driver's latency, from an image to its command, on `/diagnostics`."""
 
     def __init__(self, node: Node) -> None:
         self.answered = self.refused = 0

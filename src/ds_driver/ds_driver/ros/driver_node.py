@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -19,7 +19,7 @@ from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
-from ds_driver.ros.simulator_client import Answer, SimulatorClient, SimulatorInfo
+from ds_driver.ros.simulator_client import SimulatorClient, SimulatorInfo
 from ds_driver.sim2real.stage import Sim2RealStage
 from ds_sim.ros.conversions import pixels_of, pixels_to_message
 from ds_sim.ros.parameters import declare
@@ -32,33 +32,26 @@ SIMULATORS = -1
 
 
 class TranslatedImages:
-    """Asks each simulator for its name before a run, which selects the generator.
+    """Asks each simulator for its name before a run, which selects the generator; then its frames are answered."""
 
-    Args:
-        node: node that owns clients and publishers.
-        namespaces: namespaces of the simulators; "" for the node's own.
-        stage: translates.
-    """
-
-    def __init__(self, node: Node, namespaces: Sequence[str], stage: Sim2RealStage) -> None:
+    def __init__(
+        self, node: Node, namespaces: Sequence[str], stage: Sim2RealStage, answer: Callable[[int, Frame], Command]
+    ) -> None:
         self._node = node
         self._namespaces = namespaces
         self._stage = stage
+        self._answer = answer
         self._info = SimulatorInfo(node, namespaces, "which selects the sim2real generator", self._on_info)
         self._names: list[str | None] = [None] * len(namespaces)
-        self._answers: dict[int, Answer] = {}
-        self._clients: dict[int, SimulatorClient] = {}
+        self._clients = [
+            SimulatorClient(node, name, Frame, partial(self._info.ask, index)) for index, name in enumerate(namespaces)
+        ]
         self._publishers = [
             node.create_publisher(Image, f"{name}/{TOPIC}" if name else TOPIC, 5) for name in namespaces
         ]
 
-    def connect(self, index: int, answer: Answer) -> None:
-        """Answer the frames of a simulator as soon as its name is known."""
-        self._answers[index] = answer
-        self._clients[index] = SimulatorClient(
-            self._node, self._namespaces[index], Frame, partial(self._info.ask, index)
-        )
-        self._info.ask(index)
+        for index in range(len(namespaces)):
+            self._info.ask(index)
 
     def translate(self, index: int, frame: Frame, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Translate the image of a frame, and publish the result if somebody subscribes.
@@ -84,7 +77,7 @@ class TranslatedImages:
             except DriverError as error:  # every frame will state it, too
                 self._node.get_logger().error(str(error))
         self._names[index] = info.name
-        self._clients[index].drive_with(self._answers[index])
+        self._clients[index].drive_with(partial(self._answer, index))
 
 
 class DriverNode(Node):
@@ -110,12 +103,10 @@ class DriverNode(Node):
         self._driver = NetworkDriver(str(DriverName.parse(network).on(backend, device).seeing(sim2real)))
         self._milliseconds: list[float] = []
         stage = self._driver.stage
-        self._translated = None if stage is None else TranslatedImages(self, self._namespaces, stage)
-        for index, namespace in enumerate(self._namespaces):
-            if self._translated is None:
+        self._translated = None if stage is None else TranslatedImages(self, self._namespaces, stage, self._answer)
+        if self._translated is None:
+            for index, namespace in enumerate(self._namespaces):
                 SimulatorClient(self, namespace, Frame).drive_with(partial(self._answer, index))
-            else:
-                self._translated.connect(index, partial(self._answer, index))
         self.get_logger().info(f"{network} drives {', '.join(filter(None, self._namespaces)) or self.get_namespace()}")
 
     def _answer(self, index: int, frame: Frame) -> Command:

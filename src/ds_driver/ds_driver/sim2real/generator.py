@@ -55,14 +55,7 @@ class Sim2RealError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Part of an image that is shown to a generator, px of that image.
-
-    Attributes:
-        top: first row.
-        bottom: end of the rows.
-        left: first column.
-        right: end of the columns.
-    """
+    """Part of an image that a generator sees, px: rows `top` up to `bottom`, columns `left` up to `right`."""
 
     top: int
     bottom: int
@@ -112,16 +105,7 @@ def resize(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]
 
 @dataclass(frozen=True, kw_only=True)
 class StoredGenerator:
-    """Generator from a file.
-
-    Attributes:
-        simulator: name of the simulator whose images it translates.
-        shape: size.
-        window: part of the simulator's images that it sees.
-        real_window: part of the photographs that it learnt from.
-        tensors: name -> float32 values.
-        content: of the file.
-    """
+    """Generator from a file: it sees `window` of a simulator's images, and learnt from `real_window` of photographs."""
 
     simulator: str
     shape: GeneratorShape

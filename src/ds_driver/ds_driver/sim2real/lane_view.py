@@ -56,12 +56,7 @@ LEAST_KEPT = 0.6
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Pixels of the lines in an image.
-
-    Attributes:
-        yellow: (rows, columns) bool, the line to the left of the lane.
-        white: (rows, columns) bool, the edges of the road.
-    """
+    """Pixels, (rows, columns), of the yellow line to the left of the lane, and of the white edges of the road."""
 
     yellow: Mask
     white: Mask

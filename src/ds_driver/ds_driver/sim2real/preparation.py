@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.processes import Progress
 from ds_driver.sim2real.generator import GeneratorShape, Sim2RealError, Window, prepare
 from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
@@ -28,17 +29,7 @@ CARD = "sim2real.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Sources:
-    """What both domains are made of.
-
-    Attributes:
-        simulator: name of the simulator.
-        settings: settings of the training.
-        frames: simulated frames, whole.
-        photographs: for training, whole.
-        held_out_photographs: held-out photographs, whole.
-        views: where simulated images and photographs show the lane.
-        match: crops.
-    """
+    """What both domains are made of: whole images, where they show the lane, simulated and real, and the crops."""
 
     simulator: str
     settings: Sim2RealSettings
@@ -59,7 +50,7 @@ def read_sources(
     source: Path,
     out: Path,
     settings: Sim2RealSettings,
-    progress: Callable[[int, int, str], None],
+    progress: Progress,
     *,
     data_sets: Sequence[Path] = (),
     expected: dict[str, Any] | None = None,
@@ -99,10 +90,7 @@ def read_sources(
 
 
 def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains, tuple[str, ...]]:
-    """Crop both domains, pair their images, and write the training's card, `sim2real.json`, to its folder.
-
-    Returns:
-        Images for training, and warnings for the user.
+    """Crop and pair the images of both domains, and write the card `sim2real.json`; return warnings for the user, too.
 
     Raises:
         Sim2RealError: too few images show the lane.

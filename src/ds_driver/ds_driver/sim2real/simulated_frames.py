@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
-from ds_driver.processes import map_in_processes
+from ds_driver.processes import Progress, map_in_processes
 from ds_driver.sim2real.generator import Sim2RealError
 from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
 from ds_driver.whole_files import whole_file
@@ -36,7 +36,6 @@ class SimulatedFrames:
         drives: (n,) index of the drive; drive i is on road i // 2, backwards if i is odd.
         steps: (n,) step of the run.
         roads: roads of the drives, in their direction.
-        held_out: (n,) bool, frames on the last fifth of the roads; these come in consecutive pairs.
     """
 
     images: NDArray[np.uint8]
@@ -44,7 +43,11 @@ class SimulatedFrames:
     drives: NDArray[np.int32]
     steps: NDArray[np.int32]
     roads: tuple[Road, ...]
-    held_out: NDArray[np.bool_]
+
+    @property
+    def held_out(self) -> NDArray[np.bool_]:
+        """Tell, (n,), which frames are on the last fifth of the roads; these come in consecutive pairs."""
+        return self.drives >= _first_held_out(self.roads)
 
     def state(self, index: int) -> VehicleState:
         """Return the vehicle's state of one image."""
@@ -78,9 +81,7 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
             )
 
 
-def simulated_frames(
-    simulator: str, settings: Sim2RealSettings, file: Path, progress: Callable[[int, int, str], None]
-) -> SimulatedFrames:
+def simulated_frames(simulator: str, settings: Sim2RealSettings, file: Path, progress: Progress) -> SimulatedFrames:
     """Drive the roads, or read the `.npz` file of an earlier call with the same settings.
 
     Raises:
@@ -99,7 +100,7 @@ def simulated_frames(
     numbers = np.concatenate([np.full(len(drive[0]), index, np.int32) for index, drive in enumerate(drives)])
     with whole_file(file) as unfinished, unfinished.open("wb") as stream:
         np.savez(stream, images=images, states=states, steps=steps, drives=numbers, identity=np.array(identity))
-    return _frames(images, states, numbers, steps, roads)
+    return SimulatedFrames(images=images, states=states, drives=numbers, steps=steps, roads=roads)
 
 
 def _read(file: Path, identity: str, roads: tuple[Road, ...]) -> SimulatedFrames:
@@ -114,18 +115,7 @@ def _read(file: Path, identity: str, roads: tuple[Road, ...]) -> SimulatedFrames
         raise Sim2RealError(f"{file} cannot be read ({type(error).__name__}): delete it and train again") from None
     if found != identity:
         raise Sim2RealError(f"{file} has other simulated drives: choose another --out, or delete the folder")
-    return _frames(images, states, drives, steps, roads)
-
-
-def _frames(
-    images: NDArray[np.uint8],
-    states: NDArray[np.float64],
-    drives: NDArray[np.int32],
-    steps: NDArray[np.int32],
-    roads: tuple[Road, ...],
-) -> SimulatedFrames:
-    held_out = drives >= _first_held_out(roads)
-    return SimulatedFrames(images=images, states=states, drives=drives, steps=steps, roads=roads, held_out=held_out)
+    return SimulatedFrames(images=images, states=states, drives=drives, steps=steps, roads=roads)
 
 
 def _first_held_out(roads: tuple[Road, ...]) -> int:

@@ -145,12 +145,9 @@ def train(
     *,
     now: Callable[[], float] = time.monotonic,
 ) -> list[dict[str, float]]:
-    """Train; an interrupted training continues after the last whole epoch, with the results of an undisturbed one.
+    """Train, or continue after the last whole epoch with the results of an undisturbed training; return mean losses.
 
     Writes `epochs/epoch_NNN.safetensors` and `.png` (simulated, translated, back; real, simulated, back).
-
-    Returns:
-        Mean losses of each epoch.
 
     Raises:
         Sim2RealError: training diverged.

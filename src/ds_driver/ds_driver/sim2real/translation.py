@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -21,14 +21,13 @@ from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.data.recordings import MAX_IMAGE_FILE
 from ds_driver.networks.images import ImageError, rgb_of, rgb_of_file
-from ds_driver.processes import map_in_processes
+from ds_driver.processes import Progress, map_in_processes
 from ds_driver.sim2real.generator import Sim2RealError, check_fits, load_generator
 from ds_driver.sim2real.translator import Translator
 from ds_driver.whole_files import write_json, write_whole
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.encodings import jpeg
 
-Progress = Callable[[int, int, str], None]
 MARK = TRANSLATED
 """Key of the generator in `imported.json` and in a bag's facts, and stem of the file that marks a translated tub."""
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import TensorProto
 
-from ds_driver.networks.backends import Runner, onnx_runner, openvino_runner
+from ds_driver.networks.backends import Runner, graph_runner
 from ds_driver.networks.onnx_export import OnnxGraph
 from ds_driver.sim2real.generator import EPSILON, Sim2RealError, StoredGenerator, prepare, resize
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
@@ -100,7 +100,10 @@ class Translator:
             raise Sim2RealError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
         self.generator = generator
         self.backend = backend
-        self._runner = _runner(generator, backend, device)
+        if backend == "torch":
+            self._runner = _torch_runner(generator, device)
+        else:
+            self._runner = graph_runner(generator_to_onnx(generator), "the generator", backend)
 
     def prepared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Cut out and resize what the generator sees of a camera image: (rows, columns, 3) uint8 RGB of its size."""
@@ -136,15 +139,6 @@ class Translator:
         parts = (np.stack(prepared[begin : begin + size]) for begin in range(0, len(prepared), size))
         translated = (image for part in parts for image in self._runner.compute(part)[0].astype(np.uint8))
         return [resize(image, (IMAGE_HEIGHT, IMAGE_WIDTH)) for image in translated]
-
-
-def _runner(generator: StoredGenerator, backend: str, device: str) -> Runner:
-    if backend == "torch":
-        return _torch_runner(generator, device)
-    content = generator_to_onnx(generator)
-    if backend == "onnx":
-        return onnx_runner(content, "the generator")
-    return openvino_runner(content, "the generator", bf16=backend == "openvino-bf16", batches=True)
 
 
 def _torch_runner(generator: StoredGenerator, device: str) -> Runner:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
+from ds_driver.processes import Progress
 from ds_driver.sim2real.evaluation.image_distance import (
     PUBLIC_NETWORK,
     driving_features,
@@ -184,13 +185,8 @@ def flicker(
     return total / count if count else 0.0
 
 
-def assess_checkpoints(
-    folder: Path, held_out: HeldOut, driver: str, progress: Callable[[int, int, str], None]
-) -> dict[str, Any]:
-    """Assess every checkpoint of a training, write `assessment.json`, and choose one.
-
-    Returns:
-        Content of the file: numbers of the untranslated images and of each checkpoint, and the one chosen.
+def assess_checkpoints(folder: Path, held_out: HeldOut, driver: str, progress: Progress) -> dict[str, Any]:
+    """Assess every checkpoint of a training, choose one, and return what is written to `assessment.json`.
 
     Raises:
         Sim2RealError: there is no checkpoint, or one is damaged.

@@ -64,13 +64,7 @@ def driving_features(images: NDArray[np.uint8], network: str = "dave2") -> NDArr
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distance:
-    """Squared maximum mean discrepancy, and its 95 % interval.
-
-    Attributes:
-        value: unbiased estimate; it may be negative near 0.
-        low: lower end.
-        high: upper end.
-    """
+    """Squared maximum mean discrepancy, unbiased and so perhaps negative near 0, with the ends of its 95 % interval."""
 
     value: float
     low: float

@@ -80,14 +80,10 @@ class LineProjector:
                 if np.abs(quad).max() < 1e4:
                     # A pixel's centre is at a whole number; that of the drawing's first is half a pixel in.
                     cv2.fillConvexPoly(drawn, np.round(((quad + 0.5) * SCALE - 0.5) * 16).astype(np.int32), 255, 8, 4)
-            rows, columns = (slice(a * SCALE, b * SCALE) for a, b in _sides(window))
-            small = cv2.resize(drawn[rows, columns], (size[1], size[0]), interpolation=cv2.INTER_AREA)
+            part = drawn[window.top * SCALE : window.bottom * SCALE, window.left * SCALE : window.right * SCALE]
+            small = cv2.resize(part, (size[1], size[0]), interpolation=cv2.INTER_AREA)
             found[name] = small >= 128
         return found
-
-
-def _sides(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
-    return (window.top, window.bottom), (window.left, window.right)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from ds_bags.donkey_tub import TubRecord, is_tub, read_tub
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
+from ds_driver.processes import Progress
 from ds_driver.sim2real.generator import Sim2RealError, StoredGenerator, Window, prepare, resize
 from ds_driver.sim2real.lane_view import SAMPLE, match_windows, measure_lane
 from ds_driver.sim2real.pictures import FEWEST, read_photograph, read_photographs
@@ -31,7 +32,6 @@ RESAMPLES = 1000
 LEVEL = 0.95
 SEED = 1
 
-Progress = Callable[[int, int, str], None]
 Array = NDArray[np.float64]
 
 
@@ -54,13 +54,7 @@ class Photographed:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Value with its interval.
-
-    Attributes:
-        value: estimate.
-        low: lower end of the 95 % interval.
-        high: upper end.
-    """
+    """Value with the ends of its 95 % interval."""
 
     value: float
     low: float
