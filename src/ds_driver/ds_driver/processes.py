@@ -79,15 +79,10 @@ def _die_with_parent(parent: int) -> None:
 def map_in_processes(
     work: Callable[[Job], Result], jobs: Sequence[Job], *, workers: int | None = None
 ) -> Iterator[Result]:
-    """Run jobs in worker processes with one OpenMP thread each.
+    """Run jobs in worker processes with one OpenMP thread each, and yield the results in order.
 
-    Args:
-        work: module-level function that depends on its argument only.
-        jobs: arguments of `work`.
-        workers: number of processes; the number of available processors if None.
-
-    Yields:
-        Result of each job, in order.
+    `work` is a module-level function that depends on its argument only; if `workers` is None, there are as many as
+    available processors.
     """
     count = min(workers or len(os.sched_getaffinity(0)), max(len(jobs), 1))
     context = multiprocessing.get_context("spawn")

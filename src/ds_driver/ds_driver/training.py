@@ -355,16 +355,7 @@ def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop])
 
 
 def augment(image: NDArray[np.uint8], steering: float, rng: np.random.Generator) -> tuple[NDArray[np.uint8], float]:
-    """Augment an image with probability one half, in up to four ways.
-
-    Args:
-        image: (160, 320, 3) uint8 RGB, before cropping.
-        steering: label of the image in [-1, 1], -1 full left.
-        rng: source of all random numbers.
-
-    Returns:
-        Image of the same shape, and its label in [-1, 1].
-    """
+    """Augment one image of two, (160, 320, 3) uint8 RGB before cropping, and its label in [-1, 1]."""
     if rng.random() < 0.5:
         return image, steering
     if rng.random() < 0.5:

@@ -9,9 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.control.other_stacks import KINDS, Geometry, Motion, MotionError, part
+from ds_driver.control.other_stacks import KINDS, Geometry, Motion, MotionError, part, set_part
 
 CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
+
+
+PATHS = {
+    "twist": ("angular.z", "linear.x"),
+    "twist_stamped": ("twist.angular.z", "twist.linear.x"),
+    "ackermann": ("drive.steering_angle", "drive.speed"),
+    "servo": ("angle", "throttle"),
+    "autoware": ("lateral.steering_tire_angle", "longitudinal.velocity"),
+}
+"""Where the lateral and the longitudinal value of a message are."""
 
 
 def blank(kind: str) -> Any:
@@ -39,15 +49,8 @@ def blank(kind: str) -> Any:
 
 def values(kind: str, message: Any) -> tuple[float, float]:
     """Return the lateral and the longitudinal value of a message."""
-    body = part(message, KINDS[kind].body)
-    paths = {
-        "twist": ("angular.z", "linear.x"),
-        "twist_stamped": ("angular.z", "linear.x"),
-        "ackermann": ("steering_angle", "speed"),
-        "servo": ("angle", "throttle"),
-        "autoware": ("lateral.steering_tire_angle", "longitudinal.velocity"),
-    }[kind]
-    return part(body, paths[0]), part(body, paths[1])
+    lateral, longitudinal = PATHS[kind]
+    return part(message, lateral), part(message, longitudinal)
 
 
 def motion_of(kind: str, steering: float, forward: float) -> Motion:
@@ -68,9 +71,9 @@ LEFT = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_left_is_positive_in_messages_and_negative_in_this_project(kind: str) -> None:
     message = blank(kind)
-    KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, -0.5, 0.4), CAR)
+    KINDS[kind].fill(message, motion_of(kind, -0.5, 0.4), CAR)
     assert values(kind, message) == pytest.approx(LEFT[kind])
-    motion = KINDS[kind].read(part(message, KINDS[kind].body), CAR)
+    motion = KINDS[kind].read(message, CAR)
     assert motion.steering == pytest.approx(-0.5)
     assert (motion.throttle if KINDS[kind].needs_throttle else motion.speed) == pytest.approx(0.4)
 
@@ -81,8 +84,8 @@ def test_every_request_survives_the_round_trip(kind: str) -> None:
     for steering, forward in zip(rng.uniform(-1, 1, 50), rng.uniform(0.05, 1, 50), strict=True):
         message = blank(kind)
         sent = motion_of(kind, float(steering), float(forward))
-        KINDS[kind].fill(part(message, KINDS[kind].body), sent, CAR)
-        received = KINDS[kind].read(part(message, KINDS[kind].body), CAR)
+        KINDS[kind].fill(message, sent, CAR)
+        received = KINDS[kind].read(message, CAR)
         assert received.steering == pytest.approx(sent.steering)
         assert received.speed == pytest.approx(sent.speed) and received.throttle == pytest.approx(sent.throttle)
 
@@ -92,18 +95,11 @@ def test_every_request_survives_the_round_trip(kind: str) -> None:
 @pytest.mark.parametrize("which", [0, 1])
 def test_values_that_are_not_finite_are_refused_by_name(kind: str, bad: float, which: int) -> None:
     message = blank(kind)
-    KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, 0.1, 0.4), CAR)
-    body = part(message, KINDS[kind].body)
-    path = {
-        "twist": ("angular.z", "linear.x"),
-        "ackermann": ("steering_angle", "speed"),
-        "servo": ("angle", "throttle"),
-        "autoware": ("lateral.steering_tire_angle", "longitudinal.velocity"),
-    }[kind.removesuffix("_stamped")][which]
-    *owner, last = path.split(".")
-    setattr(part(body, ".".join(owner)), last, bad)
-    with pytest.raises(MotionError, match=f"{last} is (nan|inf|-inf)"):
-        KINDS[kind].read(body, CAR)
+    KINDS[kind].fill(message, motion_of(kind, 0.1, 0.4), CAR)
+    path = PATHS[kind][which]
+    set_part(message, path, bad)
+    with pytest.raises(MotionError, match=f"{path} is (nan|inf|-inf)"):
+        KINDS[kind].read(message, CAR)
 
 
 def test_a_circle_driven_by_a_twist_has_the_requested_radius() -> None:
@@ -127,13 +123,10 @@ def test_steering_stops_at_full_lock_and_a_car_cannot_turn_on_the_spot() -> None
 @pytest.mark.parametrize("kind", KINDS)
 def test_reverse_is_refused(kind: str) -> None:
     message = blank(kind)
-    KINDS[kind].fill(part(message, KINDS[kind].body), motion_of(kind, 0.0, 0.4), CAR)
-    body = part(message, KINDS[kind].body)
-    path = {"twist": "linear.x", "ackermann": "speed", "servo": "throttle", "autoware": "longitudinal.velocity"}
-    *owner, last = path[kind.removesuffix("_stamped")].split(".")
-    setattr(part(body, ".".join(owner)), last, -0.5)
+    KINDS[kind].fill(message, motion_of(kind, 0.0, 0.4), CAR)
+    set_part(message, PATHS[kind][1], -0.5)
     with pytest.raises(MotionError, match="reverse"):
-        KINDS[kind].read(body, CAR)
+        KINDS[kind].read(message, CAR)
 
 
 def test_a_pulse_width_is_not_taken_for_a_throttle() -> None:

@@ -20,13 +20,7 @@ from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.driver_name import DriverName, received_driver
 from ds_driver.networks.images import Crop
-from ds_driver.networks.network_driver import (
-    NetworkDriver,
-    driver_sha256,
-    generators_of,
-    load_pilot,
-    translation_of,
-)
+from ds_driver.networks.network_driver import NetworkDriver, driver_sha256, generators_of, load_pilot, translation_of
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import architecture_in, generators_in, load_weights

@@ -121,12 +121,8 @@ class InterleavedDrives:
     A run depends on road, seed, conditions and commands alone, and a network that takes batches answers an image with
     the same bits in any batch (`NetworkDriver.largest_batch`), so records do not depend on what is interleaved.
 
-    Args:
-        driver: `autopilot`, or any name accepted by `NetworkDriver`.
-        note: called when the phase changes, for a supervisor that notices a hang.
-
-    Attributes:
-        largest_batch: number of drives that the driver answers at once.
+    `note` is called when the phase changes, for a supervisor that notices a hang; `largest_batch` is the number of
+    drives that the driver answers at once.
 
     Raises:
         ValueError: the driver cannot be loaded.

@@ -44,10 +44,7 @@ class _Lost(Exception):
 class WorkerProcess:
     """Drives in a process of its own; may be used from several threads, each of which waits for its drive.
 
-    Args:
-        driver: as in `ds_driver.closed_loop.drive_request.DriveRequest`.
-        command_timeout: wall-clock time for one answer of the driver, s.
-        log: file for what the process prints.
+    The driver has `command_timeout` s of wall-clock time for one answer; what the process prints goes to `log`.
     """
 
     def __init__(self, driver: str, *, command_timeout: float, log: Path) -> None:

@@ -101,64 +101,47 @@ class Motion:
             raise MotionError("a request needs either a speed or a throttle")
 
 
-def _numbers(message: Any, *paths: str) -> list[float]:
-    """Read finite numbers of a message by their paths."""
-    values = [float(part(message, path)) for path in paths]
-    for path, value in zip(paths, values, strict=True):
-        if not math.isfinite(value):
-            raise MotionError(f"{path} is {value}: expected a finite number")
-    return values
+def part(message: Any, path: str) -> Any:
+    """Attribute of a message by its path, such as `header.stamp`; the message itself for ""."""
+    for name in filter(None, path.split(".")):
+        message = getattr(message, name)
+    return message
 
 
-def from_twist(twist: Any, geometry: Geometry) -> Motion:
-    """Convert a geometry_msgs/Twist: linear.x in m/s, angular.z in rad/s, left positive."""
-    speed, yaw_rate = _numbers(twist, "linear.x", "angular.z")
+def set_part(message: Any, path: str, value: Any) -> None:
+    """Set an attribute of a message by its path."""
+    owner, _, name = path.rpartition(".")
+    setattr(part(message, owner), name, value)
+
+
+def _from_twist(speed: float, yaw_rate: float, geometry: Geometry) -> Motion:
     return Motion(geometry.steering_of(geometry.angle_for(speed, yaw_rate)), speed=speed)
 
 
-def to_twist(twist: Any, motion: Motion, geometry: Geometry) -> None:
-    """Fill a geometry_msgs/Twist."""
-    twist.linear.x = _speed(motion)
-    twist.angular.z = geometry.yaw_rate_of(twist.linear.x, geometry.angle_of(motion.steering))
+def _to_twist(motion: Motion, geometry: Geometry) -> tuple[float, float]:
+    speed = _speed(motion)
+    return speed, geometry.yaw_rate_of(speed, geometry.angle_of(motion.steering))
 
 
-def from_ackermann(drive: Any, geometry: Geometry) -> Motion:
-    """Convert an ackermann_msgs/AckermannDrive: steering_angle in rad, left positive; speed in m/s."""
-    angle, speed = _numbers(drive, "steering_angle", "speed")
+def _from_angle(angle: float, speed: float, geometry: Geometry) -> Motion:
     return Motion(geometry.steering_of(angle), speed=speed)
 
 
-def to_ackermann(drive: Any, motion: Motion, geometry: Geometry) -> None:
-    """Fill an ackermann_msgs/AckermannDrive."""
-    drive.steering_angle, drive.speed = geometry.angle_of(motion.steering), _speed(motion)
+def _to_angle(motion: Motion, geometry: Geometry) -> tuple[float, float]:
+    return geometry.angle_of(motion.steering), _speed(motion)
 
 
-def from_servo(servo: Any, _geometry: Geometry) -> Motion:
-    """Convert a deepracer_interfaces_pkg/ServoCtrlMsg: angle in [-1, 1], left positive; throttle in [-1, 1]."""
-    angle, throttle = _numbers(servo, "angle", "throttle")
+def _from_servo(angle: float, throttle: float, _geometry: Geometry) -> Motion:
     for name, value in (("angle", angle), ("throttle", throttle)):
         if abs(value) > 1.0:
             raise MotionError(f"{name} is {value:g}: expected a share from -1 to 1, not a pulse width")
     return Motion(-angle, throttle=throttle)
 
 
-def to_servo(servo: Any, motion: Motion, _geometry: Geometry) -> None:
-    """Fill a deepracer_interfaces_pkg/ServoCtrlMsg."""
+def _to_servo(motion: Motion, _geometry: Geometry) -> tuple[float, float]:
     if motion.throttle is None:
         raise MotionError("a ServoCtrlMsg needs a throttle, not a speed")
-    servo.angle, servo.throttle = -motion.steering, motion.throttle
-
-
-def from_autoware(control: Any, geometry: Geometry) -> Motion:
-    """Convert an autoware_control_msgs/Control: steering_tire_angle in rad, left positive; velocity in m/s."""
-    angle, speed = _numbers(control, "lateral.steering_tire_angle", "longitudinal.velocity")
-    return Motion(geometry.steering_of(angle), speed=speed)
-
-
-def to_autoware(control: Any, motion: Motion, geometry: Geometry) -> None:
-    """Fill an autoware_control_msgs/Control."""
-    control.lateral.steering_tire_angle = geometry.angle_of(motion.steering)
-    control.longitudinal.velocity = _speed(motion)
+    return -motion.steering, motion.throttle
 
 
 def _speed(motion: Motion) -> float:
@@ -175,50 +158,57 @@ class MessageKind:
         package: package that defines the message.
         type_name: name of the message in that package.
         topic: usual topic, relative.
-        body: attribute path from the message to the part with the values; "" for the message itself.
         stamp: attribute path from the message to its stamp; "" if it has none.
-        read: converts that part to a motion.
-        fill: fills that part from a motion.
+        fields: attribute paths from the message to its two numbers.
+        decode: converts these numbers to a motion.
+        encode: converts a motion to them.
         needs_throttle: whether it carries a throttle instead of a speed.
     """
 
     package: str
     type_name: str
     topic: str
-    body: str
     stamp: str
-    read: Callable[[Any, Geometry], Motion]
-    fill: Callable[[Any, Motion, Geometry], None]
+    fields: tuple[str, str]
+    decode: Callable[[float, float, Geometry], Motion]
+    encode: Callable[[Motion, Geometry], tuple[float, float]]
     needs_throttle: bool = False
 
+    def read(self, message: Any, geometry: Geometry) -> Motion:
+        """Convert a message.
 
+        Raises:
+            MotionError: it requests what no vehicle here can follow.
+        """
+        first, second = (float(part(message, path)) for path in self.fields)
+        for path, value in zip(self.fields, (first, second), strict=True):
+            if not math.isfinite(value):
+                raise MotionError(f"{path} is {value}: expected a finite number")
+        return self.decode(first, second, geometry)
+
+    def fill(self, message: Any, motion: Motion, geometry: Geometry) -> None:
+        """Fill a message."""
+        for path, value in zip(self.fields, self.encode(motion, geometry), strict=True):
+            set_part(message, path, value)
+
+
+_TWIST = (("linear.x", "angular.z"), _from_twist, _to_twist)
+_STAMPED_TWIST = (("twist.linear.x", "twist.angular.z"), _from_twist, _to_twist)
+_ACKERMANN = (("drive.steering_angle", "drive.speed"), _from_angle, _to_angle)
+_SERVO = (("angle", "throttle"), _from_servo, _to_servo, True)
+_AUTOWARE = (("lateral.steering_tire_angle", "longitudinal.velocity"), _from_angle, _to_angle)
 KINDS = {
-    "twist_stamped": MessageKind(
-        "geometry_msgs", "TwistStamped", "cmd_vel", "twist", "header.stamp", from_twist, to_twist
-    ),
-    "twist": MessageKind("geometry_msgs", "Twist", "cmd_vel", "", "", from_twist, to_twist),
-    "ackermann": MessageKind(
-        "ackermann_msgs",
-        "AckermannDriveStamped",
-        "ackermann_cmd",
-        "drive",
-        "header.stamp",
-        from_ackermann,
-        to_ackermann,
-    ),
-    "servo": MessageKind(
-        "deepracer_interfaces_pkg", "ServoCtrlMsg", "servo_msg", "", "", from_servo, to_servo, needs_throttle=True
-    ),
-    "autoware": MessageKind("autoware_control_msgs", "Control", "control_cmd", "", "stamp", from_autoware, to_autoware),
+    "twist_stamped": MessageKind("geometry_msgs", "TwistStamped", "cmd_vel", "header.stamp", *_STAMPED_TWIST),
+    "twist": MessageKind("geometry_msgs", "Twist", "cmd_vel", "", *_TWIST),
+    "ackermann": MessageKind("ackermann_msgs", "AckermannDriveStamped", "ackermann_cmd", "header.stamp", *_ACKERMANN),
+    "servo": MessageKind("deepracer_interfaces_pkg", "ServoCtrlMsg", "servo_msg", "", *_SERVO),
+    "autoware": MessageKind("autoware_control_msgs", "Control", "control_cmd", "stamp", *_AUTOWARE),
 }
-"""Name used in parameters -> type of message."""
+"""Name used in parameters -> type of message.
 
-
-def part(message: Any, path: str) -> Any:
-    """Attribute of a message by its path, such as `header.stamp`; the message itself for ""."""
-    for name in filter(None, path.split(".")):
-        message = getattr(message, name)
-    return message
+A twist: m/s, and rad/s, left positive. Angles of wheels: rad, left positive, with speeds in m/s. A servo's angle and
+throttle: shares in [-1, 1], left positive.
+"""
 
 
 class StampMatcher(Generic[FrameT, CommandT]):
@@ -279,12 +269,7 @@ class SpeedController:
         self._integral = 0.0
 
     def throttle(self, desired: float, speed: float) -> float:
-        """Throttle in [0, 1]; 0 to stop, because the vehicles have no brake and coast.
-
-        Args:
-            desired: desired speed, m/s.
-            speed: current speed, m/s.
-        """
+        """Throttle in [0, 1] for speeds in m/s; 0 to stop, because the vehicles have no brake and coast."""
         if desired <= 0.0:
             self._integral = 0.0
             return 0.0

@@ -212,10 +212,6 @@ class _Batches:
     one graph for each power of two, compiled when first needed, and 7 images are run as 4, 2 and 1. Which kernels
     OpenVINO selects depends on the processor: each new graph is compared with the graph for one image, and batches are
     no longer used if a bit differs.
-
-    Args:
-        alone: request of the graph for one image.
-        compile_for: makes the request for a batch size.
     """
 
     def __init__(self, alone: Any, compile_for: Any) -> None:

@@ -110,10 +110,7 @@ def received_driver(driver: object, *, confirmed: Collection[str] = (), option: 
     their own. A Python class runs its module, and a TorchScript file is a program that can write files: the user has
     to confirm such a name with an option.
 
-    Args:
-        driver: name in the file.
-        confirmed: names that the user gave on the command line or in their own configuration.
-        option: command line option that confirms a name, for the message.
+    The user gave `confirmed` names on the command line, with `option`, or in their own configuration.
 
     Raises:
         DriverError: the name is not text, would run unconfirmed code, or has no readable description.

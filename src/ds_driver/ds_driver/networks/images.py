@@ -49,14 +49,7 @@ class Crop:
 
 
 def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
-    """Crop, resize to 160 x 320 and convert to YUV (order and colour space as in maxitwo).
-
-    Args:
-        image: (160, 320, 3) uint8 RGB.
-        crop: rows to cut off.
-
-    Returns:
-        (160, 320, 3) uint8 YUV.
+    """Crop (160, 320, 3) uint8 RGB, resize it back and convert it to YUV (order and colour space as in maxitwo).
 
     Raises:
         ImageError: the image has another size or type.
@@ -157,14 +150,12 @@ def _declared_size(data: bytes) -> tuple[int, int] | None:
 
 
 def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels:
-    """Crop and resize an image to (160, 320, 3).
+    """Crop and resize an image, (rows, columns, 3) uint8 RGB, to (160, 320, 3).
 
     Without `rows` the aspect ratio is kept: of images taller than 1:2 the lower part is used, which shows the road, of
     wider ones the middle.
 
-    Args:
-        image: (rows, columns, 3) uint8 RGB.
-        rows: first row to keep and the row after the last one, counted from the top.
+    `rows` are the first one to keep and the one after the last, counted from the top.
 
     Raises:
         ImageError: the image does not have these rows.

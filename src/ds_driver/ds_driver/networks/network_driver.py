@@ -27,13 +27,7 @@ from ds_driver.networks.user_networks import (
     read_description,
     source_of,
 )
-from ds_driver.networks.weights import (
-    generators_in,
-    load_weights,
-    path_of_weights,
-    shipped_networks,
-    weights_sha256,
-)
+from ds_driver.networks.weights import generators_in, load_weights, path_of_weights, shipped_networks, weights_sha256
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.registry import spec_of
 from ds_sim.simulator import Command

@@ -73,12 +73,7 @@ def weights_sha256(name_or_path: str) -> str:
 
 
 def metadata_of(architecture: str, generators: dict[str, str]) -> dict[str, str]:
-    """Return the metadata of a weights file.
-
-    Args:
-        architecture: name of the architecture.
-        generators: simulator -> SHA-256 of the generator that translated its images for training; empty if plain.
-    """
+    """Return the metadata of weights; generators, simulator -> SHA-256, translated its images, none if empty."""
     if not generators:
         return {"architecture": architecture}
     # One entry, as the order of several is that of a hash table, which differs between processes.

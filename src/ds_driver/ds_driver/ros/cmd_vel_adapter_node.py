@@ -60,7 +60,7 @@ class CmdVelAdapter(Node):
         if self._geometry is None:
             return
         try:
-            motion: Motion | MotionError = self._kind.read(part(message, self._kind.body), self._geometry)
+            motion: Motion | MotionError = self._kind.read(message, self._geometry)
         except MotionError as error:
             motion = error
         stamp = 0 if self._ignore or not self._kind.stamp else _nanoseconds(part(message, self._kind.stamp))

@@ -10,7 +10,7 @@ from ds_interfaces.msg import DriveCommand
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from ds_driver.control.other_stacks import KINDS, Geometry, MessageKind, Motion, part
+from ds_driver.control.other_stacks import KINDS, Geometry, MessageKind, Motion, set_part
 from ds_sim.simulator import Command
 
 DRIVE_COMMAND = "drive_command"
@@ -69,10 +69,9 @@ class CommandOutput:
         else:
             motion = Motion(command.steering, speed=target_speed(command.steering, self._max_speed))
         message = self._type()
-        self._kind.fill(part(message, self._kind.body), motion, self._geometry)
+        self._kind.fill(message, motion, self._geometry)
         if self._kind.stamp:
-            *path, last = self._kind.stamp.split(".")
-            setattr(part(message, ".".join(path)), last, header.stamp)
+            set_part(message, self._kind.stamp, header.stamp)
         self._publisher.publish(message)
 
 

@@ -103,13 +103,9 @@ class SimulatorClient:
 
 
 class SimulatorInfo:
-    """Clients of `get_info` for a driver's simulators.
+    """Clients of `get_info` for a driver's simulators; `on_info` gets the index of the namespace and the answer.
 
-    Args:
-        node: node that owns the clients.
-        namespaces: namespaces of the simulators; "" for the node's own.
-        purpose: for the log: what the answer is for, and how to avoid the request.
-        on_info: called with the index of the namespace and the answer.
+    `purpose` says in the log what the answer is for, and how to avoid the request.
     """
 
     def __init__(self, node: Node, namespaces: Sequence[str], purpose: str, on_info: OnInfo) -> None:

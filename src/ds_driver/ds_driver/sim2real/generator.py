@@ -71,15 +71,7 @@ class Window:
 
 
 def prepare(image: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Cut out a window and resize it, without state and without chance.
-
-    Args:
-        image: (rows, columns, 3) uint8 RGB.
-        window: part to cut out.
-        size: rows and columns of the result.
-
-    Returns:
-        (*size, 3) uint8 RGB.
+    """Cut a window out of an image, (rows, columns, 3) uint8 RGB, and resize it to `size`, rows and columns.
 
     Raises:
         Sim2RealError: the image does not have the window, or is not uint8 RGB.

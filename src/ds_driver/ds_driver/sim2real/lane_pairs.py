@@ -85,12 +85,7 @@ def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
-    """Measure the columns of both lines of one image at `HEIGHTS`, (2 * heights,), as `lane_shapes` does.
-
-    Args:
-        borders: (rows, 2) from `ds_driver.sim2real.lane_view.lane_borders`.
-        columns: columns of the image.
-    """
+    """Measure both lines, from `lane_borders`, of one image at `HEIGHTS`: (2 * heights,), as `lane_shapes` does."""
     rows = len(borders)
     first, at = round(FIRST_ROW * rows), np.array(HEIGHTS) * rows
     shape = np.full((2, len(HEIGHTS)), np.nan)

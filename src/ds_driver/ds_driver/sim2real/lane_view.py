@@ -257,17 +257,12 @@ class Match:
 
 
 def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
-    """Find the crops with which photographs show the lane as a simulator does.
+    """Find the crops with which photographs show the lane as a simulator does in the window that a network sees.
 
     For each top and bottom row in the photographs, least squares give the left and right border with which both lines
     are where the simulator's window has them, at all of `HEIGHTS`. What of it lies outside the photographs is cut off
     in both domains. Of the crops that differ by at most half of `BOUND` the largest is used, or else the one that
     differs least.
-
-    Args:
-        simulated: lane in the simulator's images.
-        window: rows and columns of the simulator's images that a network sees.
-        real: lane in the photographs.
 
     Raises:
         Sim2RealError: no crop shows the lane alike.

@@ -27,10 +27,8 @@ NONE = "none"
 class GeneratorSet:
     """Generators of several simulators, loaded when they are first needed.
 
-    Args:
-        name: for messages.
-        files: label of a simulator -> file of its generator.
-        digests: label of a simulator -> SHA-256 that its file must have; None for any.
+    `files` map labels of simulators to the files of their generators, `digests` to the SHA-256 that these must have, if
+    any.
     """
 
     def __init__(self, name: str, files: Mapping[str, Path], digests: Mapping[str, str] | None = None) -> None:

@@ -85,10 +85,7 @@ class _Graph(OnnxGraph):
 class Translator:
     """Translates images, without state: an image has the same bits alone and in any batch.
 
-    Args:
-        generator: a stored generator.
-        backend: one of `BACKENDS`; results differ between them by a grey level or so.
-        device: `cpu`, or `cuda` with PyTorch.
+    Results differ by a grey level or so between the `BACKENDS`.
 
     Raises:
         Sim2RealError: the backend is unknown.
@@ -114,13 +111,7 @@ class Translator:
         return self._runner.compute(image[None])[0][0].astype(np.uint8)
 
     def translate(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Translate a camera image.
-
-        Args:
-            image: (160, 320, 3) uint8 RGB.
-
-        Returns:
-            The generator's window of it, translated, as a whole image of (160, 320, 3): it is not to be cropped again.
+        """Translate a camera image, (160, 320, 3) uint8 RGB, to one of that shape that is not to be cropped again.
 
         Raises:
             Sim2RealError: the image has another size than the camera of the generator's simulator.

@@ -61,13 +61,10 @@ STILL = 4
 def broken_bounds(
     checkpoint: Mapping[str, Any], plain: Mapping[str, Any], photographs: Mapping[str, float], columns: int
 ) -> list[str]:
-    """Name the bounds that a checkpoint breaks.
+    """Name the bounds that a checkpoint's entry of an assessment breaks.
 
-    Args:
-        checkpoint: its entry of an assessment.
-        plain: the same of the untranslated images.
-        photographs: shares of the rows with lines, from `ds_driver.sim2real.evaluation.lane_kept.lines_of_photographs`.
-        columns: columns of the images.
+    `plain` is the entry of the untranslated images, `photographs` comes from `lines_of_photographs`, and `columns` are
+    those of the images.
     """
     kept, before = checkpoint["lane"], plain["lane"]
     both = (photographs["yellow"] + photographs["white"]) / 2
@@ -107,14 +104,7 @@ def choose(checkpoints: Mapping[str, Mapping[str, Any]]) -> str | None:
 
 
 class HeldOut:
-    """Held-out frames of a simulator, with the truth about their lines, and held-out photographs.
-
-    Args:
-        simulator: name of the simulator.
-        frames: simulated frames.
-        photographs: held-out photographs, prepared, (n, rows, columns, 3) uint8 RGB.
-        window: part of the simulated images that generators see.
-    """
+    """Held-out frames, with the truth about their lines, and photographs, prepared, (n, rows, columns, 3) uint8 RGB."""
 
     def __init__(self, simulator: str, frames: SimulatedFrames, photographs: NDArray[np.uint8], window: Window) -> None:
         size = (photographs.shape[1], photographs.shape[2])

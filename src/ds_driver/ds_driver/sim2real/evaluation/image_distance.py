@@ -72,12 +72,9 @@ class Distance:
 
 
 def kernel_distance(features: NDArray[np.float32], others: NDArray[np.float32], *, seed: int = 1) -> Distance:
-    """Estimate the distance of two samples with the kernel (x y / d + 1)^3.
+    """Estimate the distance of two samples, (n, d) and (m, d) with n, m > 1, with the kernel (x y / d + 1)^3.
 
-    Args:
-        features: (n, d), n > 1.
-        others: (m, d), m > 1.
-        seed: seed of the bootstrap, which draws images of both sets with replacement.
+    The bootstrap draws images of both sets with replacement.
     """
     x, y = features.astype(np.float64), others.astype(np.float64)
     # Rescaling both alike changes the unit of the distance only, and keeps cubes in range.

@@ -35,13 +35,7 @@ Truth = dict[str, NDArray[np.bool_]]
 
 
 class LineProjector:
-    """Projects the lines of one road.
-
-    Args:
-        road: a road in its driven direction.
-        camera: camera of the simulator.
-        line_width: width of the lines, m.
-    """
+    """Projects the lines, `line_width` m wide, of one road in its driven direction."""
 
     def __init__(self, road: Road, camera: CameraSpec, line_width: float) -> None:
         self._camera = camera
@@ -60,16 +54,7 @@ class LineProjector:
         }
 
     def masks(self, state: VehicleState, window: Window, size: tuple[int, int]) -> dict[str, NDArray[np.bool_]]:
-        """Project the lines into a window of the camera's image.
-
-        Args:
-            state: vehicle when the image was exposed.
-            window: part of the image.
-            size: rows and columns of the result.
-
-        Returns:
-            For each of `LINES` a mask of `size`.
-        """
+        """Project the lines into a window of the camera's image: a mask of `size`, (rows, columns), for each line."""
         camera, found = self._camera, {}
         for name, borders in self._borders.items():
             (low, low_depth), (high, high_depth) = (project(border, state, camera) for border in borders)
