@@ -21,9 +21,10 @@ from ds_sim.camera import ground as painting
 from ds_sim.camera import renderer
 from ds_sim.camera.atlas import AtlasMemory, Ground
 from ds_sim.camera.ground import paint_ground
-from ds_sim.camera.lens import sample_rays
+from ds_sim.camera.lens import components, sample_rays
 from ds_sim.camera.look import Look
 from ds_sim.camera.panorama import Panorama
+from ds_sim.camera.projection import optical_axes
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.textures import textures
@@ -84,28 +85,31 @@ def plain_image(
 ) -> NDArray[np.uint8]:
     """Draw the scene row by row, as if every row could see beyond the painted world; (rows, columns, 3)."""
     lens = spec.camera
-    axes, position = (np.array(v) for v in camera._pose(vehicle))
+    axes, position = (np.array(v) for v in optical_axes(spec.camera, vehicle))
     height, focal = max(float(position[2]), 1e-3), float(lens.intrinsics[0, 0])
     centre = sample_rays(lens, 1)[0].reshape(3, lens.height_px, lens.width)
     probes = np.linspace(0, lens.width - 1, 5).round().astype(int)
     descents = np.sort(np.tensordot(-axes[:, 2], centre[:, :, probes].astype(np.float64), 1), axis=1)
     frame = np.zeros((lens.height_px, lens.width, 4), np.uint8)
     c, s = math.cos(vehicle.yaw), math.sin(vehicle.yaw)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    Panorama(lens, spec.look).draw(frame, 0, lens.height_px, axes @ turn, vehicle.yaw)
+    turned = [(x * c + y * s, y * c - x * s, z) for x, y, z in axes.tolist()]
+    Panorama(lens, spec.look).draw(frame, 0, lens.height_px, turned, vehicle.yaw)
     first = int(np.argmax(descents[:, -1] > -1 / focal))
     sky_end = lens.height_px - int(np.argmax(descents[::-1, 0] < 1 / focal))
     sky = frame[first:sky_end].copy()
-    to_atlas = ground.to_atlas @ np.column_stack((height * axes[:, :2] - axes[:, 2:] * position[:2], -axes[:, 2])).T
+    to_plane = np.column_stack((height * axes[:, :2] - axes[:, 2:] * position[:2], -axes[:, 2]))
     lines, columns = ground.shape
     density = renderer.DENSITY[lens.lens]
     for row in range(first, lens.height_px):
         wanted = density / max(descents[row, 1], height / renderer.FARTHEST)
         samples = next((n for n in (1, 2, 4) if n >= wanted), 8)
         samples = max(samples, 2 if lens.exposure else 1)
-        matrices = camera._motion_matrices(to_atlas, ground, vehicle)[samples]
+        matrices = camera._motion_matrices(to_plane, ground, vehicle)[samples]
         rays = sample_rays(lens, samples)[:, :, row * lens.width : (row + 1) * lens.width]
-        across, along, descent = np.matmul(matrices, rays).swapaxes(0, 1)
+        matrices = np.broadcast_to(matrices, (samples, 3, 3))
+        across, along, descent = (
+            np.stack([components(rays[k], matrices[k, i]) for k in range(samples)]) for i in range(3)
+        )
         descent = np.maximum(descent, np.float32(height / renderer.FARTHEST))
         scale = descent * np.float32(2.0 * renderer.SHARPNESS * ground.resolution * focal / height)
         scale = np.exp2(np.floor(np.log2(scale.astype(np.float64)))).clip(1 / 32, 1.0).astype(np.float32)
@@ -117,7 +121,7 @@ def plain_image(
         frame[row] = np.rint(drawn.astype(np.float64).mean(axis=0))
     if sky_end > first:
         up = (axes[:, 2] * -focal).astype(np.float32)
-        cover = np.clip((0.5 - np.tensordot(up, centre[:, first:sky_end], 1)) * 256.0, 0, 256).astype(int)[..., None]
+        cover = np.clip((0.5 - components(centre[:, first:sky_end], up.tolist())) * 256.0, 0, 256).astype(int)[..., None]
         frame[first:sky_end] = (frame[first:sky_end] * (256 - cover) + sky * cover + 128) >> 8
     return frame[..., :3]
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from ds_orchestrator.engines.fingerprint import differences, fingerprint
+from ds_orchestrator.engines import fingerprint as module
+from ds_orchestrator.engines.fingerprint import PROCESSOR_FEATURES, differences, fingerprint
 from ds_sim.simulator import SimulatorError
 from ds_sim_panda.scene import graphics
 
@@ -24,3 +27,16 @@ def test_the_renderer_counts_where_panda_drives(monkeypatch: pytest.MonkeyPatch)
 def test_a_difference_in_processor_features_names_only_what_one_side_lacks() -> None:
     here, there = {"processor features": "avx avx2 fma"}, {"processor features": "avx fma sve"}
     assert differences(here, there) == "processor features without avx2 and with sve"
+
+
+def test_only_processor_features_that_round_the_networks_back_end_count(tmp_path: Path) -> None:
+    """A newer processor with AVX-512 gives the same bits, also where its formats for networks are others."""
+    older, newer, arm = (tmp_path / name for name in ("older", "newer", "arm"))
+    older.write_text("flags\t\t: sse2 fma avx2 avx512f avx512vl avx512_bf16\n")
+    newer.write_text("flags\t\t: sse2 fma avx2 avx512f avx512vl avx512_vp2intersect avx_vnni\n")
+    arm.write_text("Features\t: asimd sve\n")
+    features = module._processor_features
+    assert features("onnx", older) == features("", newer) == "avx2 avx512f avx512vl fma"
+    assert features("openvino-bf16", older) != features("openvino-bf16", newer)
+    assert features("onnx", arm) == "asimd sve"
+    assert fingerprint("onnx", ())[PROCESSOR_FEATURES] == features("onnx")

@@ -13,8 +13,8 @@ from ds_sim.simulator import VehicleState
 
 ROAD_FRAME = "road"
 """Fixed frame of every simulator: x and y in the plane of the road, z up, metres."""
-_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Axes of an optical frame (right, down, forward) as columns in its body's frame (forward, left, up): REP-103."""
+_OPTICAL = Rotation.from_quat((-0.5, 0.5, -0.5, 0.5))
+"""From a body's frame (forward, left, up) to that of its optical axes (right, down, forward): REP-103."""
 _EXACT, _UNKNOWN = 1e-9, 1e12
 # Variances of odometry whose planar part is ground truth. All zeros would mean "unknown" (sensor_msgs/Imu) and break
 # filters that invert them; robot_localization replaces zeros by 1e-9, and Gazebo's planar_move gives 1e12 to the axes
@@ -54,8 +54,7 @@ def camera_pose(camera: CameraSpec) -> Pose:
     mount = Rotation.from_euler("Y", camera.pitch)
     if camera.yaw:
         mount = Rotation.from_euler("ZY", [camera.yaw, camera.pitch])
-    turn = Rotation.from_matrix(mount.as_matrix() @ _OPTICAL)
-    return (camera.forward, 0.0, camera.height), _quaternion(turn)
+    return (camera.forward, 0.0, camera.height), _quaternion(mount * _OPTICAL)
 
 
 def _quaternion(turn: Rotation) -> tuple[float, float, float, float]:

@@ -118,3 +118,11 @@ def test_sensor_images_are_seeded_delayed_and_read_only() -> None:
     assert not np.array_equal(first[0], other[0])
     assert first[3].std() == pytest.approx(4.0, rel=0.1)
     assert not first[0].flags.writeable
+
+
+def test_the_lens_is_equidistant_within_a_hundredth_of_a_pixel() -> None:
+    spec = CameraSpec(horizontal_fov=math.radians(120), height=1.4, lens="equidistant")
+    angle = np.radians(np.linspace(0.0, 67.0, 200))
+    points = np.stack((np.tan(angle), np.zeros(200), np.ones(200)), axis=1)
+    found, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), spec.intrinsics, np.array(spec.distortion))
+    assert np.abs(found[:, 0, 0] - spec.intrinsics[0, 2] - spec.intrinsics[0, 0] * angle).max() < 0.01

@@ -97,9 +97,12 @@ def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np
     ahead = p.centre_of_mass_ahead
     arms = np.sum((positions - (ahead, 0.0)) ** 2, axis=1)
     moments = np.vstack((np.ones(len(masses)), positions[:, 0] - ahead, arms))
-    required = np.array([p.mass, 0.0, p.yaw_inertia]) - moments @ masses
-    shares = np.linalg.solve(np.column_stack([moments[:, g].mean(axis=1) for g in groups]), required)
-    if shares.min() <= 0.0:
+    required = np.array([p.mass, 0.0, p.yaw_inertia]) - (moments * masses).sum(axis=1)
+    # Cramer's rule. LAPACK, and BLAS for the products in this module, would round by the type of processor.
+    means = [moments[:, group].mean(axis=1) for group in groups]
+    normals = [np.cross(means[i - 2], means[i - 1]) for i in range(3)]
+    shares = [float((required * n).sum() / (mean * n).sum()) for mean, n in zip(means, normals, strict=True)]
+    if min(shares) <= 0.0:
         raise ValueError(
             f"mass {p.mass:g} kg, front_share {p.front_share:g} and yaw_inertia {p.yaw_inertia:g} kg m^2 leave "
             f"no positive node masses: expected an inertia near 0.95 x mass x (wheelbase / 2)^2"
@@ -146,7 +149,7 @@ class Lattice:
             self._space.add(pymunk.DampedSpring(a, b, (0.0, 0.0), (0.0, 0.0), length, beam.stiffness, beam.damping))
         self._buffer = batch.Buffer()
         self._weights = plan.masses / plan.masses.sum()
-        self._centre = self._weights @ plan.positions
+        self._centre = (self._weights[:, None] * plan.positions).sum(axis=0)
         self._rest = plan.positions - self._centre
         self.push = [self._bodies[corner.wheel].apply_force_at_world_point for corner in plan.corners]
         """For each wheel a function that applies a force (x, y) in N at a point during the next substep."""
@@ -165,14 +168,12 @@ class Lattice:
     def rigid_motion(self) -> RigidMotion:
         """Motion of the undeformed frame that fits the nodes best, weighted by mass."""
         nodes = np.array(self.read()).reshape(-1, VALUES_PER_NODE)
-        middle = self._weights @ nodes
-        offset, velocity = nodes[:, :2] - middle[:2], nodes[:, 2:] - middle[2:]
-        w, rest = self._weights, self._rest
-        along = w @ (rest[:, 0] * offset[:, 0] + rest[:, 1] * offset[:, 1])
-        across = w @ (rest[:, 0] * offset[:, 1] - rest[:, 1] * offset[:, 0])
-        yaw = math.atan2(across, along)
-        spin = w @ (offset[:, 0] * velocity[:, 1] - offset[:, 1] * velocity[:, 0])
-        rate = float(spin / (w @ np.sum(offset**2, axis=1)))
+        middle = (self._weights[:, None] * nodes).sum(axis=0)
+        x, y, velocity_x, velocity_y = (nodes - middle).T
+        rest_x, rest_y = self._rest.T
+        products = (rest_x * x + rest_y * y, rest_x * y - rest_y * x, x * velocity_y - y * velocity_x, x * x + y * y)
+        along, across, spin, inertia = (self._weights * products).sum(axis=1).tolist()
+        yaw, rate = math.atan2(across, along), spin / inertia
         # From the centre of mass back to the midpoint between the axles.
         cos, sin = math.cos(yaw), math.sin(yaw)
         back_x = -self._centre[0] * cos + self._centre[1] * sin

@@ -281,7 +281,8 @@ class CarModel:
         force = drive - p.rolling_resistance * load * along / math.sqrt(
             along * along + STANDSTILL_SPEED * STANDSTILL_SPEED
         )
-        force = min(max(force, -grip), grip)
+        if not -grip <= force <= grip:  # rarely: faster than min and max
+            force = min(max(force, -grip), grip)
         deflection = slip + p.carcass_damping * rate
         lateral = math.sin(p.shape * math.atan(stiffness / (p.shape * friction) * deflection))
         return force, -lateral * math.sqrt(grip * grip - force * force), rate

@@ -1,4 +1,7 @@
-"""Compares what the bits of a result depend on, between this machine and one that is to drive for it."""
+"""Compares what the bits of a result depend on, between this machine and one that is to drive for it.
+
+BLAS and LAPACK, whose kernels depend on the model of the processor, are not compared: no drive calls them.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,11 @@ BACKENDS = {"onnxruntime": "onnx", "openvino": "openvino", "torch": "torch"}
 PROCESSOR_FEATURES = "processor features"
 _FEATURES = ("sse4", "avx", "fma", "f16c", "amx", "asimd", "sve", "bf16")
 """Beginnings of the processor features by which libraries choose their kernels, and so their roundings."""
+_FLOATING_POINT = frozenset(
+    ("sse4_1", "sse4_2", "avx", "avx2", "fma", "f16c", "avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl")
+)
+"""Those of x86-64 by which NumPy, OpenCV and ONNX Runtime compute in single and double precision; the other back ends
+also use those for other formats, such as avx512_bf16."""
 
 
 def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
@@ -45,7 +53,7 @@ def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
         **{name: known[name] for name in libraries},
         **({"renderer": _renderer()} if with_panda else {}),
         "machine": known["machine"],
-        PROCESSOR_FEATURES: _processor_features(),
+        PROCESSOR_FEATURES: _processor_features(backend),
     }
 
 
@@ -91,7 +99,7 @@ def code_sha256() -> str:
     return digest.hexdigest()
 
 
-def _processor_features(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
+def _processor_features(backend: str, cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
     try:
         lines = cpuinfo.read_text("utf-8", "replace").splitlines()
     except OSError:
@@ -99,5 +107,8 @@ def _processor_features(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
     for line in lines:
         name, _, value = line.partition(":")
         if name.strip() in ("flags", "Features"):
-            return " ".join(sorted(flag for flag in value.split() if flag.startswith(_FEATURES)))
+            found = {flag for flag in value.split() if flag.startswith(_FEATURES)}
+            if backend in ("", "onnx"):
+                found = found & _FLOATING_POINT or found  # all of another architecture's
+            return " ".join(sorted(found))
     return platform.processor() or "unknown"

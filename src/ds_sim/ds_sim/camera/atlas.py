@@ -138,16 +138,9 @@ class Ground:
         return 0.5 ** (len(self._rasters) - 1)
 
     @cached_property
-    def to_atlas(self) -> NDArray[np.float64]:
-        """Matrix (3, 3) from (x, y, 1) in m to (x - 2 columns, y, 1) in pixels of the finest level; see the class."""
-        r = self.resolution
-        left = self.origin[0] / r + 2 * self.shape[1]
-        return np.array([[1 / r, 0.0, -left], [0.0, 1 / r, -self.origin[1] / r], [0.0, 0.0, 1.0]])
-
-    @cached_property
-    def from_atlas(self) -> NDArray[np.float64]:
-        """Inverse of `to_atlas`."""
-        return np.asarray(np.linalg.inv(self.to_atlas), np.float64)
+    def corner(self) -> tuple[float, float]:
+        """Pixels (finest level) to subtract from a point's x and y for its place in the atlas less 2 columns."""
+        return self.origin[0] / self.resolution + 2 * self.shape[1], self.origin[1] / self.resolution
 
     def distance_to_border(self, x: float, y: float) -> float:
         """Distance from a point to the nearest border of the rasters, m; negative outside."""

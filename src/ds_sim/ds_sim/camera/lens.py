@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,3 +59,20 @@ def sample_rays(spec: CameraSpec, samples: int) -> NDArray[np.float32]:
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     table = np.stack([rays(spec, columns[None, :], (rows + offset)[:, None]).reshape(3, -1) for offset in offsets])
     return table.astype(np.float32)
+
+
+def components(
+    rays: NDArray[np.float32], axis: Sequence[float], out: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
+    """Components of rays along an axis, (...): scalar products without BLAS, which rounds by the type of processor.
+
+    Args:
+        rays: (3, ...).
+        axis: three numbers, which are rounded to single precision.
+        out: memory for the result.
+    """
+    first, second, third = axis
+    out = np.multiply(rays[0], np.float32(first), out)
+    cv2.scaleAdd(rays[1], second, out, out)
+    cv2.scaleAdd(rays[2], third, out, out)
+    return out

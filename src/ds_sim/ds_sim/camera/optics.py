@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_sim.camera.lens import sample_rays
+from ds_sim.camera.lens import components, sample_rays
 from ds_sim.camera.light import decode, encode, light_of
 from ds_sim.camera.look import Colour
 from ds_sim.camera.spec import CameraSpec
@@ -142,13 +142,13 @@ class Optics:
 
     def _distances(self, axes: _Axes, height: float) -> NDArray[np.float32]:
         """Distance along each ray to the ground, or through the layer of haze, m, (rows, columns)."""
-        descent = (-axes[:, 2].astype(np.float32)) @ self._rays
+        descent = components(self._rays, (-axes[:, 2]).tolist())
         depth = np.where(descent > 0.0, np.float32(height), np.float32(HAZE_TOP))
         return np.asarray(depth / np.maximum(np.abs(descent), 1e-4), np.float32).reshape(self._shape)
 
     def _veil_of_sun(self, axes: _Axes) -> NDArray[np.float32]:
         """Light that the sun scatters over the image, (rows, columns)."""
-        cosine = (axes @ self._sun).astype(np.float32) @ self._rays
+        cosine = components(self._rays, (axes * self._sun).sum(axis=1).tolist())
         angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
         return np.asarray(self._sun_veil / np.maximum(angle, SMALLEST_ANGLE) ** 2, np.float32).reshape(self._shape)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from ds_sim.camera.lens import rays
 from ds_sim.camera.look import Look
+from ds_sim.camera.projection import Vector
 from ds_sim.camera.spec import CameraSpec
 
 _STEP = 8
@@ -41,7 +43,7 @@ class Panorama:
         rows = np.arange(-1.0, math.ceil(spec.height_px / _STEP) + 1) * _STEP + (_STEP - 1) / 2
         self._rays = rays(spec, np.asarray(columns[None, :], np.float64), np.asarray(rows[:, None], np.float64))
 
-    def draw(self, frame: Painted, top: int, bottom: int, axes: NDArray[np.float64], yaw: float) -> None:
+    def draw(self, frame: Painted, top: int, bottom: int, axes: Sequence[Vector], yaw: float) -> None:
         """Draw the background into some rows of an RGBA image.
 
         Args:
@@ -54,8 +56,7 @@ class Panorama:
         if bottom <= top:
             return
         first, last = top // _STEP, min(math.ceil(bottom / _STEP) + 2, self._rays.shape[1])
-        directions = np.dot(axes.T, self._rays.reshape(3, -1)).reshape(self._rays.shape)
-        x, y, z = directions[:, first:last]
+        x, y, z = np.einsum("ij,irc->jrc", axes, self._rays[:, first:last])
         # Columns run to the right, that is clockwise: they increase with -azimuth.
         turned = (-yaw * self._scale + math.pi * self._scale) % self._columns_per_turn
         column = turned - np.arctan2(y, x) * self._scale

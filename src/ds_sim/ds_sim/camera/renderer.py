@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.camera.ground import Ground
-from ds_sim.camera.lens import sample_rays
+from ds_sim.camera.lens import components, sample_rays
 from ds_sim.camera.look import Look
 from ds_sim.camera.panorama import Panorama
+from ds_sim.camera.projection import Vector, optical_axes
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
@@ -50,7 +51,6 @@ FARTHEST = 400.0
 _SPARE = 2.5
 """Width of the ground that is painted beyond what is in view, m, so that not every image has to look for more; chosen:
 several steps."""
-_Vector = tuple[float, float, float]
 
 
 class Camera:
@@ -77,7 +77,7 @@ class Camera:
         self._min_sample_index = SAMPLES.index(BLUR_SAMPLES) if spec.exposure else 0
         self._max_ray_length = float(np.linalg.norm(centre, axis=0).max())
         probes = np.linspace(0, spec.width - 1, 5).round().astype(int)
-        self._probe_rays = np.ascontiguousarray(centre[:, :, probes].reshape(3, -1), np.float64)
+        self._probe_rays = centre[:, :, probes].astype(np.float64)
         self._probe_error = _distance_to_chords(centre, probes)
         # Extremes of the rays, of which those between pixel centres exceed a pixel's by less than a hundredth.
         self._right_most = float(np.abs(centre[0]).max()) + 0.01
@@ -96,27 +96,28 @@ class Camera:
     def render(self, ground: Ground, vehicle: VehicleState) -> NDArray[np.uint8]:
         """Render the scene as the lens projects it, before the sensor: (rows, columns, 3) uint8 RGB."""
         spec, frame = self._spec, self._frame
-        axes, (x, y, z) = self._pose(vehicle)
+        axes, (x, y, z) = optical_axes(spec, vehicle)
         height = max(z, 1e-3)
         self._reveal(ground, vehicle, axes, x, y)
         # Descent per unit along each ray: > 0 is ground, <= 0 is sky.
-        descent = np.dot(np.array([[-axis[2] for axis in axes]]), self._probe_rays).reshape(spec.height_px, -1)
+        descent = np.einsum("i,ijk->jk", [-axis[2] for axis in axes], self._probe_rays)
         descent.sort(axis=1)
         pixel = 1.0 / self._focal
         is_ground, is_sky = descent[:, -1] > -pixel, descent[:, 0] < pixel
         first = int(is_ground.argmax()) if is_ground.any() else spec.height_px
         sky_end = spec.height_px - int(is_sky[::-1].argmax()) if is_sky.any() else 0
         top, bottom = max(first, self._top), min(sky_end, self._bottom)
-        self._panorama.draw(frame, self._top, bottom, np.array(axes) @ _rotation(vehicle.yaw), vehicle.yaw)
+        cos, sin = math.cos(vehicle.yaw), math.sin(vehicle.yaw)
+        turned = [(a * cos + b * sin, b * cos - a * sin, c) for a, b, c in axes]
+        self._panorama.draw(frame, self._top, bottom, turned, vehicle.yaw)
         sky = frame[top:bottom].copy()
         to_plane = np.array([(height * a - c * x, height * b - c * y, -c) for a, b, c in axes])
-        to_atlas = ground.to_atlas @ to_plane.T
         bands = [
             band.within(self._top, self._bottom)
             for band in self._bands(descent[first:], height, first, ground.distance_to_border(x, y))
             if band.bottom > self._top and band.top < self._bottom
         ]
-        motion = self._motion_matrices(to_atlas, ground, vehicle)
+        motion = self._motion_matrices(to_plane, ground, vehicle)
         per_descent = 2.0 * SHARPNESS * ground.resolution * self._focal / height
         # Where all rows use the finest level, less is to be computed.
         is_near = descent[:, 0] * per_descent > 1.0
@@ -131,40 +132,11 @@ class Camera:
 
     def view(self, vehicle: VehicleState) -> tuple[NDArray[np.float64], float]:
         """Optical axes right, down, forward in the road frame, (3, 3), and height of the optical centre, m."""
-        axes, position = self._pose(vehicle)
+        axes, position = optical_axes(self._spec, vehicle)
         return np.array(axes), position[2]
 
-    def _pose(self, vehicle: VehicleState) -> tuple[tuple[_Vector, _Vector, _Vector], _Vector]:
-        """Optical axes right, down, forward in the road frame, and the optical centre, m."""
-        spec = self._spec
-        yaw, pitch, roll = vehicle.yaw, vehicle.pitch, vehicle.roll
-        cy, sy, cp, sp, cr, sr = (
-            math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll),
-        )  # fmt: skip
-        fx, fy, fz = cy * cp, sy * cp, -sp
-        ux, uy, uz = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
-        # The body rotates about its centre at ground level: a common simplification of roll and pitch centres.
-        ahead, above = spec.forward, spec.height
-        position = (
-            vehicle.x + fx * ahead + ux * above,
-            vehicle.y + fy * ahead + uy * above,
-            vehicle.heave + fz * ahead + uz * above,
-        )
-        ct, st = math.cos(spec.pitch), math.sin(spec.pitch)
-        right = (-(cy * sp * sr - sy * cr), -(sy * sp * sr + cy * cr), -(cp * sr))
-        if spec.yaw:
-            rx, ry, rz = right
-            cw, sw = math.cos(spec.yaw), math.sin(spec.yaw)
-            fx, fy, fz, right = (
-                fx * cw - rx * sw, fy * cw - ry * sw, fz * cw - rz * sw,
-                (rx * cw + fx * sw, ry * cw + fy * sw, rz * cw + fz * sw),
-            )  # fmt: skip
-        down = (-(ux * ct + fx * st), -(uy * ct + fy * st), -(uz * ct + fz * st))
-        forward = (fx * ct - ux * st, fy * ct - uy * st, fz * ct - uz * st)
-        return (right, down, forward), position
-
     def _reveal(
-        self, ground: Ground, vehicle: VehicleState, axes: tuple[_Vector, _Vector, _Vector], x: float, y: float
+        self, ground: Ground, vehicle: VehicleState, axes: tuple[Vector, Vector, Vector], x: float, y: float
     ) -> None:
         """Have all ground painted that can be seen from (x, y) at the levels that are not painted in full."""
         yaw, spec = vehicle.yaw, self._spec
@@ -216,24 +188,33 @@ class Camera:
         return [_Band(first + a, first + b, n, f) for a, b, n, f in zip(edges, ends, samples, is_far, strict=True)]
 
     def _motion_matrices(
-        self, to_atlas: NDArray[np.float64], ground: Ground, vehicle: VehicleState
+        self, to_plane: NDArray[np.float64], ground: Ground, vehicle: VehicleState
     ) -> dict[int, NDArray[np.float32]]:
         """Matrices from rays to the atlas for each sample of a pixel during the exposure, (samples or 1, 3, 3).
 
         The keys are numbers of samples.
+
+        Args:
+            to_plane: for each component of a ray, what it adds to x and y in the road frame and to the descent, (3, 3);
+                x and y times the descent.
+            ground: to which atlas.
+            vehicle: that moves.
         """
+        density, (left, top) = 1.0 / ground.resolution, ground.corner
+        in_pixels = to_plane * (density, density, 1.0)
         if not self._spec.exposure:
-            return dict.fromkeys(SAMPLES, to_atlas[None].astype(np.float32))
+            matrix = [(a - left * c, b - top * c, c) for a, b, c in in_pixels.tolist()]
+            return dict.fromkeys(SAMPLES, np.array([matrix], np.float32).swapaxes(1, 2))
         times = -self._spec.exposure * _MOMENTS
         x, y, yaw = vehicle.x, vehicle.y, vehicle.yaw
         along = vehicle.speed * math.cos(yaw) - vehicle.lateral_speed * math.sin(yaw)
         across = vehicle.speed * math.sin(yaw) + vehicle.lateral_speed * math.cos(yaw)
         c, s = np.cos(vehicle.yaw_rate * times), np.sin(vehicle.yaw_rate * times)
         motion = np.zeros((len(times), 3, 3))
-        motion[:, 0, 0], motion[:, 0, 1], motion[:, 0, 2] = c, -s, x - c * x + s * y + along * times
-        motion[:, 1, 0], motion[:, 1, 1], motion[:, 1, 2] = s, c, y - s * x - c * y + across * times
+        motion[:, 0, 0], motion[:, 0, 1], motion[:, 0, 2] = c, -s, (x - c * x + s * y + along * times) * density - left
+        motion[:, 1, 0], motion[:, 1, 1], motion[:, 1, 2] = s, c, (y - s * x - c * y + across * times) * density - top
         motion[:, 2, 2] = 1.0
-        moved = (ground.to_atlas @ motion @ ground.from_atlas @ to_atlas).astype(np.float32)
+        moved = np.einsum("sij,kj->sik", motion, in_pixels).astype(np.float32)
         ends = np.cumsum(SAMPLES).tolist()
         return {samples: moved[end - samples : end] for samples, end in zip(SAMPLES, ends, strict=True)}
 
@@ -247,16 +228,14 @@ class Camera:
         memory = self._memory = self._memory if self._memory.size >= count else _Memory(count)
         end = 0
         for band, size in zip(bands, counts, strict=True):
-            np.matmul(
-                motion[band.samples],
-                sample_rays(self._lens, band.samples)[:, :, band.top * width : band.bottom * width],
-                memory.points[:, end : end + size].reshape(3, band.samples, -1).transpose(1, 0, 2),
-            )
+            rays = sample_rays(self._lens, band.samples)[:, :, band.top * width : band.bottom * width]
+            points = memory.points[:, end : end + size].reshape(3, band.samples, -1)
+            _transform(motion[band.samples], rays, points)
             end += size
         across, along, descent = memory.points[:, :count]
         far = any(band.far for band in bands)
         if far:
-            np.maximum(descent, np.float32(height / FARTHEST), out=descent)
+            descent.clip(np.float32(height / FARTHEST), np.float32(np.inf), descent)  # faster than np.maximum
         lines, columns = ground.shape
         # Scale of the pyramid level: clearing the fraction bits of a float rounds it down to a power of two.
         per_descent = np.float32(2.0 * SHARPNESS * ground.resolution * self._focal / height)
@@ -291,18 +270,18 @@ class Camera:
         )
         end = 0
         for band, size in zip(bands, counts, strict=True):
-            part, rows = self._frame[band.top : band.bottom], band.bottom - band.top
-            samples = memory.drawn[4 * end : 4 * (end + size)].reshape(band.samples, rows, -1)
+            part = self._frame[band.top : band.bottom]
+            samples = memory.drawn[4 * end : 4 * (end + size)].reshape(band.samples, -1)
             end += size
             if band.samples == 1:
                 part[:] = samples.reshape(part.shape)
+            elif band.samples == 2:  # faster than the general case
+                cv2.addWeighted(samples[0], 0.5, samples[1], 0.5, 0.0, part.reshape(-1))
             else:
-                total = memory.total[: 4 * size // band.samples].reshape(rows, -1)
-                samples.sum(axis=0, dtype=np.uint16, out=total)
-                cv2.convertScaleAbs(total, part.reshape(rows, -1), alpha=1.0 / band.samples)
+                cv2.reduce(samples, 0, cv2.REDUCE_AVG, part.reshape(1, -1))
 
     def _blend_horizon(
-        self, sky: NDArray[np.uint8], axes: tuple[_Vector, _Vector, _Vector], first: int, sky_end: int, top: int
+        self, sky: NDArray[np.uint8], axes: tuple[Vector, Vector, Vector], first: int, sky_end: int, top: int
     ) -> None:
         """Blend sky into rows that the horizon crosses.
 
@@ -313,9 +292,7 @@ class Camera:
             sky_end: end of the rows that show sky.
             top: first row of `sky`.
         """
-        up = np.array([[-axis[2] * self._focal for axis in axes]]).astype(np.float32)
-        descent = np.dot(up, self._centre_rays[:, first:sky_end].reshape(3, -1)).reshape(sky_end - first, -1)
-        descent = descent[top - first : top - first + len(sky)]
+        descent = components(self._centre_rays[:, top : top + len(sky)], [-axis[2] * self._focal for axis in axes])
         np.subtract(0.5, descent, descent)
         descent *= 256.0
         share = descent.clip(0, 256, descent).astype(np.uint16)[:, :, None]
@@ -359,7 +336,18 @@ class _Memory:
         self.points = np.empty((3, size), np.float32)
         self.scale = np.empty(size, np.float32)
         self.drawn = np.empty(4 * size, np.uint8)
-        self.total = np.empty(2 * size, np.uint16)  # of two samples or more
+
+
+def _transform(matrices: NDArray[np.float32], rays: NDArray[np.float32], points: NDArray[np.float32]) -> None:
+    """Multiply rays (samples, 3, n) by matrices of `Camera._motion_matrices` into points (3, samples, n)."""
+    planes, rows = rays.swapaxes(0, 1), matrices.tolist()
+    components(planes, rows[0][2], points[2])  # motion in the plane changes no descent
+    for i in (0, 1):
+        if len(rows) == 1:
+            components(planes, rows[0][i], points[i])
+        else:
+            for of_sample, matrix, out in zip(rays, rows, points[i], strict=True):
+                components(of_sample, matrix[i], out)
 
 
 def _extent(heading: float, side: float, reach: float, ahead_only: bool) -> tuple[float, float]:
@@ -389,9 +377,3 @@ def _distance_to_chords(rays: NDArray[np.float32], probes: NDArray[np.int64]) ->
         distance = np.linalg.norm(offset - share * chord, axis=0)
         nearest[:, left : right + 1] = np.minimum(nearest[:, left : right + 1], distance)
     return float(nearest.max())
-
-
-def _rotation(yaw: float) -> NDArray[np.float64]:
-    """Rotation matrix by yaw about the vertical, (3, 3)."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

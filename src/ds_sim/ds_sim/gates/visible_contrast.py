@@ -36,7 +36,7 @@ DARKEST = 1.0 / 255.0 / 12.92
 """Linear light of grey level 1: the darkest pavement against which contrast is taken."""
 _LEAD_OUT = 40.0
 """Straight road that simulators draw beyond the end, m (`ds_sim.camera.ground`)."""
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_RED, _GREEN, _BLUE = 0.2126, 0.7152, 0.0722
 """Weights of linear red, green and blue (ITU-R BT.709)."""
 _Points = NDArray[np.float64]
 
@@ -82,7 +82,8 @@ class VisibleContrast:
             arc_length: distance of the vehicle along its lane, m.
         """
         first, end = np.searchsorted(self._stations, (arc_length, arc_length + LOOK_AHEAD))
-        light = np.asarray(decode(image) @ _LUMINANCE, np.float32)
+        red, green, blue = np.moveaxis(decode(image).astype(np.float64), -1, 0)
+        light = np.asarray(_RED * red + _GREEN * green + _BLUE * blue, np.float32)
         found = [0.0]
         for line in (self._centre_line, self._edge_line):
             parts, borders = ([project(part[first:end], state, self._camera)[0] for part in some] for some in line)

@@ -153,4 +153,5 @@ def _waves(position: NDArray[np.float64], rng: np.random.Generator) -> NDArray[n
     direction, phase = rng.uniform(0.0, math.tau, (2, count))
     number = math.tau / rng.uniform(40.0, 160.0, count)
     waves = np.stack((np.cos(direction), np.sin(direction))) * number
-    return np.asarray(np.cos(position @ waves + phase).sum(axis=1) / math.sqrt(count / 2))
+    along = position[:, :1] * waves[0] + position[:, 1:] * waves[1]
+    return np.asarray(np.cos(along + phase).sum(axis=1) / math.sqrt(count / 2))

@@ -56,7 +56,7 @@ class Setting:
         """Values of the uniforms of the shaders of a world with a setting."""
         c, light = self.conditions, self.daylight
         haze = HAZE + self._fog
-        own = float(np.array(ASPHALT) @ LUMINANCE)
+        own = float((np.array(ASPHALT) * LUMINANCE).sum())
         reflectance = c.pavement_reflectance or own
         # Concrete is smoother than asphalt: the brighter, the less grain.
         grain = 1.0 / (1.0 + max(math.log2(reflectance / own), 0.0))

@@ -90,8 +90,8 @@ def _map_of(camera: Any) -> NDArray[np.uint8]:
 def _strips(course: Course, towards_sun: Direction) -> Any:
     """Panda3D's node of strips beside and, over them, on the road, whose coordinates follow the shadows' direction."""
     sun = np.array(towards_sun[:2]) / max(math.hypot(*towards_sun[:2]), 1e-9)
-    across = course.right @ sun
-    ahead = np.stack((-course.right[:, 1], course.right[:, 0]), axis=1) @ sun
+    right_x, right_y = course.right.T
+    across, ahead = right_x * sun[0] + right_y * sun[1], right_x * sun[1] - right_y * sun[0]
     slant = ahead * across / (across**2 + SHADE_SLANT)
     border = course.half_width + VERGE_WIDTH
     meshes = [

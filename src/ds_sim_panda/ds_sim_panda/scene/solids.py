@@ -129,7 +129,7 @@ def _quad(corners: list[tuple[float, float, float]], colour: Linear, layer: str,
     """Flat face with three or four corners, counter-clockwise from outside; `tiles`: repetitions of its texture."""
     position = np.array(corners)
     normal = np.cross(position[1] - position[0], position[2] - position[0])
-    normal /= np.linalg.norm(normal)
+    normal /= np.sqrt((normal**2).sum())
     square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)[: len(corners)] * tiles
     texture = np.column_stack((square, np.full(len(corners), LAYERS.index(layer))))
     triangles = np.array([(0, 1, 2), (0, 2, 3)][: len(corners) - 2])

@@ -52,7 +52,7 @@ class Daylight:
             normals: unit vectors, (..., 3).
             softness: how far sunlight reaches round a body, 0 (a solid) to 1; leaves let light through.
         """
-        facing = np.maximum((normals @ np.array(self.towards_sun) + softness) / (1.0 + softness), 0.0)
+        facing = np.maximum(((normals * self.towards_sun).sum(axis=-1) + softness) / (1.0 + softness), 0.0)
         # A surface sees a share of (1 + n_z) / 2 of the sky; the ground returns a tenth of the light to the rest.
         seen = (1.0 + normals[..., 2]) / 2.0
         ground = 0.1 * (1.0 - seen)
@@ -61,7 +61,7 @@ class Daylight:
     def shaded(self, depth: float) -> NDArray[np.float64]:
         """Light on level ground from which a share of the luminance is taken, first the sun's, (3,) linear RGB."""
         sun, sky = self.sun_on_ground, np.array(self.sky)
-        share = float(sun @ LUMINANCE / ((sun + sky) @ LUMINANCE))
+        share = float((sun * LUMINANCE).sum() / ((sun + sky) * LUMINANCE).sum())
         if depth <= share:
             return np.asarray(sky + (1.0 - depth / share) * sun)
         return np.asarray(sky * (1.0 - depth) / (1.0 - share))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_sim.camera.projection import optical_axes
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
 from ds_sim_panda.scene.graphics import panda
@@ -37,27 +38,8 @@ def make_lens(spec: CameraSpec) -> Any:
 
 
 def camera_pose(spec: CameraSpec, state: VehicleState) -> NDArray[np.float64]:
-    """Pose of the camera in the road frame, (4, 4): rows right, forward, up and position, as Panda3D multiplies.
-
-    The body turns about its centre at ground level: yaw, then pitch, then roll (REP-103).
-    """
-    body = _turn(2, state.yaw) @ _turn(1, state.pitch) @ _turn(0, state.roll)
-    mounted = body @ _turn(1, spec.pitch)
-    if spec.yaw:
-        mounted = body @ _turn(2, spec.yaw) @ _turn(1, spec.pitch)
+    """Pose of the camera in the road frame, (4, 4): rows right, forward, up and position, as Panda3D multiplies."""
+    (right, down, forward), position = optical_axes(spec, state)
     pose = np.eye(4)
-    pose[0, :3] = -mounted[:, 1]
-    pose[1, :3] = mounted[:, 0]
-    pose[2, :3] = mounted[:, 2]
-    pose[3, :3] = np.array([state.x, state.y, state.heave]) + body @ [spec.forward, 0.0, spec.height]
+    pose[:, :3] = right, forward, [-v for v in down], position
     return pose
-
-
-def _turn(axis: int, angle: float) -> NDArray[np.float64]:
-    """Rotation matrix about one axis, (3, 3)."""
-    c, s = math.cos(angle), math.sin(angle)
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.eye(3)
-    matrix[first, first] = matrix[second, second] = c
-    matrix[first, second], matrix[second, first] = -s, s
-    return matrix
