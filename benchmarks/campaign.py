@@ -43,7 +43,7 @@ def processor_time() -> float:
 def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> None:
     """Drive one campaign and print its measures as JSON; runs in a process of its own."""
     from ds_orchestrator.campaign.config import parse_config
-    from ds_orchestrator.campaign.executor import SilentListener
+    from ds_orchestrator.campaign.executor import Listener
     from ds_orchestrator.campaign.runner import Campaign
     from ds_orchestrator.engines.start import running_engine
     from ds_orchestrator.store.store import Store
@@ -61,7 +61,7 @@ def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> 
         started = time.perf_counter()
         with running_engine(config.drive_settings(), logs=folder / "logs", say=print) as started_engine:
             ready = time.perf_counter()
-            Campaign(config, folder, store, started_engine, SilentListener()).run()
+            Campaign(config, folder, store, started_engine, Listener()).run()
             ended, processor = time.perf_counter(), processor_time()
         executions = store.executions()
     measures = {

@@ -1,15 +1,14 @@
-"""Speed of the closed loop through ROS, by turns with other simulators, and where the time is spent.
+"""Speed of the closed loop through ROS, and where the time is spent.
 
-`python benchmarks/loop.py [--driver dave2] [--sims bullet] [--roads 3]` prints, per simulator, frames per second of
+`python -m benchmarks.loop [--driver dave2] [--sims bullet] [--roads 3]` prints, per simulator, frames per second of
 processor time (of all processes of the graph and of the client) and of the wall clock, with one process per node and
-with the simulator and its driver in one process. Below: the parts of a frame without ROS, and other simulators, all
-measured in the same minutes, as a busy machine halves everything.
+with the simulator and its driver in one process. Below: the parts of a frame without ROS, measured in the same minutes,
+as a busy machine halves everything.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from benchmarks.campaign import processor_time
 from rich.console import Console
 from rich.table import Table
 
@@ -30,24 +30,8 @@ from ds_sim.registry import make_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Outcome
 
-PEER_FRAMES = 300
-"""Frames of another simulator in one turn."""
-_TICKS = os.sysconf("SC_CLK_TCK")
 Total = tuple[int, float, float]
 """Frames, processor time in s, and wall time in s."""
-
-
-def processor_time() -> float:
-    """Processor time of this process and of its children that run, s."""
-    total, me = time.process_time(), str(os.getpid())
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (entry / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if fields[1] == me:
-            total += (int(fields[11]) + int(fields[12])) / _TICKS
-    return total
 
 
 def timed(drive: Callable[[], int]) -> Total:
@@ -90,64 +74,6 @@ def parts(name: str, driver: NetworkDriver, road: Road) -> dict[str, Total]:
     return {part: (frames, seconds, 0.0) for part, seconds in spent.items()}
 
 
-def car_racing() -> Callable[[], int]:
-    """Gymnasium's CarRacing-v3, images of 96 x 96, no network.
-
-    Raises:
-        ImportError: Gymnasium or Box2D is not installed.
-    """
-    import Box2D  # noqa: F401
-    import gymnasium
-
-    environment = gymnasium.make("CarRacing-v3")
-
-    def drive() -> int:
-        environment.reset(seed=0)
-        for _ in range(PEER_FRAMES):
-            environment.step(np.array([0.0, 0.1, 0.0], np.float32))
-        return PEER_FRAMES
-
-    return drive
-
-
-def tiny_renderer() -> Callable[[], int]:
-    """PyBullet's racecar on a plane, seen through TinyRenderer at 320 x 160, no network.
-
-    Raises:
-        ImportError: PyBullet is not installed.
-    """
-    import pybullet
-    import pybullet_data
-
-    client = pybullet.connect(pybullet.DIRECT)
-    pybullet.setAdditionalSearchPath(pybullet_data.getDataPath())
-    pybullet.setGravity(0, 0, -9.8, physicsClientId=client)
-    pybullet.loadURDF("plane.urdf", physicsClientId=client)
-    pybullet.loadURDF("racecar/racecar.urdf", physicsClientId=client)
-    view = pybullet.computeViewMatrix([0, 0, 1], [3, 0, 0], [0, 0, 1])
-    lens = pybullet.computeProjectionMatrixFOV(60, 2.0, 0.1, 100)
-
-    def drive() -> int:
-        for _ in range(PEER_FRAMES):
-            for _ in range(12):  # 240 Hz
-                pybullet.stepSimulation(physicsClientId=client)
-            pybullet.getCameraImage(320, 160, view, lens, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client)
-        return PEER_FRAMES
-
-    return drive
-
-
-def peers() -> dict[str, Callable[[], int]]:
-    """Other simulators that are installed."""
-    found = {}
-    for title, make in (("CarRacing-v3, 96 x 96", car_racing), ("PyBullet TinyRenderer, 320 x 160", tiny_renderer)):
-        try:
-            found[title] = make()
-        except ImportError as error:
-            print(f"{title}: left out, {error}")
-    return found
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -157,7 +83,7 @@ def main() -> None:
     arguments = parser.parse_args()
     roads = [generate(np.random.default_rng(seed), max_angle=120) for seed in range(arguments.roads)]
     totals: dict[str, list[Total]] = {}
-    network, others = NetworkDriver(arguments.driver), peers()
+    network = NetworkDriver(arguments.driver)
     for name in arguments.sims.split(","):
         with ExitStack() as stack:
             graphs = {
@@ -177,8 +103,6 @@ def main() -> None:
                     totals.setdefault(title, []).append(total)
                 for part, total in parts(name, network, road).items():
                     totals.setdefault(f"{name}, no ROS: {part}", []).append(total)
-                for title, drive in others.items():
-                    totals.setdefault(title, []).append(timed(drive))
     table = Table("", "ms a frame, processor", "frames per processor second", "frames per second")
     for title, rows in totals.items():
         frames, cpu, wall = (sum(column) for column in zip(*rows, strict=True))

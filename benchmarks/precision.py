@@ -38,7 +38,7 @@ ROADS = 200
 NETWORKS = ("dave2", "dave2_short")
 SINGLE, HALF = "openvino", "openvino-bf16"
 ANGLES = range(100, 301, 10)
-"""Maximum angles, degrees (maxitwo; `ds_orchestrator.search.base.SearchSettings`)."""
+"""Maximum angles, degrees (maxitwo; `ds_orchestrator.search.algorithms.SearchSettings`)."""
 HALF_WIDTH = 5.0
 """Largest half width of the interval of the paired difference, percentage points."""
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from benchmarks.conditions.pictures import picture
+from benchmarks.conditions import picture
 from numpy.typing import NDArray
 
 from ds_driver.sim2real.generator import prepare

@@ -21,9 +21,8 @@ from ds_cli.campaign.run import judged
 from ds_cli.output import Result, end
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.campaign.executor import SilentListener
+from ds_orchestrator.campaign.engine import DriveSettings, Watch
+from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import store_of
 from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
@@ -76,7 +75,7 @@ def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path
     folder.mkdir()
     with locked(folder):
         store = store_of(folder, config)
-        Campaign(config, folder, store, OfDriver(driver), SilentListener()).run()
+        Campaign(config, folder, store, OfDriver(driver), Listener()).run()
         if driver != "autopilot":
             store.note("sha256 of the driver's weights", driver.encode().hex().ljust(64, "0"))
         store.close()

@@ -36,27 +36,16 @@ def drive(folder: Path, simulator: str, row: int, conditions: list[str]) -> tupl
     answer = video.with_suffix(".json")
     if not answer.is_file():
         road = ["--seed", str(SEED), "--max-angle", str(MAX_ANGLE), *conditions]
-        command = [
-            str(ROOT / "ds"),
-            "drive",
-            "--sim",
-            simulator,
-            "--driver",
-            "dave2",
-            *road,
-            "--video",
-            str(video),
-            "--json",
-        ]
+        options = ["--sim", simulator, "--driver", "dave2", *road, "--video", str(video), "--json"]
+        command = [str(ROOT / "ds"), "drive", *options]
         answer.write_bytes(subprocess.run(command, check=True, stdout=subprocess.PIPE, timeout=900).stdout)
     source, pictures = cv2.VideoCapture(str(video)), []
     while (read := source.read())[0]:
         pictures.append(read[1])
     step = VIDEO_RATE * SPEED_UP / FRAMES_PER_SECOND
     chosen = [pictures[int(index * step)] for index in range(int(len(pictures) / step))]
-    return [panel(picture) for picture in [*chosen, pictures[-1]]], json.loads(answer.read_text())[
-        "outcome"
-    ] == "COMPLETED"
+    completed = json.loads(answer.read_text())["outcome"] == "COMPLETED"
+    return [panel(picture) for picture in [*chosen, pictures[-1]]], completed
 
 
 def panel(picture: Any) -> Any:

@@ -23,7 +23,7 @@ from ds_analysis.prediction.span import span_of
 from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
 from ds_analysis.prediction.undriven import undriven_probabilities
 from ds_analysis.prediction.verdicts import called
-from ds_orchestrator.maps.merge_operators import OPERATORS
+from ds_orchestrator.maps.algebra import OPERATORS
 
 Array = NDArray[np.float64]
 Errors = dict[str, Array]

@@ -21,8 +21,7 @@ from ds_analysis.common.table import write_tables
 from ds_analysis.prediction.outcome_table import table_of_campaign
 from ds_analysis.prediction.sources import as_population
 from ds_cli.output import countdown, say
-from ds_orchestrator.campaign.campaign_data import read_campaign
-from ds_orchestrator.campaign.folder import open_store
+from ds_orchestrator.campaign.folder import open_store, read_campaign
 
 
 def cases_of(folder: Path) -> list[Case]:

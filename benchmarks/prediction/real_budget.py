@@ -42,9 +42,9 @@ from ds_analysis.siblings.outcomes import Outcomes
 from ds_cli.output import say
 from ds_cli.progress import ScreenListener
 from ds_driver.closed_loop.success_rate import unseen_roads
-from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Key, Progress, drive_tests, read_drives
-from ds_orchestrator.search.condition_space import ConditionSpace, SearchedCondition
+from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition
 from ds_orchestrator.store.model import Test
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions

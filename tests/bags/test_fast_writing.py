@@ -15,12 +15,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from ds_bags import rosbag2_writer
-from ds_bags.mcap_writer import MESSAGE_HEAD
-from ds_bags.message_factory import MessageFactory, typestore
-from ds_bags.message_table import MessageTable
-from ds_bags.rosbag2_writer import CHUNK_SIZE, Rosbag2Writer, Topic
+from ds_bags.messages import MessageFactory, MessageTable, frame_times, serialise_frames, typestore
+from ds_bags.rosbag2_writer import CHUNK_SIZE, MESSAGE_HEAD, Rosbag2Writer, Topic
 from ds_bags.run_writer import write_bag
-from ds_bags.telemetry import frame_times, serialise_frames
 from ds_road import Road
 from ds_sim.registry import spec_of
 from ds_sim.session import NO_IMAGE, RunRecord

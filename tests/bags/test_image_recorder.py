@@ -16,13 +16,13 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 
-from ds_bags.message_factory import MessageFactory, typestore
+from ds_bags.messages import MessageFactory, typestore
 from ds_bags.reader import STATE
 from ds_bags.ros.image_recorder import ImageRecorder, with_images
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.verification import IMAGE, verify_bag
 from ds_driver.processes import ChildProcesses
-from ds_orchestrator.graph.ros_domain import RosDomain
+from ds_orchestrator.graph.session import RosDomain
 from ds_road import Road
 from ds_sim.resimulation import resimulate
 from ds_sim.ros.runtime import init_ros

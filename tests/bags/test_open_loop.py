@@ -24,7 +24,7 @@ from ds_bags.layout import BagError
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
-from ds_orchestrator.graph.ros_domain import RosDomain
+from ds_orchestrator.graph.session import RosDomain
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord

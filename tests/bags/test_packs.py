@@ -14,12 +14,12 @@ from ds_bags.layout import LEVELS, BagError
 from ds_bags.packs import pack, topic_prefix, unpack
 from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
-from ds_orchestrator.campaign.bag_groups import groups_of
 from ds_orchestrator.campaign.config import parse_config
+from ds_orchestrator.campaign.selection import groups_of
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
-from ds_road.features import minimum_radius
+from ds_road.geometry import minimum_radius
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 

@@ -17,7 +17,7 @@ import pytest
 
 from ds_bags.player import PAUSE, QUIT, STEP, Controls, Playback, play
 from ds_bags.reader import BagReader
-from ds_orchestrator.graph.ros_domain import RosDomain
+from ds_orchestrator.graph.session import RosDomain
 
 DS = [sys.executable, "-m", "ds_cli.main", "bag", "replay"]
 MS = 1_000_000

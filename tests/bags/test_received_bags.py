@@ -21,12 +21,11 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ds_bags.bounded_rosbags import check_types
+from ds_bags.copying import recover
 from ds_bags.info import describe
-from ds_bags.layout import BagError
-from ds_bags.limits import TooLargeError
+from ds_bags.layout import BagError, TooLargeError
 from ds_bags.packs import PACKED_RECORD, pack, unpack
 from ds_bags.reader import BagReader, read_run
-from ds_bags.recovery import recover
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
 from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
@@ -225,7 +224,7 @@ def test_metadata_that_counts_other_messages_than_the_file_has_is_refused(bag: P
 def test_a_state_that_is_not_a_number_is_refused(bags: Path, tmp_path: Path) -> None:
     from mcap.records import Channel, Message, Metadata, Schema
 
-    from ds_bags.mcap_records import records, topic_of_channel
+    from ds_bags.copying import records, topic_of_channel
 
     writer = Rosbag2Writer(tmp_path / "nan", {})
     schemas: dict[int, Schema] = {}

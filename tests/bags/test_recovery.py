@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from ds_bags.copying import UNFINISHED, recover
 from ds_bags.info import describe
 from ds_bags.layout import BagError, partial_path
-from ds_bags.message_factory import MessageFactory, typestore
+from ds_bags.messages import MessageFactory, typestore
 from ds_bags.reader import BagReader, read_run
-from ds_bags.recovery import UNFINISHED, recover
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.run_writer import RunWriter, write_bag
 from ds_bags.verification import verify_bag
@@ -128,9 +128,8 @@ def test_what_cannot_be_recovered_is_reported(bags: Path, run: RunRecord, tmp_pa
         recover(tmp_path)
     with pytest.raises(BagError, match="is whole"):
         recover(bags / "raw")
-    writer = Rosbag2Writer(tmp_path / "bag", {})
-    RunWriter(writer, "/twin", spec_of("donkey"), run, "telemetry").begin()
-    writer.abort()
+    with Rosbag2Writer(tmp_path / "bag", {}) as writer:
+        RunWriter(writer, "/twin", spec_of("donkey"), run, "telemetry").begin()
     with pytest.raises(BagError, match="before its first flush"):
         recover(tmp_path / "bag")
     (tmp_path / "bag_recovered").mkdir()

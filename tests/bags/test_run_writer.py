@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from ds_bags.info import describe, in_words
 from ds_bags.layout import LEVELS, BagError, Level
-from ds_bags.message_factory import MessageFactory, typestore
+from ds_bags.messages import MessageFactory, typestore
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
 from ds_sim.camera.projection import optical_axes

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ds_orchestrator.maps.merge_operators import MergeOperator
-from ds_orchestrator.search.base import Candidate, Search
+from ds_orchestrator.maps.algebra import MergeOperator
+from ds_orchestrator.search.algorithms import Candidate, Search
 from ds_orchestrator.search.features import Feature
 from ds_road import Road, generate
 

@@ -19,16 +19,15 @@ from tests.campaign.engines import EngineHere, MadeUpEngine
 from ds_analysis.paper.campaign_evaluation import maps_of
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import Engine, Watch
-from ds_orchestrator.campaign.executor import CampaignError, SilentListener, Stopped
+from ds_orchestrator.campaign.executor import CampaignError, Listener, Stopped
+from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.graph.graph_engine import GraphEngine
+from ds_orchestrator.graph.session import GraphEngine
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
-from ds_orchestrator.maps.feature_map import to_json
-from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.maps.feature_map import MapId, to_json
 from ds_orchestrator.store.folder_files import LockError, locked
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.sqlite_file import StoreError
@@ -49,7 +48,7 @@ CONFIG = CampaignConfig(
 def run(folder: Path, engine: Engine, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
     folder.mkdir(exist_ok=True)
     store = Store(folder / "campaign.sqlite", config=config.identity())
-    campaign = Campaign(config, folder, store, engine, SilentListener())
+    campaign = Campaign(config, folder, store, engine, Listener())
     with suppress(Stopped):
         campaign.run()
     return campaign, store
@@ -84,7 +83,7 @@ def test_a_stopped_campaign_goes_on_and_ends_the_same(tmp_path: Path, stop_after
 def test_what_is_finished_survives_a_kill(tmp_path: Path, count: int) -> None:
     """The process ends itself by SIGKILL in the moment in which the listener hears that a run is finished."""
 
-    class Killer(SilentListener):
+    class Killer(Listener):
         left = count
 
         def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:

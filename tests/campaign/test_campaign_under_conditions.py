@@ -13,11 +13,10 @@ from ds_bags.verification import verify_bag
 from ds_cli.campaign.run import stored_config
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.executor import trajectory_sha256
-from ds_orchestrator.campaign.folder import ENGINE, open_store
-from ds_orchestrator.campaign.road_selection import roads_of
+from ds_orchestrator.campaign.folder import ENGINE, CampaignData, open_store, read_campaign
+from ds_orchestrator.campaign.selection import roads_of
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.gates.gate import GateState, gate_of
 from ds_sim.registry import make_simulator

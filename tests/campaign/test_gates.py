@@ -19,13 +19,12 @@ from ds_analysis.paper.exclusions import excluded_table
 from ds_cli.campaign.run import status
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, parse_config
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.campaign.executor import SilentListener, Stopped
-from ds_orchestrator.campaign.folder import store_of
-from ds_orchestrator.campaign.road_selection import roads_of
+from ds_orchestrator.campaign.executor import Listener, Stopped
+from ds_orchestrator.campaign.folder import read_campaign, store_of
 from ds_orchestrator.campaign.runner import Campaign
+from ds_orchestrator.campaign.selection import roads_of
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
@@ -70,7 +69,7 @@ class GatedEngine(MadeUpEngine):
 def run(folder: Path, engine: GatedEngine, config: Any = FOGGY) -> tuple[Campaign, Store]:
     folder.mkdir(exist_ok=True)
     store = store_of(folder, config)
-    campaign = Campaign(config, folder, store, engine, SilentListener())
+    campaign = Campaign(config, folder, store, engine, Listener())
     with suppress(Stopped):
         campaign.run()
     return campaign, store

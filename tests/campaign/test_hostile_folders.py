@@ -19,9 +19,8 @@ from ds_analysis.prediction.outcome_table import OutcomeTableError, table_of_com
 from ds_analysis.prediction.real.proposal import read_proposed
 from ds_analysis.prediction.real.records import RecordError, read_csv, read_drives
 from ds_driver.whole_files import write_whole
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
-from ds_orchestrator.campaign.folder import open_store, with_kept_engine
+from ds_orchestrator.campaign.folder import open_store, read_campaign, with_kept_engine
 from ds_orchestrator.store import folder_files
 from ds_orchestrator.store.folder_files import check_folder, locked, read_file
 from ds_orchestrator.store.sqlite_file import StoreError

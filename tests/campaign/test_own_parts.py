@@ -14,10 +14,10 @@ from tests.campaign.test_campaign import CONFIG
 from tests.campaign.test_gates import GatedEngine, run
 
 from ds_analysis.paper.campaign_evaluation import maps_of
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
-from ds_orchestrator.maps.map_id import MapId
-from ds_orchestrator.maps.merge_operators import operator_of
+from ds_orchestrator.campaign.folder import read_campaign
+from ds_orchestrator.maps.algebra import operator_of
+from ds_orchestrator.maps.feature_map import MapId
 from ds_orchestrator.search.algorithms import search_of
 
 OWN = "tests.campaign.own_parts"

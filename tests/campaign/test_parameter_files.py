@@ -12,7 +12,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.campaign.executor import SilentListener, Stopped
+from ds_orchestrator.campaign.executor import Listener, Stopped
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
@@ -82,7 +82,7 @@ def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     assert config.twin
     (out / "bags").mkdir(parents=True)
     store = Store(out / "campaign.sqlite", config=config.identity())
-    Campaign(config, out, store, ShortDrives(), SilentListener()).run()
+    Campaign(config, out, store, ShortDrives(), Listener()).run()
     bags = [out / execution.bag for execution in store.executions()]
     assert len(bags) == len(set(bags)) == len(store.tests()) * 2
     assert all(bag.parent == out / "bags" and (bag / "metadata.yaml").is_file() for bag in bags)

@@ -210,7 +210,7 @@ def test_a_journal_that_names_another_file_is_not_replayed(tmp_path: Path, ds: D
 
 
 def test_bags_that_are_gone_are_named(tmp_path: Path, ds: Ds, capsys: pytest.CaptureFixture[str]) -> None:
-    from ds_orchestrator.campaign.bag_groups import missing_bags
+    from ds_orchestrator.campaign.selection import missing_bags
 
     folder = make(tmp_path / "campaign")
     change(folder, "UPDATE executions SET bag=? WHERE test_id='donkey-0-0001'", BAG)

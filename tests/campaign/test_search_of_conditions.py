@@ -11,8 +11,8 @@ from tests.campaign.test_campaign import CONFIG, maps_text
 from tests.campaign.test_gates import GatedEngine, run
 
 from ds_analysis.paper.campaign_evaluation import maps_of
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
+from ds_orchestrator.campaign.folder import read_campaign
 
 SEARCHED = {"line_contrast": {"low": 0.1, "high": 0.9}, "visibility": {"low": 20.0, "high": 200.0, "step": 0.5}}
 

@@ -16,7 +16,7 @@ from tests.engines.dask_processes import DaskProcesses, drive_workers, wait_unti
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
-from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines import membership
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, TlsFiles, connect, read_cluster
 from ds_orchestrator.engines.dask_engine import DaskEngine, running_dask

@@ -1,13 +1,12 @@
 """Tests that results do not depend on the substep: halving it changes the autopilot's fitness by less than 2 cm.
 
-`python -m benchmarks.convergence` drives more roads; its numbers are in docs/simulators.md.
+`python -m benchmarks.physics convergence` drives more roads; its numbers are in docs/simulators.md.
 """
 
 from __future__ import annotations
 
 import pytest
-from benchmarks.convergence import fitness_shift, random_roads
-from benchmarks.headless import cars, drive
+from benchmarks.physics import cars, drive, fitness_shift, random_roads
 
 from ds_sim.simulator import Outcome
 

@@ -19,12 +19,12 @@ from rosbags.typesys import Stores, get_typestore
 from tests.fuzz.damage import Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_value
 from tests.fuzz.harness import Kind
 
+from ds_bags.copying import recover
 from ds_bags.donkey_tub import TubError, read_tub
 from ds_bags.info import describe, in_words
 from ds_bags.layout import BagError
 from ds_bags.packs import pack, unpack
 from ds_bags.reader import BagReader, read_run
-from ds_bags.recovery import recover
 from ds_bags.run_writer import write_bag
 from ds_driver.data.recordings import Reading, open_recording
 from ds_road import Road

@@ -21,8 +21,8 @@ from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.user_networks import DescribedNetworkPilot
 from ds_driver.networks.weights import WeightsError, load_weights
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import ConfigError, read_config
+from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store

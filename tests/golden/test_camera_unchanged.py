@@ -121,7 +121,9 @@ def plain_image(
         frame[row] = np.rint(drawn.astype(np.float64).mean(axis=0))
     if sky_end > first:
         up = (axes[:, 2] * -focal).astype(np.float32)
-        cover = np.clip((0.5 - components(centre[:, first:sky_end], up.tolist())) * 256.0, 0, 256).astype(int)[..., None]
+        cover = np.clip((0.5 - components(centre[:, first:sky_end], up.tolist())) * 256.0, 0, 256).astype(int)[
+            ..., None
+        ]
         frame[first:sky_end] = (frame[first:sky_end] * (256 - cover) + sky * cover + 128) >> 8
     return frame[..., :3]
 

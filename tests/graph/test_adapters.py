@@ -21,7 +21,7 @@ SPACE = {"donkey": "/ds1"}
 def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey, and the adapter with the parameters of the test."""
     from ds_orchestrator.graph.client import GraphClient
-    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.session import RosDomain
     from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
     sync, parameters = request.param

@@ -26,7 +26,7 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
     from ds_driver.control.other_stacks import Geometry
     from ds_driver.networks.images import Crop
     from ds_driver.networks.network_driver import NetworkDriver
-    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.session import RosDomain
     from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
     from ds_road import Road
 

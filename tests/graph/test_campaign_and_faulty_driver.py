@@ -32,8 +32,7 @@ def test_a_campaign_outlives_its_driver(
     """The driver fails once, during a run; the test is repeated, and the error enters no map."""
     from ds_cli.campaign.run import status
     from ds_orchestrator.graph import session as running
-    from ds_orchestrator.graph.process_specs import simulator_processes
-    from ds_orchestrator.graph.supervisor import ProcessSpec
+    from ds_orchestrator.graph.supervisor import ProcessSpec, simulator_processes
     from ds_studies.whole_campaign import run_campaign
 
     faulty = ProcessSpec(

@@ -27,9 +27,8 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         from ds_orchestrator.graph.client import GraphClient
-        from ds_orchestrator.graph.process_specs import simulator_processes
-        from ds_orchestrator.graph.ros_domain import RosDomain
-        from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
+        from ds_orchestrator.graph.session import RosDomain
+        from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor, simulator_processes
 
         self._orders = folder / "orders"
         self.order("none")

@@ -50,7 +50,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     import rclpy
     from rclpy.node import Node
 
-    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.session import RosDomain
     from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
     domain = RosDomain()

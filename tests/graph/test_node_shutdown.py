@@ -50,7 +50,7 @@ def start() -> Iterator[Start]:
 
 @pytest.fixture
 def domain() -> Iterator[int]:
-    from ds_orchestrator.graph.ros_domain import RosDomain
+    from ds_orchestrator.graph.session import RosDomain
 
     held = RosDomain()
     yield held.number

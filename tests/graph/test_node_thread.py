@@ -10,7 +10,7 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 
-from ds_orchestrator.graph.ros_domain import RosDomain
+from ds_orchestrator.graph.session import RosDomain
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.runtime import init_ros
 

@@ -47,9 +47,8 @@ def graph(shared_graph: Any, join: Callable[..., None]) -> Any:
 def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey without a driver; yields (executor, ROS domain)."""
     from ds_orchestrator.graph.client import GraphClient
-    from ds_orchestrator.graph.process_specs import simulator_processes
-    from ds_orchestrator.graph.ros_domain import RosDomain
-    from ds_orchestrator.graph.supervisor import Supervisor
+    from ds_orchestrator.graph.session import RosDomain
+    from ds_orchestrator.graph.supervisor import Supervisor, simulator_processes
 
     domain = RosDomain()
     supervisor = Supervisor(simulator_processes(SPACE, 10.0), domain=domain.number, logs=logs)
@@ -216,9 +215,8 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
     from rclpy.node import Node
     from sensor_msgs.msg import Image
 
-    from ds_orchestrator.graph.process_specs import driver_process
-    from ds_orchestrator.graph.ros_domain import RosDomain
-    from ds_orchestrator.graph.supervisor import Supervisor
+    from ds_orchestrator.graph.session import RosDomain
+    from ds_orchestrator.graph.supervisor import Supervisor, driver_process
 
     domain = RosDomain()
     driver = driver_process("dave2", SPACE)

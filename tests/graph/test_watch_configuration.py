@@ -19,8 +19,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from ds_orchestrator.campaign.drive_settings import namespaces_of
-from ds_orchestrator.graph.ros_domain import RosDomain
+from ds_orchestrator.campaign.engine import namespaces_of
+from ds_orchestrator.graph.session import RosDomain
 from ds_sim.frames import ROAD_FRAME, base_frame, camera_frame
 from ds_sim.registry import spec_of
 from ds_sim.ros.frame_publisher import FramePublisher

@@ -63,7 +63,7 @@ sys.path[:] = [{str(tmp_path / "site")!r}] + [p for p in sys.path if "ds_" not i
 sys.modules.update(rclpy=None, ds_interfaces=None)
 import ds_sim
 assert ds_sim.__file__.startswith({str(tmp_path)!r})
-from ds_bags.message_factory import typestore
+from ds_bags.messages import typestore
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_cli.campaign.run import shipped_config
 from ds_cli import main

@@ -17,12 +17,9 @@ from statsmodels.stats.proportion import proportion_confint
 from ds_analysis.common.statistics import Array
 from ds_analysis.paper.correlation import correlate, evaluate, paired_differences
 from ds_analysis.paper.robustness_checks import check_robustness
-from ds_orchestrator.maps.algebra import merge, union
+from ds_orchestrator.maps.algebra import apply, jeffreys_interval, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
-from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, slices_of, to_json
-from ds_orchestrator.maps.frame import maps_frame
-from ds_orchestrator.maps.map_id import MapId
-from ds_orchestrator.maps.merge_operators import apply, jeffreys_interval, merged_interval
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json
 from ds_orchestrator.search.features import Cell, feature_of
 from ds_orchestrator.store.model import NO_DRIVE, DriveArrays, Execution, Test
 from ds_road import Road, generate

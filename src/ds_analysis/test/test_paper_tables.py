@@ -20,7 +20,7 @@ from ds_analysis.paper.paper_tables import (
     role_of,
 )
 from ds_analysis.paper.robustness_checks import RobustnessCheck
-from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.maps.feature_map import MapId
 
 TABLE = Table(
     name="t",

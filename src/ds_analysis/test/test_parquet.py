@@ -17,8 +17,8 @@ from report_campaigns import make_campaign
 
 from ds_analysis.interchange.columns import EXECUTIONS, FRAMES
 from ds_analysis.interchange.parquet import write_tables
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_road import read_roads
 from ds_sim.gates.gate import Gate, GateState
 

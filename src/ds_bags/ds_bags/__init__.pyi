@@ -1,9 +1,9 @@
+from .copying import recover
 from .donkey_tub import Tub, TubError, read_tub
 from .info import describe
 from .layout import LEVELS, BagError, Level
 from .packs import Pack, pack, unpack
 from .reader import BagReader, RecordedRun, read_run
-from .recovery import recover
 from .run_writer import write_bag
 from .verification import Verification, verify_bag
 

@@ -2,7 +2,7 @@
 
 `rosbags` decompresses a chunk of any size, loads YAML with a slow parser without limits, and turns every message
 definition into Python code that it runs. Its tables of functions and names are replaced here by ones that count first:
-nothing is decompressed beyond the budget of `ds_bags.limits`, and a definition becomes code only if every name in it is
+nothing is decompressed beyond the budget of `ds_bags.layout`, and a definition becomes code only if every name in it is
 a plain identifier and its size is bounded.
 """
 
@@ -23,7 +23,7 @@ from rosbags.rosbag2 import metadata, reader, storage_mcap, storage_sqlite3
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from ds_bags.limits import TooLargeError, count_opened, left_to_open, parse_metadata, too_much
+from ds_bags.layout import TooLargeError, count_opened, left_to_open, parse_metadata, too_much
 from ds_sim.bounded_yaml import load_yaml
 
 MAX_DEFINITION = 256 * 2**10

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ds_bags.layout import BagError, bag_name
-from ds_bags.limits import printable, regular_file
+from ds_bags.layout import BagError, bag_name, printable, regular_file
 
 MAX_FILE = 64 * 2**20
 """Bytes of a manifest or catalog; chosen: donkeycar begins a new catalog after 1,000 records, some 300 kB."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ds_bags.limits import printable
+from ds_bags.layout import printable
 from ds_bags.reader import BagReader
 
 

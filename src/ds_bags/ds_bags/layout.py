@@ -1,14 +1,19 @@
-"""Names and places of bags on disk, and the error that every reader and writer of bags raises."""
+"""Names, places and limits of bags on disk (docs/bags.md), and the errors that readers and writers of bags raise."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Literal, get_args
+from contextvars import ContextVar
+from functools import lru_cache
+from pathlib import Path, PurePath
+from typing import Any, Literal, get_args
+
+from ds_sim.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_bounded
 
 Level = Literal["telemetry", "compressed", "raw"]
 """What a bag holds: everything but images, images as JPEG too, or images bit by bit."""
@@ -70,3 +75,160 @@ def new_folder(folder: Path) -> Iterator[Path]:
         (hidden / folder.name).rename(folder)
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
+
+
+MAX_METADATA = YamlLimits(size=16 * 2**20, nodes=1_000_000, depth=30)
+"""Of a `metadata.yaml`; chosen: a pack of 1,000 bags has half of it."""
+MAX_TOPICS = 10_000
+"""Topics of one bag; chosen: a pack of 1,000 bags has 9,000."""
+OPENED_AT_LEAST = 64 * 2**20
+"""Bytes that the compressed parts of a bag may open to, however small it is."""
+OPENED_PER_BYTE = 100
+"""Bytes that each byte of a bag's files may open to beyond that; chosen: ten times what telemetry takes."""
+MAX_TIME = 2**31 * 10**9
+"""ns; the first time that a ROS stamp cannot hold (January 2038)."""
+
+
+class TooLargeError(BagError):
+    """A bag beyond a limit; recovering it does not help."""
+
+
+class _Budget:
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self.left = limit
+
+
+_budget: ContextVar[_Budget | None] = ContextVar("budget", default=None)
+
+
+class Opening:
+    """What one pass over a bag may still decompress.
+
+    Args:
+        size: bytes of the bag's files.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._budget = _Budget(OPENED_AT_LEAST + OPENED_PER_BYTE * size)
+
+    @contextmanager
+    def counting(self) -> Iterator[None]:
+        """Count what is decompressed inside against this pass."""
+        token = _budget.set(self._budget)
+        try:
+            yield
+        finally:
+            _budget.reset(token)
+
+
+def left_to_open() -> int:
+    """Bytes that may still be decompressed in this pass."""
+    found = _budget.get()
+    return OPENED_AT_LEAST if found is None else found.left
+
+
+def count_opened(size: int) -> None:
+    """Count decompressed bytes.
+
+    Raises:
+        TooLargeError: more than the limit.
+    """
+    found = _budget.get()
+    if found is not None:
+        found.left -= size
+    if left_to_open() < 0 or (found is None and size > OPENED_AT_LEAST):
+        raise too_much()
+
+
+def too_much() -> TooLargeError:
+    """The error of a bag whose compressed parts open to more than the limit."""
+    found = _budget.get()
+    limit = OPENED_AT_LEAST if found is None else found.limit
+    return TooLargeError(
+        f"its compressed parts open to more than {limit / 2**20:.0f} MiB, the limit for a bag of this size"
+    )
+
+
+def regular_file(path: Path) -> Path:
+    """The path, if it is a regular file or a link to one: opening a FIFO would wait, reading a device never ends.
+
+    Raises:
+        BagError: it is something else, or not there.
+    """
+    try:
+        if stat.S_ISREG(path.stat().st_mode):
+            return path
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise BagError(f"{printable(path)} cannot be opened ({reason}): copy the bag again") from None
+    raise BagError(f"{printable(path)} is not a regular file: copy the bag again, as files")
+
+
+@lru_cache(maxsize=1)
+def parse_metadata(text: str) -> Any:
+    """Parse the text of a `metadata.yaml`; kept, as `rosbags` parses it once more.
+
+    Raises:
+        BoundedYamlError: it is not YAML, or beyond `MAX_METADATA`.
+    """
+    return load_yaml(text, limits=MAX_METADATA)
+
+
+def bag_information(folder: Path) -> dict[str, Any]:
+    """What `metadata.yaml` says, with the types that every reader of it relies on.
+
+    Raises:
+        BagError: there is none, or it is not as rosbag2 writes it.
+    """
+    path = regular_file(folder / "metadata.yaml")
+    try:
+        information = parse_metadata(read_bounded(path, MAX_METADATA.size).decode())
+    except UnicodeDecodeError:
+        raise BagError(f"{path} cannot be read (not UTF-8 text): copy the bag again") from None
+    except BoundedYamlError as error:
+        raise BagError(f"{path} cannot be read ({printable(error)}): copy the bag again") from None
+    try:
+        information = information["rosbag2_bagfile_information"]
+        topics = [entry["topic_metadata"] for entry in information["topics_with_message_count"]]
+        counts = [entry["message_count"] for entry in information["topics_with_message_count"]]
+        counts += [information["message_count"], information["version"], information["duration"]["nanoseconds"]]
+        counts += [information["starting_time"]["nanoseconds_since_epoch"]]
+        texts = [topic[key] for topic in topics for key in ("name", "type", "serialization_format")]
+        texts += [topic.get("type_description_hash", "") for topic in topics]
+        texts += [information["storage_identifier"], *information["relative_file_paths"]]
+        texts += [information.get(key) or "" for key in ("compression_format", "compression_mode", "ros_distro")]
+        custom = information.get("custom_data") or {}
+        values = [value for item in custom.items() for value in item]
+    except (KeyError, TypeError, AttributeError) as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else "another structure"
+        raise BagError(f"{path} is not as rosbag2 writes it ({reason}): copy the bag again") from None
+    for kind, found in ((int, counts), (str, texts)):
+        for value in found:
+            if not isinstance(value, kind) or isinstance(value, bool):
+                raise BagError(f"{path}: {printable(value)} where {kind.__name__} is expected: copy the bag again")
+    if any(isinstance(value, dict | list) for value in values):
+        raise BagError(f"{path}: custom data with a list or a mapping, expected text: copy the bag again")
+    if not all(0 <= count < 2**63 for count in counts):
+        raise BagError(f"{path}: a count or a time below 0 or beyond 63 bits: copy the bag again")
+    names = [PurePath(name).name for name in information["relative_file_paths"]]
+    if len(set(names)) < len(names) or not names:
+        raise BagError(f"{path} names {'a file twice' if names else 'no file'}: copy the bag again")
+    for name in names:
+        regular_file(folder / name)
+    if len(topics) > MAX_TOPICS:
+        raise TooLargeError(f"{path} has {len(topics)} topics, the limit is {MAX_TOPICS}")
+    return dict(information)
+
+
+def custom_data(information: dict[str, Any]) -> dict[str, str]:
+    """The custom data of a bag as text; empty if it has none."""
+    found = (information.get("custom_data") or {}).items()
+    return {str(key): "" if value is None else str(value) for key, value in found}
+
+
+def printable(value: object, longest: int = 200) -> str:
+    """A received text as one line of at most so many characters, without control characters."""
+    text = value if isinstance(value, str) else str(value)[: 4 * longest]
+    text = "".join(c if c.isprintable() else "?" for c in text[: longest + 1])
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Message, Metadata, Schema
 
-from ds_bags.layout import BagError, bag_name, new_folder
-from ds_bags.limits import bag_information, custom_data, printable
-from ds_bags.mcap_records import records, topic_of_channel
+from ds_bags.copying import records, topic_of_channel
+from ds_bags.layout import BagError, bag_information, bag_name, custom_data, new_folder, printable
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
 
 PACKED_RECORD = "digital_siblings_packed"
@@ -67,15 +66,10 @@ def pack(bags: Sequence[Path], folder: Path, about: Mapping[str, str]) -> Pack:
     prefixes = [topic_prefix(name) for name in names]
     if duplicates := sorted({name for name, prefix in zip(names, prefixes, strict=True) if prefixes.count(prefix) > 1}):
         raise BagError(f"bags {', '.join(duplicates[:3])} would have the same topics: pack them separately")
-    with new_folder(folder) as hidden:
-        writer = Rosbag2Writer(hidden, about)
-        try:
-            for bag in bags:
-                _add(writer, bag)
-            writer.close({**about, "packed": str(len(bags)), "bags": json.dumps(names)})
-        except BaseException:
-            writer.abort()
-            raise
+    with new_folder(folder) as hidden, Rosbag2Writer(hidden, about) as writer:
+        for bag in bags:
+            _add(writer, bag)
+        writer.close({**about, "packed": str(len(bags)), "bags": json.dumps(names)})
     size = sum(file.stat().st_size for file in folder.iterdir())
     return Pack(folder=folder, bags=len(bags), bytes=size)
 
@@ -103,7 +97,7 @@ def unpack(folder: Path, out: Path, only: str | None = None) -> list[Path]:
         if wanted in names and os.path.lexists(out / wanted):
             raise BagError(f"{out / wanted} exists already: choose another --out")
     with ExitStack() as stack:
-        for record in _records(file):
+        for record, _ in records(file):
             if isinstance(record, Metadata) and record.name in (PACKED_RECORD, "rosbag2"):
                 if current is not None:
                     current.finish()
@@ -140,8 +134,7 @@ class _UnpackedBag:
         self.channels: dict[int, int] = {}
         self._ending = ending
         self._stack = stack.enter_context(ExitStack())
-        self.writer = Rosbag2Writer(self._stack.enter_context(new_folder(folder)), about)
-        self._stack.push(lambda kind, error, trace: self.writer.abort() if kind else None)
+        self.writer = self._stack.enter_context(Rosbag2Writer(self._stack.enter_context(new_folder(folder)), about))
 
     def finish(self) -> None:
         """Complete the bag and move it to its folder."""
@@ -182,7 +175,7 @@ def _add(writer: Rosbag2Writer, bag: Path) -> None:
     schemas: dict[int, Schema] = {}
     channels: dict[int, int] = {}
     begun = False
-    for record in _records(file):
+    for record, _ in records(file):
         if isinstance(record, Metadata) and record.name == ABOUT_RECORD and not begun:
             texts = {"about": json.dumps(record.metadata), "custom_data": json.dumps(custom)}
             writer.note(PACKED_RECORD, {"name": bag.name, **texts})
@@ -203,10 +196,3 @@ def _file_of(bag: Path) -> Path:
     if len(found) != 1 or not (bag / "metadata.yaml").is_file():
         raise BagError(f"{bag} is no whole bag of one MCAP file: `ds bag info` says what is wrong")
     return found[0]
-
-
-def _records(file: Path) -> Iterator[McapRecord]:
-    """Yield schemas, channels, messages and metadata in the order of the file."""
-    for record, _ in records(file):
-        if isinstance(record, Schema | Channel | Message | Metadata):
-            yield record

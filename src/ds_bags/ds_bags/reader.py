@@ -17,14 +17,16 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from ds_bags.bounded_rosbags import check_ros1_types
-from ds_bags.layout import BagError, image_spool_path, partial_path
-from ds_bags.limits import (
+from ds_bags.layout import (
     MAX_TIME,
     MAX_TOPICS,
+    BagError,
     Opening,
     TooLargeError,
     bag_information,
     custom_data,
+    image_spool_path,
+    partial_path,
     printable,
     regular_file,
 )
@@ -41,7 +43,7 @@ MAX_SEED = 2**63 - 1
 
 
 class BagReader:
-    """Reads an open bag within the limits of `ds_bags.limits`. Use it as a context manager.
+    """Reads an open bag within the limits of `ds_bags.layout`. Use it as a context manager.
 
     Args:
         path: rosbag2 folder, or a ROS 1 `.bag` file.

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
-from ds_bags.message_factory import MessageFactory, typestore
+from ds_bags.messages import MessageFactory, frame_times, serialise_frames, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
-from ds_bags.telemetry import frame_times, serialise_frames
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
 from ds_sim.installation import versions
@@ -117,17 +116,24 @@ def write_bag(
     """
     # The files inside are named after the bag, so the partial bag has the same name, one level deeper.
     hidden = partial_path(folder)
+    facts = facts_of(simulator, run, level) | dict(about)
     if observations is None:
         observations = run.observations if level == "telemetry" else resimulate(simulator, run)
     try:
         shutil.rmtree(hidden, ignore_errors=True)
-        written = _write(hidden / folder.name, namespace, simulator, run, about, level, observations, translate)
+        with Rosbag2Writer(hidden / folder.name, facts) as writer:
+            messages = RunWriter(writer, namespace, spec_of(simulator), run, level, translate)
+            messages.begin()
+            messages.frames(None if level == "telemetry" else observations)
+            messages.end()
+            images = {"images": str(messages.images)} if level != "telemetry" else {}
+            writer.close(facts | results_of(run) | images)
         shutil.rmtree(folder, ignore_errors=True)
         (hidden / folder.name).rename(folder)
         hidden.rmdir()
     except OSError as error:
         raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
-    return written
+    return messages.images
 
 
 class RunWriter:
@@ -226,28 +232,3 @@ class RunWriter:
     def _put(self, topic: str, nanoseconds: int, message: Any) -> None:
         data = bytes(self._store.serialize_cdr(message, _TOPICS[topic][0]))
         self._writer.write(self._channels[topic], nanoseconds, data)
-
-
-def _write(
-    path: Path,
-    namespace: str,
-    simulator: str,
-    run: RunRecord,
-    about: Mapping[str, str],
-    level: Level,
-    observations: Iterable[Observation],
-    translate: Translation | None,
-) -> int:
-    facts = facts_of(simulator, run, level) | dict(about)
-    writer = Rosbag2Writer(path, facts)
-    try:
-        messages = RunWriter(writer, namespace, spec_of(simulator), run, level, translate)
-        messages.begin()
-        messages.frames(None if level == "telemetry" else observations)
-        messages.end()
-        images = {"images": str(messages.images)} if level != "telemetry" else {}
-        writer.close(facts | results_of(run) | images)
-    except BaseException:
-        writer.abort()
-        raise
-    return messages.images

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ds_bags.layout import BagError
-from ds_bags.limits import printable
+from ds_bags.layout import BagError, printable
 from ds_bags.reader import BagReader, RecordedRun, read_run, stamp_of
 from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.simulator import Observation

@@ -14,8 +14,8 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from ds_orchestrator.campaign.config import read_config
-from ds_orchestrator.campaign.drive_settings import namespaces_of
-from ds_orchestrator.graph.process_specs import driver_process, simulator_processes
+from ds_orchestrator.campaign.engine import namespaces_of
+from ds_orchestrator.graph.supervisor import driver_process, simulator_processes
 
 EXECUTABLES = {
     "ds_sim.ros.simulator_node": ("ds_sim", "simulator"),

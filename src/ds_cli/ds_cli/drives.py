@@ -157,7 +157,7 @@ def sensitivity_command(
     from rich.console import Console
 
     from ds_analysis.common.table import write_tables
-    from ds_orchestrator.campaign.drive_settings import DriveSettings
+    from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.camera.encodings import png
     from ds_studies.sensitivity.analysis import analyse_sensitivity

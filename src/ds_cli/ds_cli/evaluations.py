@@ -43,8 +43,7 @@ def evaluation(
         tables_of,
     )
     from ds_analysis.paper.open_loop import ErrorsError
-    from ds_orchestrator.campaign.campaign_data import read_campaign
-    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_report.build import RQ1
     from ds_report.sections import sibling_section
 

@@ -47,9 +47,8 @@ def maps(
     """
     from ds_analysis.paper.campaign_evaluation import maps_of
     from ds_analysis.paper.exclusions import exclusion_lines
-    from ds_orchestrator.campaign.campaign_data import read_campaign
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.maps.feature_map import slices_of, to_json
 
     with closing(open_store(folder)) as store:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ds_bags.layout import Level
 from ds_cli.output import Interrupted, Result, duration, say
-from ds_orchestrator.graph.availability import check_ros
+from ds_orchestrator.graph.supervisor import check_ros
 from ds_sim.conditions.model import DEFAULT, Conditions
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from ds_sim.extension import confirm
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig
-    from ds_orchestrator.campaign.drive_settings import DriveSettings
+    from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.cluster import ClusterOptions
 
 SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey")
@@ -189,7 +189,7 @@ def with_engine_without_ros(
 
 def _chosen(workers: int | None, engine: str | None) -> dict[str, Any]:
     from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError
-    from ds_orchestrator.campaign.drive_settings import EngineName as Names
+    from ds_orchestrator.campaign.engine import EngineName as Names
 
     if workers is not None and workers > MOST_WORKERS:
         raise ConfigError(f"--workers {workers}: expected 1 to {MOST_WORKERS}")

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ds_cli.output import duration, say
-from ds_orchestrator.campaign.eta import Eta
+from ds_orchestrator.campaign.executor import Listener
+from ds_orchestrator.campaign.live_file import Eta
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 
@@ -19,7 +20,7 @@ EVERY = 5.0
 """Seconds between two lines about a drive where there is no terminal; chosen."""
 
 
-class ScreenListener:
+class ScreenListener(Listener):
     """Shows a campaign's stage, executions, failures and time left: a bar on a terminal, lines elsewhere."""
 
     def __init__(self) -> None:

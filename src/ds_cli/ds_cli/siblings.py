@@ -87,7 +87,7 @@ def siblings_compare_command(
     from ds_analysis.siblings.outcomes import outcomes_of_runs
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.drive_settings import DriveSettings
+    from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.store.folder_files import make_folder
     from ds_studies.same_roads import drive_same_roads

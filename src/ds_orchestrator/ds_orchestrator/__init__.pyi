@@ -1,22 +1,26 @@
-from .campaign.campaign_data import CampaignData, read_campaign
 from .campaign.config import CampaignConfig, ConfigError, OperatorsConfig, SearchConfig, parse_config, read_config
-from .campaign.drive_settings import DriveSettings
-from .campaign.engine import Engine
+from .campaign.engine import DriveSettings, Engine
 from .campaign.executor import CampaignError, Executor, Listener, Stopped
-from .campaign.folder import config_of, open_store, prepare_folder
+from .campaign.folder import CampaignData, config_of, open_store, prepare_folder, read_campaign
 from .campaign.runner import Campaign
 from .campaign.status import Stage, stages_of
 from .engines.drive_tests import GivenDrives, Progress, drive_tests
-from .maps.algebra import merge, pool, union
+from .maps.algebra import OPERATORS, MergeOperator, jeffreys_interval, merge, pool, union
 from .maps.campaign_maps import MapPlan, build_maps
-from .maps.feature_map import FeatureMap, MapCell
-from .maps.frame import maps_frame
-from .maps.map_id import MapId, map_ids
-from .maps.merge_operators import OPERATORS, MergeOperator, jeffreys_interval
-from .search.algorithms import SEARCHES, DeepHyperion, DeepHyperionCS, RandomSearch
-from .search.archive import Archive, Elite
-from .search.base import Candidate, Search, SearchSettings
-from .search.condition_space import ConditionSpace, SearchedCondition
+from .maps.feature_map import FeatureMap, MapCell, MapId, map_ids, maps_frame
+from .search.algorithms import (
+    SEARCHES,
+    Archive,
+    Candidate,
+    ConditionSpace,
+    DeepHyperion,
+    DeepHyperionCS,
+    Elite,
+    RandomSearch,
+    Search,
+    SearchedCondition,
+    SearchSettings,
+)
 from .search.features import FEATURES, Cell, cell_of, feature_of
 from .store.folder_files import LockError, locked
 from .store.model import Execution, Test

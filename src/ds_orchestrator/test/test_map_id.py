@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_orchestrator.maps import merge_operators
-from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
-from ds_orchestrator.maps.frame import maps_frame
-from ds_orchestrator.maps.map_id import MapId, compared_ids, map_ids
-from ds_orchestrator.maps.merge_operators import OPERATORS, merged_interval
+from ds_orchestrator.maps import algebra
+from ds_orchestrator.maps.algebra import OPERATORS, merged_interval
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, map_ids, maps_frame
 
 TRICKY = "path_to_x:Sim"
 
@@ -43,12 +41,12 @@ def test_an_interval_does_not_depend_on_the_order_of_the_operators(monkeypatch: 
     """The mean of 3 of 9 and 4 of 9 keeps the seed of the first version, its position in the list."""
     counts = [(3, 9), (4, 9)]
     before = {name: merged_interval(name, counts) for name in OPERATORS}
-    merge_operators._merged_interval.cache_clear()
-    monkeypatch.setattr(merge_operators, "OPERATORS", dict(reversed(list(OPERATORS.items()))))
+    algebra._merged_interval.cache_clear()
+    monkeypatch.setattr(algebra, "OPERATORS", dict(reversed(list(OPERATORS.items()))))
     assert {name: merged_interval(name, counts) for name in OPERATORS} == before
     assert len({operator.seed for operator in OPERATORS.values()}) == len(OPERATORS)
     rng = np.random.default_rng([3, 3, 9, 4, 9])
-    draws = rng.beta([[3.5], [4.5]], [[6.5], [5.5]], (2, merge_operators.DRAWS)).mean(axis=0)
+    draws = rng.beta([[3.5], [4.5]], [[6.5], [5.5]], (2, algebra.DRAWS)).mean(axis=0)
     assert before["mean"] == pytest.approx(tuple(np.quantile(draws, [0.025, 0.975])), rel=1e-12)
 
 

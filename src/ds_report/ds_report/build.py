@@ -18,10 +18,8 @@ from ds_analysis.paper.campaign_evaluation import (
 )
 from ds_analysis.paper.exclusions import excluded_table
 from ds_driver import whole_files
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
-from ds_orchestrator.campaign.folder import STAGES
-from ds_orchestrator.maps.feature_map import FeatureMap, to_json
-from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ds_orchestrator.campaign.campaign_data import CampaignData
-from ds_orchestrator.maps.merge_operators import jeffreys_interval
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import FIELDS
 

@@ -9,10 +9,9 @@ from ds_analysis.common.heatmap import Value
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
 from ds_driver.networks.network_driver import sees_translated
-from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_report.failure_region import RoadOutcomes, Share, Split, best_split, road_outcomes
 from ds_sim.conditions.model import DEFAULT, FIELDS
 from ds_sim.conditions.text import three_digits

@@ -19,14 +19,13 @@ from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.exclusions import excluded_table, exclusion_lines
 from ds_analysis.paper.paper_tables import Network, cautions
 from ds_driver.whole_files import write_whole
-from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.stage_timer import seconds_of
+from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId
-from ds_orchestrator.maps.merge_operators import jeffreys_interval
+from ds_orchestrator.maps.algebra import jeffreys_interval
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import Execution
+from ds_orchestrator.store.store import seconds_of
 from ds_report.camera_pictures import (
     CAMERA_PLACE,
     camera_pictures,

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.paper.exclusions import IN_WORDS
-from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import FEET, Cell, Feature, base_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.findings import radius

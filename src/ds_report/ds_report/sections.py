@@ -21,9 +21,8 @@ from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts, j
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.outcomes import outcomes_of_campaign
 from ds_analysis.siblings.pictures import draw_failures, draw_matrix
-from ds_orchestrator.campaign.campaign_data import CampaignData
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.findings import count

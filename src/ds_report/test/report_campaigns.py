@@ -10,10 +10,9 @@ import numpy as np
 
 from ds_analysis.paper.campaign_evaluation import maps_of
 from ds_analysis.paper.correlation import Correlation, evaluate
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import DriveArrays, Execution, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store

@@ -24,9 +24,9 @@ from report_campaigns import EVIL, make_campaign, make_execution, make_tests, ro
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.campaign.executor import SilentListener
+from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, ObservedEngine, read_live
-from ds_orchestrator.graph.graph_engine import GraphEngine
+from ds_orchestrator.graph.session import GraphEngine
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
@@ -232,7 +232,7 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path) -
     store = make_campaign(tmp_path, CONFIG, 1)
     test, slow = later_test(9), SlowEngine()
     store.add_test(test)
-    with LiveFile(tmp_path, SilentListener()) as live:
+    with LiveFile(tmp_path, Listener()) as live:
         live.expect([{"bullet": 10}])
         live.stage("search")
         live.finished(store.tests()[0], "bullet", None, fresh=True)
@@ -355,7 +355,7 @@ def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:
 def test_the_page_shows_a_campaign_that_grows(browser: Browser, tmp_path: Path) -> None:
     store = make_campaign(tmp_path, CONFIG, 2)
     with (
-        LiveFile(tmp_path, SilentListener()) as live,
+        LiveFile(tmp_path, Listener()) as live,
         served(tmp_path) as server,
         closing(browser.new_page(viewport={"width": 1280, "height": 900})) as page,
     ):

@@ -11,9 +11,9 @@ from ds_road.files import (
     write_roads,
 )
 from ds_road.generation import MutationError, generate, mutate
+from ds_road.geometry import Validity
 from ds_road.picture import draw
 from ds_road.road import LANE_WIDTH, Road, RoadError, Side
-from ds_road.validity import Validity
 
 __all__ = [
     "LANE_WIDTH",

@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road.commonroad import commonroad
-from ds_road.opendrive_reading import STEPS_CODE
+from ds_road.geometry import SAMPLES_PER_SEGMENT
+from ds_road.importing import STEPS_CODE
 from ds_road.road import Road, RoadError
-from ds_road.spline import SAMPLES_PER_SEGMENT
 
 Format = Literal["opendrive", "commonroad", "sbft"]
 SUFFIXES: dict[Format, str] = {"opendrive": ".xodr", "commonroad": ".xml", "sbft": ".json"}

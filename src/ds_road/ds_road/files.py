@@ -32,11 +32,8 @@ def road_from_json(raw: Any) -> Road:
     if len(given) != 1:
         found = "both" if given else "neither"
         raise RoadError(f"a road has {found} of control_points and road_points, expected exactly one")
-    lane_width, maxitwo_compatible = (
-        raw.get("lane_width", LANE_WIDTH),
-        raw.get("maxitwo_compatible", raw.get("published", False)),
-    )
-    lane = raw.get("lane", "right")
+    lane_width, lane = raw.get("lane_width", LANE_WIDTH), raw.get("lane", "right")
+    maxitwo_compatible = raw.get("maxitwo_compatible", False)
     if not isinstance(maxitwo_compatible, bool):
         raise RoadError(f"maxitwo_compatible is {abbreviated(maxitwo_compatible)}, expected true or false")
     if given == ["control_points"]:

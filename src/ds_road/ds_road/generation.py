@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from ds_road.geometry import BOX, check_surface, fits
 from ds_road.road import LANE_WIDTH, Road, RoadError, Side
-from ds_road.validity import BOX, check_surface, fits
 
 SEGMENT_LENGTH = 25.0
 """Distance between two control points, m (maxitwo)."""

@@ -13,9 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road.features import curvature, largest_lane_curvature, turns_count
-from ds_road.spline import catmull_rom
-from ds_road.validity import BOX, Validity, check_surface
+from ds_road.geometry import BOX, Validity, catmull_rom, check_surface, curvature, largest_lane_curvature, turns_count
 
 Side = Literal["right", "left"]
 """Side of the centre line, as seen in driving order."""
@@ -205,17 +203,17 @@ class Road:
 
     @cached_property
     def curvature(self) -> float:
-        """Largest curvature of the centre line, 1/m; see `ds_road.features.curvature`."""
+        """Largest curvature of the centre line, 1/m; see `ds_road.geometry.curvature`."""
         return curvature(self.points)
 
     @cached_property
     def lane_curvature_max_right(self) -> float:
-        """Largest curvature of the driven lane to the right, 1/m; see `ds_road.features.largest_lane_curvature`."""
+        """Largest curvature of the driven lane to the right, 1/m; see `ds_road.geometry.largest_lane_curvature`."""
         return largest_lane_curvature(self.lane_centre, "right")
 
     @cached_property
     def lane_curvature_max_left(self) -> float:
-        """Largest curvature of the driven lane to the left, 1/m; see `ds_road.features.largest_lane_curvature`."""
+        """Largest curvature of the driven lane to the left, 1/m; see `ds_road.geometry.largest_lane_curvature`."""
         return largest_lane_curvature(self.lane_centre, "left")
 
     @property
@@ -225,7 +223,7 @@ class Road:
 
     @cached_property
     def turns_count(self) -> int:
-        """Number of turns; see `ds_road.features.turns_count`."""
+        """Number of turns; see `ds_road.geometry.turns_count`."""
         return turns_count(self.points)
 
     @cached_property

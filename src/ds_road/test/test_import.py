@@ -18,8 +18,7 @@ import shapely
 from ds_road import Road, RoadError, generate, read_roads
 from ds_road.commonroad import commonroad
 from ds_road.export import Format, opendrive, sbft, write_all
-from ds_road.importing import import_roads
-from ds_road.opendrive_reading import SPACING
+from ds_road.importing import SPACING, import_roads
 
 etree = pytest.importorskip("lxml.etree")  # one of the libraries for `make test`
 ROADS = {

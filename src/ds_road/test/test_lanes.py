@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ds_road import Road, RoadError, Side, generate, mutate
-from ds_road.features import LANE_WINDOW, lane_curvature, largest_lane_curvature
+from ds_road.geometry import LANE_WINDOW, lane_curvature, largest_lane_curvature
 
 HARD = [generate(np.random.default_rng(seed)) for seed in range(12)]
 

@@ -9,15 +9,20 @@ from pathlib import Path
 
 from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_analysis.paper.correlation import Correlation
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.executor import Listener, SilentListener, Stopped
-from ds_orchestrator.campaign.folder import keep_engine, open_store, prepare_folder, store_of
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.campaign.executor import Listener, Stopped
+from ds_orchestrator.campaign.folder import (
+    CampaignData,
+    keep_engine,
+    open_store,
+    prepare_folder,
+    read_campaign,
+    record_provenance,
+    store_of,
+)
 from ds_orchestrator.campaign.live_file import LiveFile, ObservedEngine
-from ds_orchestrator.campaign.provenance import record_provenance
 from ds_orchestrator.campaign.runner import Campaign
-from ds_orchestrator.campaign.stage_timer import StageTimer
 from ds_orchestrator.campaign.status import is_driven
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.engines.preflight import preflight
@@ -77,7 +82,7 @@ def run_campaign(
     with (
         locked(folder),
         closing(store_of(folder, config)) as store,
-        LiveFile(folder, listener or SilentListener()) as live,
+        LiveFile(folder, listener or Listener()) as live,
     ):
         record_provenance(store, settings, folder)
         keep_engine(folder, config)
@@ -158,15 +163,12 @@ def _drive(
     """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
     try:
         with running_engine(settings, logs=folder / "logs", say=say) as engine:
-            timer = StageTimer(live, store)
-            campaign = Campaign(config, folder, store, ObservedEngine(engine, live), timer)
+            campaign = Campaign(config, folder, store, ObservedEngine(engine, live), live)
             try:
                 campaign.run()
             except BaseException:
                 engine.stop()
                 raise
-            finally:
-                timer.end()
     except KeyboardInterrupt:
         raise Stopped from None
     return campaign.failed_executions

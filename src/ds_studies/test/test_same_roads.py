@@ -12,8 +12,7 @@ import pytest
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.engines import drive_tests, fingerprint
 from ds_orchestrator.engines.drive_tests import Progress

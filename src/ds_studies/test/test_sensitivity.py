@@ -16,8 +16,7 @@ import pytest
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import run_drive
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.session import NO_IMAGE, RunRecord

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import TubError, is_tub, number, read_tub
-from ds_bags.layout import BagError
-from ds_bags.limits import printable
+from ds_bags.layout import BagError, printable
 from ds_bags.reader import BagReader, stamp_of
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ds_bags.message_factory import typestore
+from ds_bags.messages import typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes

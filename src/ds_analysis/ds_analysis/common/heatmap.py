@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.whole_files import write_whole
-from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, slices_of
-from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, slices_of
 from ds_orchestrator.search.features import feature_of
 from ds_sim.camera.encodings import png
 from ds_sim.registry import label_of

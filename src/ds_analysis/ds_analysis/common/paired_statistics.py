@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ds_analysis.comparison.drives import PairedDrive
-from ds_orchestrator.maps.merge_operators import DRAWS, LEVEL
+from ds_orchestrator.maps.algebra import DRAWS, LEVEL
 
 ALPHA = 1.0 - LEVEL
 """Significance level, as of the paper's tests (4.3.2)."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ConstantInputWarning, DegenerateDataWarning, NearConstantInputWarning, bootstrap, pearsonr
 
+from ds_orchestrator.maps.algebra import LEVEL
 from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.merge_operators import LEVEL
 from ds_orchestrator.search.features import Cell
 
 Array = NDArray[np.float64]

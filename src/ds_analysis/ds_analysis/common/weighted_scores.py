@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_orchestrator.maps.merge_operators import LEVEL
+from ds_orchestrator.maps.algebra import LEVEL
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

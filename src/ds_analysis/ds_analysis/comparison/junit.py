@@ -11,7 +11,7 @@ from typing import Literal
 from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 
 from ds_analysis.comparison.analysis import Comparison
-from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.campaign.folder import CampaignData
 
 State = Literal["passed", "failed", "known failure", "error"]
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ds_analysis.interchange.columns import EXECUTIONS, FRAMES, schema_of
-from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions

@@ -24,11 +24,10 @@ from ds_analysis.paper.paper_tables import (
 )
 from ds_analysis.paper.robustness_checks import check_robustness
 from ds_driver.whole_files import write_json
-from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.campaign_maps import build_maps
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId, map_ids
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
 from ds_orchestrator.store.folder_files import read_file
 from ds_orchestrator.store.sqlite_file import StoreError
 

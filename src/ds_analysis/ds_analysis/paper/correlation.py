@@ -24,8 +24,7 @@ from ds_analysis.common.statistics import (
     r_or_nan,
     values_over_shared_cells,
 )
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 
 QUESTIONS: tuple[Literal["probability", "quality_loss"], ...] = ("probability", "quality_loss")
 """RQ2 and RQ3: values of the siblings' maps that are compared with the twin's failure probability."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from ds_analysis.common.table import Column, Table
-from ds_orchestrator.campaign.campaign_data import CampaignData
+from ds_orchestrator.campaign.folder import CampaignData
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import GateState
 

@@ -18,10 +18,8 @@ from ds_analysis.common.statistics import (
     pearson_or_reason,
 )
 from ds_analysis.paper.correlation import QUESTIONS
-from ds_orchestrator.maps.algebra import merge
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId
-from ds_orchestrator.maps.merge_operators import OPERATORS
+from ds_orchestrator.maps.algebra import OPERATORS, merge
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 
 EMPTY = -2.0
 """Value that maxitwo puts into empty cells before it correlates over all cells."""

@@ -20,7 +20,7 @@ from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 
 if TYPE_CHECKING:
-    from ds_orchestrator.campaign.campaign_data import CampaignData
+    from ds_orchestrator.campaign.folder import CampaignData
     from ds_orchestrator.search.features import Cell
 
 Array = NDArray[np.float64]

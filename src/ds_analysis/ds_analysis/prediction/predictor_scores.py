@@ -24,7 +24,7 @@ from ds_analysis.prediction.predictors import (
     predict_tests,
 )
 from ds_analysis.prediction.twin_prediction import TwinPrediction
-from ds_orchestrator.maps.merge_operators import jeffreys_interval
+from ds_orchestrator.maps.algebra import jeffreys_interval
 
 Interval = tuple[float, float]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ds_analysis.prediction.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.prediction.twin_prediction import TwinPrediction, predict_twin
 from ds_analysis.prediction.undriven import undriven_probabilities
-from ds_orchestrator.maps.merge_operators import OPERATORS
+from ds_orchestrator.maps.algebra import OPERATORS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

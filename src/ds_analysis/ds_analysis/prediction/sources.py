@@ -41,8 +41,7 @@ def read_source(folder: Path, *, twin: str | None = None) -> Source:
         ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
     """
     if (folder / "campaign.sqlite").exists():
-        from ds_orchestrator.campaign.campaign_data import read_campaign
-        from ds_orchestrator.campaign.folder import open_store
+        from ds_orchestrator.campaign.folder import open_store, read_campaign
 
         with closing(open_store(folder)) as store:
             data = read_campaign(store)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ds_analysis.paper.simulator_agreement import GRID
 from ds_analysis.siblings.outcomes import Outcomes
 from ds_road import Road
-from ds_road.features import lane_curvature
+from ds_road.geometry import lane_curvature
 
 Departure = Literal[
     "wide in a right bend",

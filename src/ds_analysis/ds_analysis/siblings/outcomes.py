@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from ds_analysis.common.families import Indices, families_of
 from ds_analysis.paper.simulator_agreement import DrivenRoad, lateral_profile
 from ds_road import Road
-from ds_road.features import direction_coverage
+from ds_road.geometry import direction_coverage
 from ds_sim.conditions.model import FIELDS, Conditions
 from ds_sim.conditions.scales import share_of
 
 if TYPE_CHECKING:
-    from ds_orchestrator.campaign.campaign_data import CampaignData
+    from ds_orchestrator.campaign.folder import CampaignData
 
 ROAD_FEATURES: Mapping[str, Callable[[Road], float]] = {
     "length": lambda road: road.length,

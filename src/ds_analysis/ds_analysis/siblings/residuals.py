@@ -18,7 +18,7 @@ from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND
 from ds_analysis.paper.simulator_agreement import GRID
 from ds_analysis.siblings.baseline import Interval, caution_of_failures
 from ds_analysis.siblings.outcomes import Outcomes
-from ds_road.features import lane_curvature
+from ds_road.geometry import lane_curvature
 
 FEWEST_ROADS = 2 * FEWEST_OF_EACH_KIND
 """Roads that a correlation over roads needs; chosen: as many as the rule for failures needs in all."""

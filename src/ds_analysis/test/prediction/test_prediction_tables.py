@@ -11,10 +11,9 @@ from report_campaigns import make_campaign
 from ds_analysis.common.families import families_of
 from ds_analysis.prediction.outcome_table import OutcomeTableError, State, table_of_campaign
 from ds_analysis.siblings.outcomes import ROAD_FEATURES
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
-from ds_orchestrator.search.algorithms import DeepHyperion
-from ds_orchestrator.search.base import SearchSettings
+from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_orchestrator.search.algorithms import DeepHyperion, SearchSettings
 from ds_orchestrator.store.model import Test
 from ds_road import MutationError, Road, generate, mutate
 from ds_sim.conditions.model import Conditions

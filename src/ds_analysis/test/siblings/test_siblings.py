@@ -25,7 +25,7 @@ from ds_analysis.siblings.residuals import residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.executor import execution_of
 from ds_road import MutationError, Road, generate, mutate
-from ds_road.features import lane_curvature
+from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
 from ds_sim.lane_tracker import LaneTracker
 from ds_sim.registry import make_simulator

@@ -18,10 +18,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
-from ds_bags.message_factory import typestore
+from ds_bags.messages import frame_times, typestore
 from ds_bags.reader import STATE, BagReader, stamp_of
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
-from ds_bags.telemetry import frame_times
 from ds_bags.verification import IMAGE
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.session import RunRecord

@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, QosDurability, QosReliability
 from rosgraph_msgs.msg import Clock
 
-from ds_bags.limits import printable
+from ds_bags.layout import printable
 from ds_sim.ros.runtime import init_ros
 
 QUEUE = 5000

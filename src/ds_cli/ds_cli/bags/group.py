@@ -28,7 +28,7 @@ def bag_info(folder: Path) -> Result:
     from rich.text import Text
 
     from ds_bags.info import describe, in_words
-    from ds_bags.limits import printable
+    from ds_bags.layout import printable
 
     document = describe(folder)
 
@@ -46,7 +46,7 @@ def bag_info(folder: Path) -> Result:
 
 def bag_recover(folder: Path, out: Path | None) -> Result:
     """Recover a bag whose writer was killed."""
-    from ds_bags.recovery import recover
+    from ds_bags.copying import recover
 
     found = recover(folder, out)
     document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(found).items()}
@@ -122,7 +122,7 @@ def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, tr
 def bag_pack(campaign: Path, out: Path, by: By) -> Result:
     """Pack a campaign's bags, one pack per map cell or search run."""
     from ds_bags.packs import pack
-    from ds_orchestrator.campaign.bag_groups import groups_of
+    from ds_orchestrator.campaign.selection import groups_of
 
     progress, packs = countdown(), []
     groups = groups_of(campaign, by, say=say)

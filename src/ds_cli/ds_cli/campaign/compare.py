@@ -80,8 +80,7 @@ def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan
         ds_analysis.comparison.drives.ComparisonError: the campaigns do not compare.
         ds_orchestrator.store.sqlite_file.StoreError: a folder holds no campaign.
     """
-    from ds_orchestrator.campaign.campaign_data import read_campaign
-    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_studies.comparison.compared_tests import network_of_campaign, tests_of_campaign, tests_of_campaigns
     from ds_studies.whole_campaign import check_trust
 

@@ -20,8 +20,7 @@ def export_campaign(folder: Path, out: Path, *, frames: bool) -> list[Path]:
         ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or a damaged one.
     """
     from ds_analysis.interchange.parquet import write_tables
-    from ds_orchestrator.campaign.campaign_data import read_campaign
-    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
 
     with closing(open_store(folder)) as store:
         data = read_campaign(store)

@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison
     from ds_analysis.comparison.criteria import Criteria
-    from ds_orchestrator.campaign.campaign_data import CampaignData
+    from ds_orchestrator.campaign.folder import CampaignData
 
 FailOn = Annotated[
     Literal["failure", "regression", "worse"] | None,

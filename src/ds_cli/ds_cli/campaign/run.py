@@ -97,8 +97,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None)
     if criteria == type(criteria)() and junit is None:
         return result
     from ds_analysis.comparison.junit import cases_of_campaign, junit_of
-    from ds_orchestrator.campaign.campaign_data import read_campaign
-    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
 
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
@@ -133,8 +132,8 @@ def status(folder: Path) -> Result:
 
 def _status(folder: Path, store: Store) -> Result:
     from ds_analysis.paper.exclusions import exclusion_counts, exclusion_lines
-    from ds_orchestrator.campaign.bag_groups import missing_bags, missing_line
-    from ds_orchestrator.campaign.campaign_data import read_campaign
+    from ds_orchestrator.campaign.folder import read_campaign
+    from ds_orchestrator.campaign.selection import missing_bags, missing_line
     from ds_orchestrator.campaign.status import stages_of
 
     data = read_campaign(store)
@@ -193,7 +192,7 @@ def shipped_config(name: str) -> CampaignConfig:
     for folder in share_folders("ds_bringup"):
         path = folder / "config" / f"{name}.yaml"
         if path.exists():
-            return read_config(path, hint=say)
+            return read_config(path)
     raise ConfigError(f"{name}.yaml of ds_bringup is not on AMENT_PREFIX_PATH: build and source the workspace")
 
 
@@ -236,7 +235,7 @@ def campaign_run_command(
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    changed = with_engine(read_config(config, hint=say), workers, engine)
+    changed = with_engine(read_config(config), workers, engine)
     if dry_run:
         if attach:
             raise ConfigError("--dry-run starts the engine itself: leave out --attach")
@@ -289,7 +288,7 @@ def campaign_roads_command(
     Each road comes with its test, seed, cell, and outcome on every simulator. `ds drive --road FILE` with a file of one
     road drives it with the test's seed, which repeats the recorded run.
     """
-    from ds_orchestrator.campaign.road_selection import roads_of
+    from ds_orchestrator.campaign.selection import roads_of
 
     found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
     # One road per line, so that a line can be cut out and driven.

@@ -23,9 +23,9 @@ def runs(folder: Path) -> Result:
     Raises:
         ds_orchestrator.campaign.config.ConfigError: there is no such folder.
     """
-    from ds_bags.limits import printable
+    from ds_bags.layout import printable
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.overview import DEEPEST, campaigns_below
+    from ds_orchestrator.campaign.status import DEEPEST, campaigns_below
 
     if not folder.is_dir():
         raise ConfigError(f"{folder} is no folder: expected one with campaigns in it")

@@ -55,8 +55,7 @@ def suite_make_command(
     The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
     """
     from ds_analysis.comparison.summary import count
-    from ds_orchestrator.campaign.campaign_data import read_campaign
-    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.search.features import feature_of
     from ds_studies.suite.selection import suite_of
     from ds_studies.suite.suite_file import SuiteError, write_suite

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from ds_bags.copying import rewrite_bag
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED
-from ds_bags.message_rewriter import rewrite_bag
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,13 +18,11 @@ from pydantic import (
 )
 
 from ds_orchestrator.campaign.config_errors import problems
-from ds_orchestrator.campaign.drive_settings import DriveSettings, EngineName, Record
+from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record
 from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.maps.algebra import operator_of
 from ds_orchestrator.maps.campaign_maps import MapPlan
-from ds_orchestrator.maps.merge_operators import operator_of
-from ds_orchestrator.search.algorithms import search_of
-from ds_orchestrator.search.base import SearchSettings
-from ds_orchestrator.search.condition_space import STEP, ConditionSpace, SearchedCondition
+from ds_orchestrator.search.algorithms import STEP, ConditionSpace, SearchedCondition, SearchSettings, search_of
 from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, VISIBLE_CONTRAST, base_of, feature_of
 from ds_road import Side
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
@@ -40,9 +38,6 @@ MOST_NAMES = 20
 USUAL_AXES = ("line_contrast", "visibility", "veiling_luminance")
 """Conditions that become the second axis of the maps if they are searched, in this order; chosen: they decide
 whether lines are seen. The first one is the curvature of the driven lane."""
-
-RENAMED_KEYS = {"published": "maxitwo_compatible", "operators.quality": "operators.quality_loss"}
-"""Key of an earlier version, still accepted -> present name."""
 
 
 class ConfigError(ValueError):
@@ -363,12 +358,11 @@ class CampaignConfig(_Strict):
         return {**unset, "search": of_search} if of_search else unset
 
 
-def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) -> CampaignConfig:
+def read_config(path: Path) -> CampaignConfig:
     """Read and validate a configuration.
 
     Args:
         path: path of the YAML file.
-        hint: called with one line for every renamed key.
 
     Raises:
         ConfigError: one line with the key, what is wrong with it, and what is allowed.
@@ -383,18 +377,15 @@ def read_config(path: Path, *, hint: Callable[[str], None] = lambda line: None) 
         raise ConfigError(
             f"{path}: empty, expected a campaign's keys (such as {', '.join(CampaignConfig.model_fields)})"
         )
-    return parse_config(raw, str(path), hint=hint)
+    return parse_config(raw, str(path))
 
 
-def parse_config(
-    raw: object, source: str, *, hint: Callable[[str], None] = lambda line: None, received: bool = False
-) -> CampaignConfig:
+def parse_config(raw: object, source: str, *, received: bool = False) -> CampaignConfig:
     """Validate a parsed configuration; see `read_config`.
 
     Args:
         raw: value of the YAML or JSON document.
         source: name of the file, for error messages.
-        hint: called with one line for every renamed key.
         received: the text may come from others, so that what it names is not loaded unless the user names it, too.
 
     Examples:
@@ -406,7 +397,7 @@ def parse_config(
     if not received:
         confirm(name for name in map(base_of, _texts(raw)) if is_extension(name))
     try:
-        return CampaignConfig.model_validate(_with_new_names(raw, source, hint))
+        return CampaignConfig.model_validate(raw)
     except ValidationError as error:
         raise ConfigError(f"{source}: {problems(error, CampaignConfig)}") from None
 
@@ -418,25 +409,3 @@ def _texts(raw: object) -> Iterator[str]:
     elif isinstance(raw, (dict, list)):
         for part in raw.values() if isinstance(raw, dict) else raw:
             yield from _texts(part)
-
-
-def _with_new_names(raw: object, source: str, hint: Callable[[str], None]) -> object:
-    """Copy a configuration, replacing renamed keys by their present names."""
-    if not isinstance(raw, dict):
-        return raw
-    renamed = dict(raw)
-    for old, new in RENAMED_KEYS.items():
-        section, _, old_key = old.rpartition(".")
-        holder = renamed.get(section) if section else renamed
-        if not isinstance(holder, dict) or old_key not in holder:
-            continue
-        new_key = new.rpartition(".")[2]
-        if new_key in holder:
-            raise ConfigError(f"{source}: {old} and {new} are the same key: keep {new}")
-        hint(f"{source}: the key {old} is now {new}")
-        changed = {new_key if key == old_key else key: value for key, value in holder.items()}
-        if section:
-            renamed[section] = changed
-        else:
-            renamed = changed
-    return renamed

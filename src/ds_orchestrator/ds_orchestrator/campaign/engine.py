@@ -1,12 +1,75 @@
-"""What drives: the protocol that every engine satisfies."""
+"""How tests are driven, and the protocol of what drives them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
 
 from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.session import RunRecord
+
+EngineName = Literal["graph", "local", "dask"]
+Gates = Literal["none", "conditions", "all"]
+Record = Literal["none", "telemetry", "compressed", "raw"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveSettings:
+    """How tests are driven; the meaning of each key is that of `CampaignConfig`.
+
+    Attributes:
+        siblings: names of the simulators but the twin.
+        twin: name of the twin, or None.
+        driver: name of the driver.
+        conditions: operating conditions of every test.
+        gates: tests that the autopilot must complete first: those with conditions, all, or none.
+        retries: further attempts after a run that ended in an error.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
+        record: content of a run's bag.
+        engine: what drives; no result depends on it, nor on what follows.
+        workers: graphs or processes that drive in parallel.
+        cluster: cluster of the engine `dask`.
+        attach: use running nodes in this ROS domain instead of starting any.
+    """
+
+    siblings: tuple[str, ...]
+    twin: str | None = None
+    driver: str
+    conditions: Conditions = DEFAULT
+    gates: Gates = "conditions"
+    retries: int = 2
+    command_timeout: float = 10.0
+    record: Record = "none"
+    engine: EngineName = "local"
+    workers: int = 1
+    cluster: ClusterOptions = field(default_factory=ClusterOptions)
+    attach: bool = False
+
+    @property
+    def simulators(self) -> tuple[str, ...]:
+        """Siblings, then the twin if there is one."""
+        return (*self.siblings, *([self.twin] if self.twin else []))
+
+    @property
+    def namespaces(self) -> dict[str, str]:
+        """Simulator -> ROS namespace; see `namespaces_of`."""
+        return namespaces_of(self.siblings, self.twin)
+
+    def identity(self) -> str:
+        """JSON text of what the results of given tests depend on."""
+        keys = ("siblings", "twin", "driver", "gates", "retries", "command_timeout")
+        return json.dumps({key: getattr(self, key) for key in keys})
+
+
+def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
+    """Map simulator name -> ROS namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
+    spaces = {name: f"/ds{index}" for index, name in enumerate(siblings, start=1)}
+    return {**spaces, twin: "/twin"} if twin else spaces
+
 
 Watch = Callable[[int, float, float], None]
 """Called during a run with the number of frames, the driven part of the road in [0, 1], and the lateral position, m."""

@@ -9,21 +9,21 @@ from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.engine import Engine
-from ds_orchestrator.campaign.gatekeeper import GateError, Gatekeeper
+from ds_driver.control.autopilot import AUTOPILOT
+from ds_orchestrator.campaign.engine import DriveSettings, Engine
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import DriveArrays, Execution, Test
 from ds_orchestrator.store.store import Store
-from ds_sim.gates.gate import Gate
-from ds_sim.registry import label_of
+from ds_sim.conditions.loading import check_applicable
+from ds_sim.conditions.model import NotApplicableError
+from ds_sim.gates.gate import Gate, gate_of, not_applicable
+from ds_sim.registry import label_of, spec_of
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Reason
 
@@ -40,16 +40,14 @@ class CampaignError(RuntimeError):
     """Campaign that cannot continue because a simulator is broken."""
 
 
-class Listener(Protocol):
-    """Callbacks on a campaign's progress; called from several threads."""
+class Listener:
+    """Callbacks on a campaign's progress, called from several threads; this one ignores every event."""
 
     def stage(self, name: str) -> None:
         """Handle the start of a stage."""
-        ...
 
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         """Handle the expected executions: per stage, simulator -> their number, finished ones included."""
-        ...
 
     def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """Handle the end of an execution.
@@ -60,20 +58,18 @@ class Listener(Protocol):
             execution: outcome; why the test is excluded there; or None if every attempt ended in an error.
             fresh: False if the execution was read from the store.
         """
-        ...
 
 
-class SilentListener:
-    """A listener that ignores every event."""
+class NoOutcomeError(RuntimeError):
+    """Every attempt ended in an error, which says nothing about the test.
 
-    def stage(self, name: str) -> None:
-        """See `Listener.stage`."""
+    Attributes:
+        run: last attempt.
+    """
 
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
-        """See `Listener.expect`."""
-
-    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
-        """See `Listener.finished`."""
+    def __init__(self, run: RunRecord) -> None:
+        super().__init__(f"{run.outcome.name}: {run.message}")
+        self.run = run
 
 
 class Executor:
@@ -97,7 +93,6 @@ class Executor:
         self._store = store
         self._engine = engine
         self._listener = listener
-        self._gatekeeper = Gatekeeper(settings, store, engine)
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._unlucky: dict[str, int] = dict.fromkeys(settings.simulators, 0)
@@ -166,39 +161,62 @@ class Executor:
         if isinstance(known, Execution) or (known is not None and not known.is_valid):
             self._listener.finished(test, simulator, known, fresh=False)
             return known
+        found: Execution | Gate | None = None
         try:
-            gate = self._gatekeeper.judge(test, simulator, check_stop=self._check_stop)
-        except GateError as error:
+            found = self._outcome(test, simulator)
+        except NoOutcomeError as error:
             self._count_unlucky(test, simulator, error.run)
-            self._listener.finished(test, simulator, None, fresh=True)
-            return None
+        else:
+            with self._lock:
+                self._unlucky[simulator] = 0
+        self._listener.finished(test, simulator, found, fresh=True)
+        return found
+
+    def _outcome(self, test: Test, simulator: str) -> Execution | Gate:
+        """Drive a test; returns its gate if no network can be judged by it there."""
+        gate = self.judge(test, simulator)
         if gate is not None and not gate.is_valid:
-            return self._excluded(test, simulator, gate)
+            return gate
+        run = self._drive(test, simulator, self._settings.driver)
+        if run.reason is Reason.NOT_APPLICABLE:
+            return self._keep_gate(test, simulator, not_applicable(run.message))
+        return self._keep(test, simulator, run)
+
+    def judge(self, test: Test, simulator: str) -> Gate | None:
+        """Decide, before a network drives a test, whether it can be judged by it there; None if the test has no gate.
+
+        Each test is judged once on each simulator; see `ds_sim.gates`.
+
+        Raises:
+            NoOutcomeError: every attempt of the autopilot ended in an error.
+            Stopped: `stop` was called.
+        """
+        if self._settings.gates == "none" or (test.conditions.is_default and self._settings.gates != "all"):
+            return None
+        known = self._store.gate(test.test_id, simulator)
+        if known is not None:
+            return known
+        try:
+            check_applicable(test.conditions, spec_of(simulator))
+        except NotApplicableError as error:
+            return self._keep_gate(test, simulator, not_applicable(str(error)))
+        run = self._drive(test, simulator, AUTOPILOT, probed=True)
+        refused = run.reason is Reason.NOT_APPLICABLE
+        return self._keep_gate(test, simulator, not_applicable(run.message) if refused else gate_of(run))
+
+    def _drive(self, test: Test, simulator: str, driver: str, *, probed: bool = False) -> RunRecord:
+        """Drive until there is a verdict, or the simulator cannot realise the test; repeats errors `retries` times."""
         for attempt in range(self._settings.retries + 1):
             self._check_stop()
             run = self._engine.drive(
-                DriveRequest(simulator, self._settings.driver, test.road, test.seed, test.conditions)
+                DriveRequest(simulator, driver, test.road, test.seed, test.conditions, probed=probed)
             )
-            if run.reason is Reason.NOT_APPLICABLE:
-                return self._excluded(test, simulator, self._gatekeeper.refused(test, simulator, run.message))
-            if run.outcome.is_error and self._stop.is_set():
-                raise Stopped
-            if run.outcome.is_verdict:
-                execution = self._keep(test, simulator, run)
-                with self._lock:
-                    self._unlucky[simulator] = 0
-                self._listener.finished(test, simulator, execution, fresh=True)
-                return execution
-            self._store.add_error(test.test_id, simulator, attempt, run.outcome, run.message)
-        self._count_unlucky(test, simulator, run)
-        self._listener.finished(test, simulator, None, fresh=True)
-        return None
-
-    def _excluded(self, test: Test, simulator: str, gate: Gate) -> Gate:
-        with self._lock:
-            self._unlucky[simulator] = 0
-        self._listener.finished(test, simulator, gate, fresh=True)
-        return gate
+            if run.outcome.is_verdict or run.reason is Reason.NOT_APPLICABLE:
+                return run
+            self._check_stop()
+            message = f"autopilot: {run.message}" if probed else run.message
+            self._store.add_error(test.test_id, simulator, attempt, run.outcome, message)
+        raise NoOutcomeError(run)
 
     def _count_unlucky(self, test: Test, simulator: str, run: RunRecord) -> None:
         """Count a test without an outcome; raise CampaignError after `PATIENCE` of them in a row."""
@@ -213,6 +231,10 @@ class Executor:
             f"{simulator} gave no outcome for {PATIENCE} tests in a row ({run.outcome.name}: {run.message}): see the "
             "folder logs, fix the cause, and run the same command again"
         )
+
+    def _keep_gate(self, test: Test, simulator: str, gate: Gate) -> Gate:
+        self._store.add_gate(test.test_id, simulator, gate)
+        return gate
 
     def _keep(self, test: Test, simulator: str, run: RunRecord) -> Execution:
         """Write the bag, then the store."""

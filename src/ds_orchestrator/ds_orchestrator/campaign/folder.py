@@ -1,17 +1,26 @@
-"""Campaign folder: contents and store."""
+"""Campaign folder: its files, what its results depend on besides the configuration, and its content read once."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, parse_config
-from ds_orchestrator.campaign.drive_settings import EngineName
+from ds_orchestrator.campaign.engine import DriveSettings, EngineName
+from ds_orchestrator.maps.campaign_maps import cells_of
+from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.folder_files import check_name, make_folder, read_file
+from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
+from ds_sim.gates.gate import Gate
+from ds_sim.installation import versions
 
 STAGES = ("maps", "evaluation", "report")
 """Stages that compute results from the executions, in order."""
@@ -108,3 +117,117 @@ def _parsed(text: str) -> CampaignConfig:
     except (ValueError, RecursionError):
         raise ConfigError(f"{source} is not JSON: restore the file from a copy") from None
     return parse_config(raw, source, received=True)
+
+
+DRIVER_SHA256 = "sha256 of the driver's weights"
+"""Name of the fact that holds the digest of the driver's files."""
+
+
+def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> None:
+    """Record versions and digests; a campaign does not continue with another network or another car.
+
+    Args:
+        store: store of the campaign.
+        settings: how its tests are driven.
+        folder: its folder, for messages.
+
+    Raises:
+        ConfigError: the driver or a simulator has changed since the campaign began.
+    """
+    from ds_driver.networks.network_driver import driver_sha256
+    from ds_sim.registry import make_simulator
+
+    if settings.driver != AUTOPILOT:
+        weights = driver_sha256(settings.driver)
+        if store.note(DRIVER_SHA256, weights) != weights:
+            raise ConfigError(
+                f"the weights of {settings.driver} have changed since {folder} began: choose another --out"
+            )
+    for name, version in versions().items():
+        if store.note(f"version {name}", version) != version:
+            store.note(f"version {name}, later", version)
+    known = store.notes()
+    for name in settings.simulators:
+        if "@" in name:
+            key, content = f"car {name}", str(make_simulator(name).spec.extra.get("car", ""))
+            if known.get(key, content) != content:
+                raise ConfigError(
+                    f"{name}: the file has changed since the campaign began: restore it, or choose another --out"
+                )
+            store.note(key, content)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignData:
+    """Contents of a campaign's store at one moment, finished or not.
+
+    Attributes:
+        config: configuration as run.
+        tests: every test, by sibling, run and number.
+        executions: every execution, by simulator and test.
+        gates: test and simulator -> what the gates say; tests that they exclude have no execution there.
+        notes: facts such as versions and times.
+        errors: attempts that ended in an error: test, simulator, attempt, outcome, message.
+        given_up: tests whose search continued without their outcome.
+        searches: runs of a search: sibling, run, method, seed.
+        results: result -> number of executions from which it was computed.
+    """
+
+    config: CampaignConfig
+    tests: tuple[Test, ...] = ()
+    executions: tuple[Execution, ...] = ()
+    gates: Mapping[tuple[str, str], Gate] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
+    errors: tuple[tuple[str, str, int, str, str], ...] = ()
+    given_up: frozenset[str] = frozenset()
+    searches: tuple[tuple[str, int, str, int], ...] = ()
+    results: Mapping[str, int] = field(default_factory=dict)
+
+    @cached_property
+    def verdicts(self) -> tuple[Execution, ...]:
+        """Executions that ended in a verdict on the driver."""
+        return tuple(e for e in self.executions if e.outcome.is_verdict)
+
+    @cached_property
+    def excluded(self) -> dict[tuple[str, str], Gate]:
+        """Test and simulator -> why no network can be judged by it there."""
+        return {key: gate for key, gate in self.gates.items() if not gate.is_valid}
+
+    @property
+    def result_count(self) -> int:
+        """Number of executions and gates, from which maps, evaluation and report are made."""
+        return len(self.executions) + len(self.gates)
+
+    @cached_property
+    def cells(self) -> dict[str, Cell]:
+        """Test -> cell over all features of the campaign, for tests that have one."""
+        config = self.config
+        return cells_of(
+            self.tests,
+            self.executions,
+            features=config.features,
+            maxitwo_compatible=config.maxitwo_compatible,
+            gates=self.gates,
+        )
+
+
+def read_campaign(store: Store) -> CampaignData:
+    """Read a campaign without its trajectories, each of which is read when it is first asked for.
+
+    Raises:
+        ds_orchestrator.store.sqlite_file.StoreError: the file is damaged.
+        ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
+    """
+    # Executions first: a test is stored before its executions, so none is without its test while a campaign runs.
+    executions, gates = tuple(store.executions()), store.gates()
+    return CampaignData(
+        config=config_of(store),
+        tests=tuple(store.tests()),
+        executions=executions,
+        gates=gates,
+        notes=store.notes(),
+        errors=tuple(store.errors()),
+        given_up=frozenset(store.given_up()),
+        searches=tuple(store.searches()),
+        results=store.results(),
+    )

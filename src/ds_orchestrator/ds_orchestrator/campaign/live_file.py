@@ -1,12 +1,13 @@
-"""File in a campaign's folder that says what the campaign does at this moment, for whoever watches.
+"""Estimate of the time that a campaign still takes, and the file that says what it does at this moment.
 
-The campaign replaces it once a second and removes it at its end. No result depends on it.
+The campaign replaces the file once a second and removes it at its end. No result depends on it.
 """
 
 from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,7 +18,6 @@ from pydantic import BaseModel, Field, ValidationError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.campaign.engine import Engine, Watch
-from ds_orchestrator.campaign.eta import Eta
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
 from ds_orchestrator.store.folder_files import read_file
@@ -25,6 +25,58 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_sim.gates.gate import Gate
 from ds_sim.session import RunRecord
+
+REMEMBERED = 30
+"""Executions on each simulator whose durations count; chosen: enough to average roads, few enough to follow a machine
+that becomes busy."""
+
+
+class Eta:
+    """Estimates how long a campaign still drives, from the durations of its latest executions.
+
+    The simulators of a stage work in parallel, the stages one after the other. Times are seconds of a steady clock.
+    """
+
+    def __init__(self) -> None:
+        self._expected: Sequence[Mapping[str, int]] = []
+        self._done: dict[tuple[int, str], int] = {}
+        self._last: dict[str, float] = {}
+        self._took: dict[str, deque[float]] = {}
+
+    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+        """Set how many executions each stage has on each simulator, finished ones included."""
+        self._expected = stages
+
+    def begin(self, now: float) -> None:
+        """Begin a stage."""
+        self._last = dict.fromkeys((name for stage in self._expected for name in stage), now)
+
+    def finished(self, stage: int, simulator: str, now: float, *, fresh: bool) -> None:
+        """Count a finished execution; one of an earlier session (not fresh) took no time."""
+        self._done[stage, simulator] = self._done.get((stage, simulator), 0) + 1
+        if fresh:
+            took = now - self._last.get(simulator, now)
+            self._took.setdefault(simulator, deque(maxlen=REMEMBERED)).append(took)
+        self._last[simulator] = now
+
+    def seconds(self) -> float | None:
+        """Estimate the seconds left; None until an execution has finished in this session."""
+        means = {name: sum(took) / len(took) for name, took in self._took.items()}
+        if not means:
+            return None
+        # A simulator that has not driven yet is taken to be as fast as the others.
+        usual = sum(means.values()) / len(means)
+        return sum(
+            max(
+                (
+                    max(count - self._done.get((stage, name), 0), 0) * means.get(name, usual)
+                    for name, count in simulators.items()
+                ),
+                default=0.0,
+            )
+            for stage, simulators in enumerate(self._expected)
+        )
+
 
 EVERY = 1.0
 """Seconds between two writings of the file; chosen: as often as a page asks."""
@@ -94,7 +146,7 @@ def read_live(folder: Path, now: float) -> Live | None:
     return live if abs(now - live.updated) < FRESH else None
 
 
-class LiveFile:
+class LiveFile(Listener):
     """Listener that keeps the file up to date and forwards every call; a context manager that removes the file.
 
     A file that cannot be written, as on a full disk, does not disturb the campaign.

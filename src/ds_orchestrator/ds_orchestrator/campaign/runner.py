@@ -7,7 +7,9 @@ and on the fitness of earlier tests. A stopped campaign therefore resumes withou
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -16,7 +18,8 @@ import numpy as np
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Engine
 from ds_orchestrator.campaign.executor import CampaignError, Executor, Listener
-from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
+from ds_orchestrator.campaign.folder import read_campaign
+from ds_orchestrator.maps.campaign_maps import elites_of
 from ds_orchestrator.search.algorithms import search_of
 from ds_orchestrator.search.features import cell_of
 from ds_orchestrator.store.model import Execution, Test
@@ -64,40 +67,41 @@ class Campaign:
         search = dict.fromkeys(config.siblings, own)
         everything = own * len(config.siblings)
         self._listener.expect([search, {name: everything - search.get(name, 0) for name in config.simulators}])
-        self._listener.stage("search")
         searches = {
             sibling: [partial(self._search, sibling, run) for run in range(config.search.runs)]
             for sibling in config.siblings
         }
-        try:
-            self._executor.in_parallel(searches)
-        except CampaignError:
-            for sibling in config.siblings:
-                self._take_back(sibling)
-            raise
-        tests = self._store.tests()
-        chosen = self._migrated(tests)
-        foreign = {name: [test for test in chosen if name != test.sibling] for name in config.simulators}
-        self._listener.expect([search, {name: len(migrated) for name, migrated in foreign.items()}])
-        self._listener.stage("migration and twin" if config.twin else "migration")
+        with self._stage("search"):
+            try:
+                self._executor.in_parallel(searches)
+            except CampaignError:
+                for sibling in config.siblings:
+                    self._take_back(sibling)
+                raise
+        migrated = self._migrated()
+        foreign = {name: [test for test in migrated if name != test.sibling] for name in config.simulators}
+        self._listener.expect([search, {name: len(tests) for name, tests in foreign.items()}])
         # Every test runs on the siblings that did not generate it (paper 3.4), all of them on the twin (paper 3.6).
-        self._executor.execute_all(foreign)
+        with self._stage("migration and twin" if config.twin else "migration"):
+            self._executor.execute_all(foreign)
 
-    def _migrated(self, tests: Sequence[Test]) -> Sequence[Test]:
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        """Announce a stage, and add its wall-clock time to that of earlier sessions; no result depends on it."""
+        self._listener.stage(name)
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            self._store.add_seconds(name, time.monotonic() - began)
+
+    def _migrated(self) -> Sequence[Test]:
         """Select the tests that migrate from the sibling whose search generated them."""
         if not self._config.elites_only:
-            return tests
-        executions = self._store.executions()
-        plan = self._config.map_plan()
-        cells = cells_of(
-            tests,
-            executions,
-            features=plan.features,
-            maxitwo_compatible=plan.maxitwo_compatible,
-            gates=self._store.gates(),
-        )
-        elites = elites_of(tests, executions, cells, ignored=self._store.given_up())
-        return [test for test in tests if test.test_id in elites]
+            return self._store.tests()
+        data = read_campaign(self._store)
+        elites = elites_of(data.tests, data.executions, data.cells, ignored=data.given_up)
+        return [test for test in data.tests if test.test_id in elites]
 
     def _search(self, sibling: str, run: int) -> None:
         """Run or replay one search run on one sibling, taking known outcomes from the store.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import yaml
 
 from ds_orchestrator.campaign.config import ConfigError, SearchConfig, parse_config
-from ds_orchestrator.maps.merge_operators import OPERATORS
+from ds_orchestrator.maps.algebra import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import FEATURES
 from ds_sim.registry import SIMULATORS

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines import dask_worker
 from ds_orchestrator.engines.cluster import ClusterOptions, connect, own_cluster
 from ds_orchestrator.engines.local import DRIVES_PER_WORKER

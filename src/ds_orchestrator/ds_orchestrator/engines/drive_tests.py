@@ -7,9 +7,9 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.executor import Executor, Listener, SilentListener, Stopped
-from ds_orchestrator.campaign.provenance import record_provenance
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.campaign.executor import Executor, Listener, Stopped
+from ds_orchestrator.campaign.folder import record_provenance
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
@@ -33,7 +33,7 @@ class Progress:
         say: called with one line about workers that come and go.
     """
 
-    listen: Callable[[], AbstractContextManager[Listener]] = lambda: nullcontext(SilentListener())
+    listen: Callable[[], AbstractContextManager[Listener]] = lambda: nullcontext(Listener())
     say: Callable[[str], None] = lambda line: None
 
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.cluster import ClusterOptions
-from ds_orchestrator.graph.availability import check_ros
+from ds_orchestrator.graph.supervisor import check_ros
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.registry import make_simulator, spec_of
@@ -20,7 +20,7 @@ def preflight(settings: DriveSettings) -> None:
     Raises:
         ConfigError: an option does not go with the engine, or a simulator cannot realise the conditions.
         ds_orchestrator.engines.cluster.ClusterError: the cluster's options do not go together.
-        ds_orchestrator.graph.availability.RosMissingError: the engine needs nodes, and ROS is not installed.
+        ds_orchestrator.graph.supervisor.RosMissingError: the engine needs nodes, and ROS is not installed.
         ValueError: the driver cannot be used; see `check_driver`.
     """
     engine = settings.engine

@@ -21,8 +21,12 @@ from std_srvs.srv import Trigger
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.graph.process_specs import DRIVER_PROCESS, closed_loop_process_name, simulator_process_name
-from ds_orchestrator.graph.supervisor import Supervisor
+from ds_orchestrator.graph.supervisor import (
+    DRIVER_PROCESS,
+    Supervisor,
+    closed_loop_process_name,
+    simulator_process_name,
+)
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import spec_of

@@ -1,20 +1,116 @@
-"""Context managers that start graphs and always stop them."""
+"""Starts graphs of ROS nodes, each in a ROS domain of its own, drives on them, and always stops them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import fcntl
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from queue import SimpleQueue
 
+from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.engines.local import LocalEngine, running_local
 from ds_orchestrator.graph.client import START_TIME, GraphClient
-from ds_orchestrator.graph.graph_engine import GraphEngine
-from ds_orchestrator.graph.process_specs import closed_loop_processes, driver_process, simulator_processes
-from ds_orchestrator.graph.ros_domain import RosDomain
 from ds_orchestrator.graph.signals import IgnoreSignals
-from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
+from ds_orchestrator.graph.supervisor import (
+    ProcessSpec,
+    Supervisor,
+    closed_loop_processes,
+    driver_process,
+    simulator_processes,
+)
+from ds_sim.session import RunRecord
+
+LOCKS = Path("/tmp")
+"""Shared by all users of the machine; a folder per user would not keep two users apart."""
+
+
+class RosDomainError(RuntimeError):
+    """No free ROS domain."""
+
+
+class RosDomain:
+    """Reserves a free domain until it is closed or its process ends, by whatever signal.
+
+    Attributes:
+        number: reserved domain, 1 to 101.
+
+    Raises:
+        RosDomainError: all domains are in use.
+    """
+
+    def __init__(self) -> None:
+        for number in range(1, 102):  # 0 is ROS's default; up to 101 are safe on every system
+            path = LOCKS / f"ds_ros_domain_{number}.lock"
+            try:
+                # Another user's file in /tmp may be opened, but not with O_CREAT (fs.protected_regular).
+                file = os.open(path, os.O_RDONLY | (0 if path.exists() else os.O_CREAT), 0o644)
+            except OSError:
+                continue
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.close(file)
+                continue
+            self.number = number
+            self._file = file
+            return
+        raise RosDomainError("all ROS domains from 1 to 101 are in use: stop another campaign first")
+
+    def close(self) -> None:
+        """Release the domain."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+class GraphEngine:
+    """Gives each drive to a graph with a free simulator of that name.
+
+    A run depends on road, seed, conditions and commands alone, so any graph may drive it.
+
+    Args:
+        graphs: each with every simulator.
+        simulators: names of the simulators.
+        start_probing: starts an engine for requests that are probed, which no node does; called at the first one.
+    """
+
+    def __init__(
+        self, graphs: Sequence[Engine], simulators: Sequence[str], start_probing: Callable[[], Engine]
+    ) -> None:
+        self._graphs = list(graphs)
+        self._free: dict[str, SimpleQueue[Engine]] = {name: SimpleQueue() for name in simulators}
+        for free in self._free.values():
+            for graph in self._graphs:
+                free.put(graph)
+        self._start_probing, self._probing = start_probing, threading.Lock()
+        self._probe: Engine | None = None
+
+    @property
+    def capacity(self) -> int | None:
+        """None: each simulator takes as many drives as there are graphs."""
+        return None
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        """Drive a road as soon as a graph is free; see `Engine.drive`."""
+        if request.probed:
+            with self._probing:
+                self._probe = self._probe or self._start_probing()
+            return self._probe.drive(request, watch)
+        graph = self._free[request.simulator].get()
+        try:
+            return graph.drive(request, watch)
+        finally:
+            self._free[request.simulator].put(graph)
+
+    def stop(self) -> None:
+        """End every drive now, as CANCELLED."""
+        for engine in (*self._graphs, *([self._probe] if self._probe else [])):
+            engine.stop()
 
 
 def processes_of(

@@ -9,9 +9,30 @@ import sys
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
+from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.processes import ChildProcesses, last_line_of
+
+
+class RosMissingError(RuntimeError):
+    """ROS, or the workspace's messages, are not installed."""
+
+
+def check_ros() -> None:
+    """Check that ROS and the workspace's messages can be imported.
+
+    Raises:
+        RosMissingError: they cannot.
+    """
+    missing = [name for name in ("rclpy", "ds_interfaces") if find_spec(name) is None]
+    if missing:
+        raise RosMissingError(
+            f"{' and '.join(missing)} not found: nodes need ROS 2 and a built checkout (make setup); "
+            "campaigns, suites and comparisons run without them by --engine local"
+        )
+
 
 STOP_TIME = 3.0
 """Limit for a process to obey SIGINT, then SIGTERM, before it is killed, s."""
@@ -141,3 +162,62 @@ def _yaml(value: object) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(_yaml(v) for v in value) + "]"
     return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+DRIVER_PROCESS = "driver"
+
+
+def simulator_process_name(namespace: str) -> str:
+    """Name the process, and its log, of the simulator in a namespace."""
+    return f"simulator_{namespace.strip('/').replace('/', '_')}"
+
+
+def closed_loop_process_name(namespace: str) -> str:
+    """Name the process, and its log, of the simulator in a namespace together with its driver."""
+    return f"closed_loop_{namespace.strip('/').replace('/', '_')}"
+
+
+def closed_loop_processes(
+    driver: str, namespaces: dict[str, str], command_timeout: float, *, draw: str = "all"
+) -> list[ProcessSpec]:
+    """Specify one process per simulator, with a driver's node beside the simulator's.
+
+    Args:
+        driver: name of the driver.
+        namespaces: simulator name -> namespace.
+        command_timeout: wall-clock time that a simulator waits for its driver, s.
+        draw: `all`, or `seen` for the rows of the images that the driver sees.
+    """
+    return [
+        ProcessSpec(
+            name=closed_loop_process_name(namespace),
+            module="ds_driver.ros.closed_loop_node",
+            arguments=("autopilot",) if driver == AUTOPILOT else ("driver",),
+            namespace=namespace,
+            parameters={"simulator": name, "command_timeout": command_timeout, "draw": draw}
+            | ({} if driver == AUTOPILOT else {"network": driver}),
+        )
+        for name, namespace in namespaces.items()
+    ]
+
+
+def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
+    """Specify one process per simulator."""
+    return [
+        ProcessSpec(
+            name=simulator_process_name(namespace),
+            module="ds_sim.ros.simulator_node",
+            namespace=namespace,
+            parameters={"simulator": name, "command_timeout": command_timeout},
+        )
+        for name, namespace in namespaces.items()
+    ]
+
+
+def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
+    """Specify the driver of all simulators; it asks each for its crop, or for the gains of its vehicle."""
+    parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
+    if driver == AUTOPILOT:
+        return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.autopilot_node", parameters=parameters)
+    parameters["network"] = driver
+    return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.driver_node", parameters=parameters)

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from ds_orchestrator.maps.algebra import Normalise, merge, pool, union
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId, map_ids
-from ds_orchestrator.search.archive import Archive
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
+from ds_orchestrator.search.algorithms import Archive
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_road.features import direction_coverage, largest_lane_curvature, minimum_radius
+from ds_road.geometry import direction_coverage, largest_lane_curvature, minimum_radius
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.scales import between, share_of
 from ds_sim.extension import is_extension, load_extension

@@ -1,16 +1,20 @@
-"""Values that a campaign's store keeps: tests and their outcomes."""
+"""Tests and their outcomes, and how a campaign's store reads them from rows that may hold anything."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_orchestrator.search.features import Drive
-from ds_road import Road
+from ds_orchestrator.store import rows as check
+from ds_orchestrator.store.sqlite_file import Row, SqliteFile
+from ds_road import Road, Side
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.simulator import Outcome
+from ds_sim.conditions.text import parse_conditions
+from ds_sim.simulator import FRAME_TIME, Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,3 +97,124 @@ class Execution:
     def steering(self) -> NDArray[np.float64]:
         """(steps,) steering commands in [-1, 1]."""
         return self.drive.steering
+
+
+VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
+TEST_COLUMNS = "test_id, sibling, run, number, control_points, seed, maxitwo_compatible, road_id, conditions"
+EXECUTION_COLUMNS = (
+    "test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds, trajectory_sha256, "
+    "bag, rowid"
+)
+_TOLERANCE = 1e-6
+"""m and s, between a stored value and the value derived from other columns."""
+
+
+def test_of(row: Row, lane: Side) -> Test:
+    """Make a test.
+
+    Args:
+        row: values of `TEST_COLUMNS`.
+        lane: lane in which all roads of the campaign are driven.
+
+    Raises:
+        RowError: no campaign can have written the row; the message names test and column.
+    """
+    test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id, conditions = row
+    try:
+        sibling = check.text(sibling, "sibling")
+        run, number = check.whole(run, "run"), check.whole(number, "number")
+        if not check.file_name(test_id, "test_id").endswith(f"-{run}-{number:04d}"):
+            raise check.RowError(f"test_id does not end in -{run}-{number:04d}")
+        quirk = bool(check.whole(maxitwo_compatible, "maxitwo_compatible", high=1))
+        road = Road(check.control_points(points), maxitwo_compatible=quirk, lane=lane)
+        if road.road_id != road_id:
+            raise check.RowError("road_id does not match the control points")
+        return Test(
+            test_id=test_id,
+            sibling=sibling,
+            run=run,
+            number=number,
+            road=road,
+            seed=check.whole(seed, "seed"),
+            conditions=parse_conditions(check.text(conditions, "conditions")),
+        )
+    except ValueError as error:
+        raise check.RowError(f"the test {test_id!r:.60}: {error}") from None
+
+
+def execution_of(row: Row, file: SqliteFile) -> Execution:
+    """Make an execution of the values of `EXECUTION_COLUMNS`; its trajectory stays in the file until it is asked for.
+
+    Raises:
+        RowError: no campaign can have written the row; the message names test, simulator and column.
+    """
+    try:
+        steps = check.whole(row[6], "steps", high=check.MOST_STEPS)
+        execution = Execution(
+            test_id=check.text(row[0], "test_id"),
+            simulator=check.text(row[1], "simulator"),
+            outcome=Outcome[check.one_of(row[2], "outcome", VERDICTS)],
+            message=check.text(row[3], "message"),
+            fitness=check.real(row[4], "fitness"),
+            max_lateral_position=check.real(row[5], "max_lateral_position"),
+            steps=steps,
+            simulated_seconds=check.real(row[7], "simulated_seconds"),
+            trajectory_sha256=check.sha256(row[8], "trajectory_sha256"),
+            drive=StoredDrive(file, row),
+            bag=check.bag_folder(row[9]),
+        )
+        if abs(execution.simulated_seconds - steps * FRAME_TIME) > _TOLERANCE:
+            raise check.RowError(f"simulated_seconds is {execution.simulated_seconds:g} for {steps} steps")
+        return execution
+    except check.RowError as error:
+        raise _unreadable(row, error) from None
+
+
+@dataclass(frozen=True, eq=False)
+class StoredDrive:
+    """Frames of a stored execution, read, decompressed and checked once, when they are first asked for.
+
+    A file whose store is closed by then is opened once more.
+
+    Attributes:
+        file: file of the campaign.
+        row: values of `EXECUTION_COLUMNS`.
+
+    Raises:
+        StoreError: by its properties: no campaign can have written these frames.
+    """
+
+    file: SqliteFile
+    row: Row
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """(steps + 1, 5); see `DriveArrays`."""
+        return self._arrays.trajectory
+
+    @property
+    def steering(self) -> NDArray[np.float64]:
+        """(steps,); see `DriveArrays`."""
+        return self._arrays.steering
+
+    @cached_property
+    def _arrays(self) -> DriveArrays:
+        max_lateral_position, steps, sha256, rowid = self.row[5], self.row[6], self.row[8], self.row[10]
+        found = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (rowid,))
+        try:
+            if not found:
+                raise check.RowError("it was replaced meanwhile")
+            trajectory = check.unpack_trajectory(found[0][0], sha256, steps=steps)
+            steering = check.unpack_numbers(found[0][1], "steering", count=steps)
+            lateral = np.abs(trajectory[:, 4])
+            if lateral.size and abs(lateral.max() - max_lateral_position) > _TOLERANCE:
+                raise check.RowError("max_lateral_position does not match the trajectory")
+            if np.abs(steering).max(initial=0.0) > 1.0:
+                raise check.RowError("steering leaves [-1, 1]")
+        except check.RowError as error:
+            raise self.file.damaged(str(_unreadable(self.row, error))) from None
+        return DriveArrays(trajectory, steering)
+
+
+def _unreadable(row: Row, error: check.RowError) -> check.RowError:
+    return check.RowError(f"the run of {row[0]!s:.60} on {row[1]!s:.60} cannot be read: {error}")

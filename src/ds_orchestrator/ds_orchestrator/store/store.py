@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 from ds_orchestrator.store import rows as check
-from ds_orchestrator.store.config_differences import config_differences
-from ds_orchestrator.store.decode import EXECUTION_COLUMNS, TEST_COLUMNS, VERDICTS, execution_of, test_of
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import (
+    EXECUTION_COLUMNS,
+    TEST_COLUMNS,
+    VERDICTS,
+    Execution,
+    Test,
+    execution_of,
+    test_of,
+)
 from ds_orchestrator.store.rows import pack_numbers
 from ds_orchestrator.store.sqlite_file import Row, SqliteFile, StoreError
 from ds_road import Side
@@ -21,6 +28,7 @@ from ds_sim.simulator import Outcome
 
 MOST_TRAJECTORY_STEPS = 100_000_000
 """Frames of all runs that are read at once, 4 GiB; chosen: 200,000 runs of the usual length."""
+_SECONDS = "seconds "
 _ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
 
 
@@ -50,7 +58,7 @@ class Store:
         self._file = SqliteFile(path, None if config is None else {"config": config}, read_only=read_only)
         if config is not None and self.config != config:
             try:
-                different = config_differences(self.config, config)
+                different = _differences(self.config, config)
             except (ValueError, RecursionError, AttributeError):
                 different = "the stored text is not a configuration"
             self.close()
@@ -80,7 +88,7 @@ class Store:
         self._file.ask(
             "INSERT INTO about VALUES (?, printf('%.1f', ?)) ON CONFLICT(key) DO UPDATE SET "
             "value = printf('%.1f', CAST(value AS REAL) + CAST(excluded.value AS REAL))",
-            (f"seconds {stage}", seconds),
+            (f"{_SECONDS}{stage}", seconds),
         )
 
     def notes(self) -> dict[str, str]:
@@ -90,7 +98,7 @@ class Store:
             longest = 2**20 if key == "config" else check.LONGEST_TEXT
             try:
                 found[check.text(key, "a fact's name")] = check.text(value, f"fact {key!r:.60}", longest=longest)
-                if str(key).startswith("seconds "):
+                if str(key).startswith(_SECONDS):
                     check.seconds(value, str(key))
             except check.RowError as error:
                 raise self._file.damaged(str(error)) from None
@@ -353,3 +361,25 @@ class Store:
     def close(self) -> None:
         """Close the file; everything is written."""
         self._file.close()
+
+
+def seconds_of(notes: Mapping[str, str]) -> dict[str, float]:
+    """Read stage -> seconds from a store's notes; longest first."""
+    found = {key.removeprefix(_SECONDS): float(value) for key, value in notes.items() if key.startswith(_SECONDS)}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _differences(known: str, given: str) -> str:
+    """Describe the keys in which two configurations, as JSON text, differ, with both values."""
+    old, new = _flat(json.loads(known)), _flat(json.loads(given))
+    unset = "the default"
+    keys = [key for key in new | old if old.get(key) != new.get(key)]
+    return "; ".join(f"{key}: {old.get(key, unset)} there, {new.get(key, unset)} now" for key in keys)
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Flatten nested keys, as in `search.runs`."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat

@@ -10,8 +10,8 @@ import pytest
 from report_campaigns import make_campaign, results
 
 from ds_analysis.prediction.real.records import RealDrive, write_drives
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_report.html_report import write_report
 from ds_report.sections import answer_section
 

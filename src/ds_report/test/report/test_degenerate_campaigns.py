@@ -13,9 +13,9 @@ import pytest
 from report_campaigns import make_execution, road
 
 from ds_analysis.paper.campaign_evaluation import read_correlations
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.maps.map_id import MapId, map_ids
+from ds_orchestrator.campaign.folder import read_campaign
+from ds_orchestrator.maps.feature_map import MapId, map_ids
 from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all

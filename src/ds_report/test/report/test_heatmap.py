@@ -21,8 +21,7 @@ from ds_analysis.common.heatmap import (
     ink_on,
     write_maps,
 )
-from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
-from ds_orchestrator.maps.map_id import MapId, map_ids
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, map_ids
 
 BOUNDS = Bounds(turns=(2, 4), curvature=(15, 17))
 

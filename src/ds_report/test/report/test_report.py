@@ -20,10 +20,9 @@ from statsmodels.stats.proportion import proportion_confint
 from ds_analysis.common.table import Column, Table
 from ds_analysis.paper.campaign_evaluation import maps_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference, evaluate, paired_differences
-from ds_orchestrator.campaign.campaign_data import CampaignData, read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
-from ds_orchestrator.maps.map_id import MapId
+from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.store import Store

@@ -12,10 +12,9 @@ import pytest
 from report_campaigns import make_campaign, make_tests, report_of
 
 from ds_analysis.paper.campaign_evaluation import maps_of
-from ds_orchestrator.campaign.campaign_data import read_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.maps.map_id import MapId, compared_ids
+from ds_orchestrator.campaign.folder import read_campaign
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ds_analysis.comparison.drives import ComparisonError, Network
-from ds_orchestrator.campaign.campaign_data import CampaignData
 from ds_orchestrator.campaign.config import SearchConfig
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.provenance import DRIVER_SHA256
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.engines.drive_tests import Key
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
 from ds_orchestrator.store.model import Execution, Test

@@ -14,7 +14,7 @@ from ds_analysis.common.table import Column, Table, Value
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.network_driver import sees_translated
 from ds_driver.networks.pilot import DriverError
-from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import open_drives
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from pathlib import Path
 
 from ds_driver.networks.pilot import DriverError
-from ds_orchestrator.campaign.drive_settings import DriveSettings
-from ds_orchestrator.campaign.engine import Engine
-from ds_orchestrator.campaign.executor import Executor, SilentListener, Stopped
-from ds_orchestrator.campaign.gatekeeper import GateError, Gatekeeper
+from ds_orchestrator.campaign.engine import DriveSettings, Engine
+from ds_orchestrator.campaign.executor import Executor, Listener, NoOutcomeError
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_road import Road
@@ -31,14 +28,13 @@ class Drives:
 
     def __init__(self, settings: DriveSettings, engine: Engine, tested: Store, gates: Store) -> None:
         self._engine, self._tested, self._gates = engine, tested, gates
-        self._executor = Executor(replace(settings, gates="none"), Path(), tested, engine, SilentListener())
-        self._gatekeeper = Gatekeeper(replace(settings, gates="all"), gates, engine)
-        self._stopped = threading.Event()
+        self._executor = Executor(replace(settings, gates="none"), Path(), tested, engine, Listener())
+        self._gatekeeper = Executor(replace(settings, gates="all"), Path(), gates, engine, Listener())
 
     def stop(self) -> None:
         """End every drive now, and start no further one."""
-        self._stopped.set()
         self._executor.stop()
+        self._gatekeeper.stop()
         self._engine.stop()
 
     def fails(self, simulator: str, road: Road, seed: int, who: str, conditions: Conditions) -> bool:
@@ -55,8 +51,8 @@ class Drives:
         if who == GATE:
             self._gates.add_test(test)
             try:
-                gate = self._gatekeeper.judge(test, simulator, check_stop=self._check_stop)
-            except GateError as failed:
+                gate = self._gatekeeper.judge(test, simulator)
+            except NoOutcomeError as failed:
                 raise DriverError(f"{error}{failed}") from None
             return gate is not None and not gate.is_valid
         self._tested.add_test(test)
@@ -65,7 +61,3 @@ class Drives:
             last = [row for row in self._tested.errors() if row[:2] == (name, simulator)][-1]
             raise DriverError(error + ": ".join(filter(None, (last[3].lower(), last[4]))))
         return found.outcome.is_failure if isinstance(found, Execution) else True
-
-    def _check_stop(self) -> None:
-        if self._stopped.is_set():
-            raise Stopped

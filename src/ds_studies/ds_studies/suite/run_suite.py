@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.drives import ComparedTest, DriveOutcome, Network, PairedDrive
-from ds_orchestrator.campaign.drive_settings import DriveSettings
+from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.simulator import Outcome

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ds_orchestrator.campaign.campaign_data import CampaignData
-from ds_orchestrator.campaign.provenance import DRIVER_SHA256
+from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.store.model import Execution, Test
 from ds_studies.suite.suite_file import MOST_TESTS, Reason, Suite, SuiteError, SuiteOutcome, SuiteTest, road_sha256

@@ -1,15 +1,18 @@
-"""Pictures of each operating condition at three strengths on each simulator, for `docs/conditions.md`.
+"""Pictures of each operating condition at three strengths on each simulator, for `docs/conditions.md`, and their cost.
 
-    python benchmarks/conditions/pictures.py --out docs/images [--sim bullet ...] [--only visibility ...]
+    python -m benchmarks.conditions --out docs/images [--sim bullet ...] [--only visibility ...]
+    python -m benchmarks.conditions --costs [--frames 40] [--sim bullet ...]
 
 One sheet per simulator: a row per condition, its strengths from left to right. With `--set SET` only the middle and the
 greatest strength, each beside what the simulator's sim2real generator makes of it: `conditions_<sim>_translated.jpg`.
+Costs are processor time, for loading a road and for drawing a frame.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import time
 from pathlib import Path
 
 import cv2
@@ -17,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.sim2real.stage import Sim2RealStage, open_set
-from ds_road import Road
+from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import SIMULATORS, make_simulator
@@ -85,14 +88,54 @@ def sheet(name: str, only: list[str], stage: Sim2RealStage | None = None) -> NDA
     return np.vstack(rows)
 
 
+CASES = (
+    "", "line_contrast=0.4", "shadow_density=0.4", "repair_share=0.3", "visibility=60", "low_sun=5000", "lens_dirt=0.2",
+    "camera_pitch=3deg", "line_contrast=0.4,shadow_density=0.4,visibility=60,lens_dirt=0.2,low_sun=5000",
+)  # fmt: skip
+
+
+def print_costs(names: list[str], frames: int) -> None:
+    """Print one line per simulator and case."""
+    road = generate(np.random.default_rng(1), max_angle=120)
+    lane = road.lane_centre
+    states = [
+        VehicleState(x=float(x), y=float(y), yaw=1.57, speed=5.0, yaw_rate=0.0, steering_angle=0.0)
+        for x, y in lane[:frames]
+    ]
+    for name in names:
+        simulator = make_simulator(name)
+        assert isinstance(simulator, RoadSimulator)
+        scene = simulator.scene
+        for text in CASES:
+            conditions = parse_conditions(text)
+            scene.load(road, np.random.default_rng(1), conditions)
+            scene.image(states[0])
+            begun = time.process_time()
+            scene.load(road, np.random.default_rng(1), conditions)
+            loaded = time.process_time()
+            for state in states:
+                scene.image(state)
+            drawn = time.process_time()
+            frame = 1000.0 * (drawn - loaded) / len(states)
+            print(
+                f"{name:9} load {1000.0 * (loaded - begun):6.0f} ms  frame {frame:5.2f} ms  {text or 'default'}",
+                flush=True,
+            )
+
+
 def main() -> None:
-    """Draw the sheets."""
+    """Draw the sheets, or print the costs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
+    wanted = parser.add_mutually_exclusive_group(required=True)
+    wanted.add_argument("--out", type=Path, help="folder for the pictures")
+    wanted.add_argument("--costs", action="store_true", help="print what conditions cost instead")
+    parser.add_argument("--frames", type=int, default=40, help="frames to time")
     parser.add_argument("--sim", nargs="*", default=list(SIMULATORS), help="simulators")
     parser.add_argument("--only", nargs="*", default=[], help="conditions, by the first name of a row")
     parser.add_argument("--set", help="shipped set of sim2real generators, or a folder")
     arguments = parser.parse_args()
+    if arguments.costs:
+        return print_costs(arguments.sim, arguments.frames)
     stage = Sim2RealStage(open_set(arguments.set)) if arguments.set else None
     suffix = "" if stage is None else "_translated"
     arguments.out.mkdir(parents=True, exist_ok=True)

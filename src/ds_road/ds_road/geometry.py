@@ -1,14 +1,51 @@
-"""Structural features of a road, computed from the samples of its centre line (paper 3.3; DeepHyperion, maxitwo)."""
+"""Geometry of a road: its spline (paper 3.1.1), features of its lines (3.3), and whether it can be driven (3.1.3)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+
+SAMPLES_PER_SEGMENT = 20
+"""Samples between two control points, both ends included (maxitwo)."""
+ALPHA = 0.5
+"""Exponent of the knot spacing; 0.5 makes the spline centripetal (maxitwo)."""
+
+
+def catmull_rom(control_points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sample the spline that passes through all but the first and the last control point.
+
+    Args:
+        control_points: (n, 2) coordinates, m, n >= 4, no two neighbours equal.
+
+    Returns:
+        (20 + 19 (n - 4), 2) points, m; a sample shared by two segments appears once.
+    """
+    segments = [_segment(control_points[i : i + 4]) for i in range(len(control_points) - 3)]
+    return np.vstack([segments[0], *(segment[1:] for segment in segments[1:])])
+
+
+def _segment(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Segment between the second and the third of four points, by the Barry-Goldman pyramid."""
+    knots = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T) ** ALPHA)))
+    t = np.linspace(knots[1], knots[2], SAMPLES_PER_SEGMENT)[:, None]
+    a = [_interpolate(knots[i], knots[i + 1], p[i], p[i + 1], t) for i in range(3)]
+    b = [_interpolate(knots[i], knots[i + 2], a[i], a[i + 1], t) for i in range(2)]
+    return _interpolate(knots[1], knots[2], b[0], b[1], t)
+
+
+def _interpolate(
+    start: float, end: float, first: NDArray[np.float64], second: NDArray[np.float64], t: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Interpolate linearly from `first` at `start` to `second` at `end`."""
+    return (end - t) / (end - start) * first + (t - start) / (end - start) * second
+
 
 STRAIGHT = 0.005
 """Largest heading change between two samples that counts as straight, rad (maxitwo)."""
@@ -135,3 +172,63 @@ def _absorb(runs: list[tuple[str, int]], joins: Callable[[str, int, str], bool])
         else:
             kept.append((label, length))
     return kept
+
+
+BOX = 250.0
+"""Side of the square that contains every road, from (0, 0) to (250, 250), m (paper 3.1.3)."""
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Whether a road is valid, and if not, a short reason."""
+
+    valid: bool
+    reason: str = ""
+
+
+def check_surface(left: NDArray[np.float64], right: NDArray[np.float64], *, box: float | None = BOX) -> Validity:
+    """Check the surface between a road's two edges.
+
+    The surface is a strip of quadrilaterals, one per pair of samples. maxitwo requires that each is a valid polygon,
+    that neighbours share their common side and nothing else, and that no other two touch. The last condition is costly
+    to check but follows from the outline: a strip without folds overlaps nowhere if its outline does not intersect
+    itself.
+
+    Args:
+        left: (n, 2) points of the left edge, m.
+        right: (n, 2) points of the right edge, m.
+        box: side of the square with one corner at the origin that must contain both edges, m; None for no limit.
+    """
+    if box is not None and not fits(left, right, box):
+        return Validity(False, f"it leaves the box of {box:g} x {box:g} m")
+    if np.abs((left[0] + right[0]) - (left[-1] + right[-1])).max() < 2 * _TOLERANCE:
+        return Validity(False, "its start is its end")
+    quads = shapely.polygons(np.stack((left[:-1], left[1:], right[1:], right[:-1]), axis=1))
+    if not shapely.is_valid(quads).all() or not _share_only_sides(left, right, quads):
+        return Validity(False, "a bend is so sharp that the road's edge folds")
+    if not shapely.is_valid(shapely.Polygon(np.vstack((left, right[::-1])))):
+        return Validity(False, "it crosses itself")
+    return Validity(True)
+
+
+def fits(left: NDArray[np.float64], right: NDArray[np.float64], box: float) -> bool:
+    """True if both edges stay in the square from (0, 0) to (box, box), m."""
+    return bool(min(left.min(), right.min()) >= 0.0 and max(left.max(), right.max()) <= box)
+
+
+def _share_only_sides(left: NDArray[np.float64], right: NDArray[np.float64], quads: NDArray[np.object_]) -> bool:
+    """True if neighbouring quadrilaterals share their common side and nothing else.
+
+    They do if they lie on either side of the line through that side; the few others are intersected.
+    """
+    side = right[1:-1] - left[1:-1]
+
+    def ahead(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        offset: NDArray[np.float64] = points - left[1:-1]
+        return offset[:, 0] * -side[:, 1] + offset[:, 1] * side[:, 0]
+
+    apart = np.maximum(ahead(left[:-2]), ahead(right[:-2])) < 0.0
+    apart &= np.minimum(ahead(left[2:]), ahead(right[2:])) > 0.0
+    common = shapely.intersection(quads[:-1][~apart], quads[1:][~apart])
+    return bool((shapely.get_type_id(common) == shapely.GeometryType.LINESTRING).all())

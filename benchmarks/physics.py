@@ -1,0 +1,253 @@
+"""Vehicles with the autopilot, but without camera and ROS, so that only the physics count.
+
+`python -m benchmarks.physics convergence [--roads 20] [--finer 2]` drives every road with the nominal substep and with
+finer ones, and prints one row per simulator, as Markdown, with the change of fitness; `training` drives the paper's
+training set (4.2.2: 25 roads in both directions) and counts completed drives; `endurance [--minutes 60]` checks that
+the physics stay finite and bounded at full throttle and full lock, whose side changes every minute. All take
+`--sims bullet,softbody,panda,donkey`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.control.autopilot import Autopilot
+from ds_driver.data.collection import CollectionPlan, roads_both_ways
+from ds_road import Road, generate
+from ds_sim.lane_tracker import LaneTracker
+from ds_sim.oracle import Oracle
+from ds_sim.parts import Vehicle
+from ds_sim.simulator import FRAME_RATE, FRAME_TIME, AutopilotGains, Command, Outcome
+from ds_sim_bullet import simulator as bullet
+from ds_sim_bullet.parameters import BulletParameters
+from ds_sim_bullet.vehicle import BulletVehicle
+from ds_sim_panda.vehicle import parameters as panda
+from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
+from ds_sim_panda.vehicle.parameters import MultiBodyParameters
+from ds_sim_softbody import simulator as softbody
+from ds_sim_softbody.parameters import SoftbodyParameters
+from ds_sim_softbody.vehicle import SoftbodyVehicle
+from ds_twin_donkey import dynamics
+from ds_twin_donkey import simulator as donkey
+from ds_twin_donkey.dynamics import CarModel
+from ds_twin_donkey.parameters import DonkeyParameters
+from ds_twin_donkey.vehicle import DonkeyVehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """Result of one run.
+
+    Attributes:
+        fitness: smallest lateral distance, m (paper 3.3).
+        outcome: how it ended.
+        path: (steps + 1, 4) x, y, yaw, speed in road metres, including the start.
+    """
+
+    fitness: float
+    outcome: Outcome
+    path: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Car:
+    """Vehicle that can be made with finer substeps, and settings of its autopilot.
+
+    Attributes:
+        make: makes a vehicle whose number of substeps is a multiple of the nominal one.
+        gains: gains of its autopilot.
+        preview: distance of the autopilot's preview point ahead of the car's centre, m.
+        substep: nominal substep, s.
+    """
+
+    make: Callable[[int], Vehicle]
+    gains: AutopilotGains
+    preview: float
+    substep: float
+
+
+def cars() -> dict[str, Car]:
+    """The four vehicles, by name of their simulator."""
+    return {
+        "bullet": Car(
+            make=_bullet,
+            gains=bullet.GAINS,
+            preview=bullet.PREVIEW_DISTANCE,
+            substep=FRAME_TIME / BulletParameters().substeps,
+        ),
+        "softbody": Car(
+            make=_softbody,
+            gains=softbody.GAINS,
+            preview=softbody.PREVIEW_DISTANCE,
+            substep=FRAME_TIME / SoftbodyParameters().frame_substeps,
+        ),
+        "panda": Car(
+            make=_panda,
+            gains=panda.GAINS,
+            preview=panda.PREVIEW_DISTANCE,
+            substep=FRAME_TIME / MultiBodyParameters().substeps,
+        ),
+        "donkey": Car(
+            make=_donkey,
+            gains=donkey.GAINS,
+            preview=donkey.PREVIEW_DISTANCE,
+            substep=FRAME_TIME / dynamics.SUBSTEPS,
+        ),
+    }
+
+
+def drive(car: Car, vehicle: Vehicle, road: Road) -> Drive:
+    """Let the autopilot drive a road until the run ends, as `ds_sim.road_simulator` would."""
+    lane = road.lane_centre
+    ahead = lane[1] - lane[0]
+    vehicle.reset(float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(0))
+    tracker, pilot = LaneTracker(lane), Autopilot(car.gains)
+    oracle = Oracle(tracker.length)
+    fitness, rows, outcome = math.inf, [], Outcome.RUNNING
+    for step in range(10_000):
+        s = vehicle.state()
+        rows.append((s.x, s.y, s.yaw, s.speed))
+        lateral, arc = tracker.update(s.x, s.y)
+        fitness = min(fitness, road.lane_width / 2 - abs(lateral))
+        outcome = oracle.judge(step=step, lateral_distance=road.lane_width / 2 - abs(lateral), arc_length=arc)
+        if outcome is not Outcome.RUNNING:
+            break
+        preview = tracker.lateral_position(s.x + car.preview * math.cos(s.yaw), s.y + car.preview * math.sin(s.yaw))
+        vehicle.advance(pilot.command(preview, s.speed))
+    return Drive(fitness=fitness, outcome=outcome, path=np.array(rows))
+
+
+def _bullet(finer: int) -> Vehicle:
+    p = BulletParameters()
+    return BulletVehicle(dataclasses.replace(p, substeps=finer * p.substeps))
+
+
+def _softbody(finer: int) -> Vehicle:
+    p = SoftbodyParameters()
+    return SoftbodyVehicle(
+        dataclasses.replace(p, frame_substeps=finer * p.frame_substeps, body_substeps=finer * p.body_substeps)
+    )
+
+
+def _panda(finer: int) -> Vehicle:
+    p = MultiBodyParameters()
+    return MultiBodyVehicle(dataclasses.replace(p, substeps=finer * p.substeps, stable_step=p.stable_step / finer))
+
+
+def _donkey(finer: int) -> Vehicle:
+    return _FinerDonkey(finer)
+
+
+class _FinerDonkey(DonkeyVehicle):
+    """Twin with shorter substeps, which are not a parameter of the car."""
+
+    def __init__(self, finer: int) -> None:
+        super().__init__()
+        self._model = CarModel(DonkeyParameters(), substeps=finer * dynamics.SUBSTEPS)
+
+
+MAX_ANGLE = 270
+"""Maximum angle of the roads, degrees (paper 4.2.2)."""
+
+
+def random_roads(count: int) -> list[Road]:
+    """Generate the first roads of seed 0."""
+    rng = np.random.default_rng(0)
+    return [generate(rng, max_angle=MAX_ANGLE) for _ in range(count)]
+
+
+def fitness_shift(car: Car, roads: list[Road], finer: int) -> tuple[list[float], list[float]]:
+    """Absolute change of fitness with `finer` times the substeps, and largest distance of the paths, per road, m."""
+    coarse, fine = car.make(1), car.make(finer)
+    shifts, distances = [], []
+    for road in roads:
+        one, other = drive(car, coarse, road), drive(car, fine, road)
+        shifts.append(abs(one.fitness - other.fitness))
+        frames = min(len(one.path), len(other.path))
+        distances.append(float(np.hypot(*(one.path[:frames, :2] - other.path[:frames, :2]).T).max()))
+    coarse.close()
+    fine.close()
+    return shifts, distances
+
+
+def print_training(chosen: dict[str, Car]) -> None:
+    """Print one row per simulator: results of the autopilot on the training set, and its top speed."""
+    plan = CollectionPlan()
+    trained_on = roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)
+    roads = [way for road in trained_on for way in (road, road.reversed())]
+    print("| simulator | drives | completed | smallest lateral distance, m | highest speed, km/h |")
+    print("|---|---|---|---|---|")
+    for name, car in chosen.items():
+        vehicle = car.make(1)
+        drives = [drive(car, vehicle, road) for road in roads]
+        vehicle.close()
+        done = sum(d.outcome is Outcome.COMPLETED for d in drives)
+        speed = 3.6 * max(float(d.path[:, 3].max()) for d in drives)
+        fitness = min(d.fitness for d in drives)
+        print(f"| {name} | {len(drives)} | {done} | {fitness:.2f} | {speed:.1f} |", flush=True)
+
+
+def print_convergence(chosen: dict[str, Car], roads: list[Road], finer: int) -> None:
+    """Print one row per simulator: how much finer substeps change fitness and paths."""
+    print("| simulator | substep, ms | halved: change of fitness, mm (median, max) | distance of paths, mm (max) |")
+    print("|---|---|---|---|")
+    for name, car in chosen.items():
+        shifts, distances = (1e3 * np.array(values) for values in fitness_shift(car, roads, finer))
+        apart = distances.max()
+        print(
+            f"| {name} | {1e3 * car.substep:.3g} | {np.median(shifts):.1f}, {shifts.max():.1f} | {apart:.0f} |",
+            flush=True,
+        )
+
+
+def print_endurance(chosen: dict[str, Car], minutes: int) -> None:
+    """Print one row per simulator: pace, roll, and whether the state stays finite."""
+    print("| simulator | minutes | pace, m/s (first minute, last minute) | roll, deg (largest) | all finite |")
+    print("|---|---|---|---|---|")
+    for name, car in chosen.items():
+        vehicle = car.make(1)
+        vehicle.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
+        paces, roll, finite = [], 0.0, True
+        for minute in range(minutes):
+            command = Command(-1.0 if minute % 2 else 1.0, 1.0)
+            for _ in range(round(60 * FRAME_RATE)):
+                vehicle.advance(command)
+                state = vehicle.state()
+                roll = max(roll, abs(state.roll))
+                finite = finite and all(math.isfinite(v) for v in dataclasses.astuple(state))
+            paces.append(math.hypot(state.speed, state.lateral_speed))
+        vehicle.close()
+        print(
+            f"| {name} | {minutes} | {paces[0]:.2f}, {paces[-1]:.2f} | {math.degrees(roll):.1f} | "
+            f"{'yes' if finite else 'no'} |",
+            flush=True,
+        )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("what", choices=("convergence", "training", "endurance"))
+    parser.add_argument("--roads", type=int, default=20)
+    parser.add_argument("--finer", type=int, default=2)
+    parser.add_argument("--minutes", type=int, default=60)
+    parser.add_argument("--sims", default=",".join(cars()))
+    arguments = parser.parse_args()
+    chosen = {name: cars()[name] for name in arguments.sims.split(",")}
+    if arguments.what == "convergence":
+        print_convergence(chosen, random_roads(arguments.roads), arguments.finer)
+    elif arguments.what == "training":
+        print_training(chosen)
+    else:
+        print_endurance(chosen, arguments.minutes)
+
+
+if __name__ == "__main__":
+    main()

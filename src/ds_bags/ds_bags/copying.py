@@ -1,0 +1,291 @@
+"""Copies the records of MCAP files: whole files, files with changed messages, and files that were never finished."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from ds_bags.bounded_rosbags import opened
+from ds_bags.layout import (
+    MAX_METADATA,
+    MAX_TIME,
+    BagError,
+    Opening,
+    TooLargeError,
+    custom_data,
+    image_spool_path,
+    new_folder,
+    partial_path,
+    regular_file,
+)
+from ds_bags.messages import typestore
+from ds_bags.reader import BagReader
+from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic
+from ds_sim.bounded_yaml import BoundedYamlError, load_yaml
+
+
+class DamagedFileError(BagError):
+    """A record that makes no sense; what came before it does.
+
+    Attributes:
+        reason: in a few words.
+    """
+
+    def __init__(self, file: Path, reason: str) -> None:
+        super().__init__(f"{file} is damaged ({reason}): `ds bag recover` keeps what is whole")
+        self.reason = reason
+
+
+def records(file: Path, *, chunks: bool = True) -> Iterator[tuple[McapRecord, int]]:
+    """Iterate over the records of a file in their order, those of chunks included.
+
+    A message comes only after its channel, and a channel only after its schema; times fit a ROS stamp.
+
+    Args:
+        file: MCAP file.
+        chunks: read what is inside chunks; False skips them, with schemas, channels and messages alike.
+
+    Yields:
+        Record, and how many bytes of the file have been read with it.
+
+    Raises:
+        DamagedFileError: the rest of the file makes no sense.
+        TooLargeError: its chunks open to more than the limit.
+    """
+    size = regular_file(file).stat().st_size
+    opening = Opening(size)
+    schemas: set[int] = set()
+    channels: set[int] = set()
+    with file.open("rb") as stream:
+        read = iter(StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=size).records)
+        while True:
+            try:
+                record = next(read)
+                with opening.counting():
+                    found = (_content(record) if chunks else []) if isinstance(record, Chunk) else [record]
+                if chunks:
+                    _check(found, schemas, channels)
+            except StopIteration:
+                return
+            except TooLargeError as error:
+                raise TooLargeError(f"{file}: {error}") from None
+            except Exception as error:  # half a record raises whatever the reader stumbles on
+                reason = " ".join(str(error).split())[:100] or type(error).__name__
+                raise DamagedFileError(file, reason) from None
+            position = stream.tell()
+            for one in found:
+                yield one, position
+
+
+def _content(chunk: Chunk) -> list[McapRecord]:
+    data = opened(chunk.data, chunk.compression, chunk.uncompressed_size)
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk of {len(data)} bytes, not {chunk.uncompressed_size}")
+    return list(breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True))
+
+
+def _check(found: list[McapRecord], schemas: set[int], channels: set[int]) -> None:
+    for record in found:
+        if isinstance(record, Schema):
+            record.data.decode()
+            schemas.add(record.id)
+        elif isinstance(record, Channel):
+            if record.schema_id not in schemas:
+                raise ValueError(f"channel {record.id} has no schema")
+            channels.add(record.id)
+        elif isinstance(record, Message) and (record.channel_id not in channels or record.log_time >= MAX_TIME):
+            raise ValueError(f"a message of channel {record.channel_id} at {record.log_time} ns")
+
+
+def topic_of_channel(channel: Channel, schema: Schema, name: str) -> Topic:
+    """Describe a channel of an MCAP file as a topic, under another name; a QoS that makes no sense is left out."""
+    qos = channel.metadata.get("offered_qos_profiles", "[]\n")
+    try:
+        profiles = load_yaml(qos)
+        known = not profiles or (isinstance(profiles, list) and all(isinstance(profile, dict) for profile in profiles))
+    except BoundedYamlError:
+        known = False
+    return Topic(
+        name=name,
+        message_type=schema.name,
+        definition=schema.data.decode(),
+        digest=channel.metadata.get("topic_type_hash", ""),
+        qos=qos if known else "[]\n",
+        encoding=schema.encoding,
+    )
+
+
+def rewrite_bag(
+    source: Path,
+    out: Path,
+    change: Mapping[str, Callable[[Any], Any]],
+    facts: Mapping[str, str],
+    *,
+    without: Collection[str] = (),
+) -> int:
+    """Copy a bag; the same input gives the same bytes.
+
+    Args:
+        source: bag of one MCAP file.
+        out: bag to write; must not exist, and appears whole or not at all.
+        change: message type -> function that returns the message to write.
+        facts: custom data added to the bag's.
+        without: message types that are left out.
+
+    Returns:
+        Number of changed messages.
+
+    Raises:
+        BagError: the bag is damaged, has several files, or `out` exists.
+    """
+    with BagReader(source) as bag:
+        if len(bag.files) != 1 or bag.files[0].suffix != ".mcap":
+            raise BagError(f"{source} is no bag of one MCAP file: record it with this project, or convert it")
+        file, custom = bag.files[0], bag.facts | dict(facts)
+    store, changed = typestore(), 0
+    with new_folder(out) as hidden:
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, tuple[int, str]] = {}
+        with Rosbag2Writer(hidden, custom) as writer:
+            for record, _ in records(file):
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel) and record.id not in channels:
+                    kind = schemas[record.schema_id].name
+                    if kind not in without:
+                        number = writer.channel(topic_of_channel(record, schemas[record.schema_id], record.topic))
+                        channels[record.id] = (number, kind)
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    number, kind = channels[record.channel_id]
+                    data = record.data
+                    if kind in change:
+                        message = change[kind](store.deserialize_cdr(data, kind))
+                        data, changed = bytes(store.serialize_cdr(message, kind)), changed + 1
+                    writer.write(number, record.log_time, data)
+            writer.close(custom)
+    return changed
+
+
+UNFINISHED = "UNFINISHED"
+"""Outcome in the custom data of a recovered bag."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recovered:
+    """Result of a recovery.
+
+    Attributes:
+        source: file that was read.
+        folder: recovered bag.
+        messages: number of recovered messages.
+        seconds: time from the first message to the last.
+        lost_bytes: bytes at the end of the file that could not be read.
+    """
+
+    source: Path
+    folder: Path
+    messages: int
+    seconds: float
+    lost_bytes: int
+
+
+def unfinished_file(path: Path) -> Path:
+    """Find the MCAP file that a killed writer left behind.
+
+    Args:
+        path: intended path of the bag, its hidden folder, a folder with an MCAP file, or that file.
+
+    Raises:
+        BagError: there is no such file, or the bag is whole.
+    """
+    if path.is_file():
+        return path
+    for folder in (
+        path,
+        path / path.name.removeprefix(".").removesuffix(".partial"),
+        partial_path(path) / path.name,
+        image_spool_path(path),
+    ):
+        found = sorted(folder.glob("*.mcap"))
+        if found and (folder / "metadata.yaml").exists():
+            raise BagError(f"{folder} is whole: `ds bag info {folder}` describes it")
+        if found:
+            return found[0]
+    raise BagError(f"{path}: nothing to recover: expected an .mcap file in it, or in {partial_path(path)}")
+
+
+def recover(path: Path, out: Path | None = None) -> Recovered:
+    """Make a whole bag from an unfinished one, which stays as it is.
+
+    Keeps every record up to the first damaged one, in order.
+
+    Args:
+        path: unfinished bag, see `unfinished_file`.
+        out: folder to create; None for a folder next to the unfinished bag whose name ends in `_recovered`.
+
+    Raises:
+        BagError: there is no unfinished bag, nothing in it can be read, or `out` exists.
+    """
+    source = regular_file(unfinished_file(path))
+    if out is None:
+        beside = source.parent.parent if source.parent.parent.name.endswith(".partial") else source.parent
+        out = beside.parent / f"{source.stem}_recovered"
+    with new_folder(out) as hidden:
+        return _copy(source, hidden, out)
+
+
+def _copy(source: Path, folder: Path, out: Path) -> Recovered:
+    facts: dict[str, str] = {}
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, int] = {}
+    writer: Rosbag2Writer | None = None
+    ended: dict[str, str] = {}
+    count, first, last, readable = 0, 0, 0, 0
+    for record, position in _readable(source):
+        # After the footer comes only the closing magic.
+        readable = source.stat().st_size if isinstance(record, Footer) else position
+        if isinstance(record, Metadata) and record.name == ABOUT_RECORD:
+            facts = dict(record.metadata)
+        elif isinstance(record, Metadata) and record.name == "rosbag2":
+            # The file was finished but its folder was not: use the outcome that the file states.
+            ended = _ending(record)
+        elif isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel | Message):
+            writer = writer or Rosbag2Writer(folder, facts)
+            if isinstance(record, Channel):
+                if record.id not in channels:
+                    channels[record.id] = writer.channel(
+                        topic_of_channel(record, schemas[record.schema_id], record.topic)
+                    )
+                continue
+            writer.write(channels[record.channel_id], record.log_time, record.data)
+            first = record.log_time if not count else min(first, record.log_time)
+            last, count = max(last, record.log_time), count + 1
+    if writer is None or not count:
+        raise BagError(f"{source} holds no whole chunk: the writer was killed before its first flush")
+    lost = source.stat().st_size - readable
+    cut = {"outcome": UNFINISHED, "message": f"recovered: the last {lost} bytes could not be read"}
+    writer.close(facts | (ended or cut))
+    return Recovered(source=source, folder=out, messages=count, seconds=(last - first) / 1e9, lost_bytes=lost)
+
+
+def _readable(source: Path) -> Iterator[tuple[McapRecord, int]]:
+    """Yield the records up to the first damaged one, with the number of bytes read so far."""
+    with contextlib.suppress(DamagedFileError):
+        yield from records(source)
+
+
+def _ending(record: Metadata) -> dict[str, str]:
+    """Return the custom data at the end of a finished file; empty if it is malformed."""
+    try:
+        information = load_yaml(record.metadata["serialized_metadata"], limits=MAX_METADATA)
+        return custom_data(information)
+    except (BoundedYamlError, KeyError, AttributeError, TypeError):
+        return {}
