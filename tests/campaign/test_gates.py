@@ -16,7 +16,7 @@ from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
 
 from ds_analysis.paper.campaign_evaluation import maps_of
 from ds_analysis.paper.exclusions import excluded_table
-from ds_cli.campaign.run import status
+from ds_cli.campaign.inspection import status
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError, parse_config

@@ -30,7 +30,7 @@ def test_a_campaign_outlives_its_driver(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, outcome: str, message: str
 ) -> None:
     """The driver fails once, during a run; the test is repeated, and the error enters no map."""
-    from ds_cli.campaign.run import status
+    from ds_cli.campaign.inspection import status
     from ds_orchestrator.graph import session as running
     from ds_orchestrator.graph.supervisor import ProcessSpec, simulator_processes
     from ds_studies.whole_campaign import run_campaign

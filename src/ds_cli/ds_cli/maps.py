@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -26,58 +25,6 @@ _RAMP = ((46, 125, 50), (249, 168, 37), (198, 40, 40))
 """Background at 0, 0.5 and 1: green, amber, red, all dark or light enough for the text on them."""
 
 app = typer.Typer()
-
-
-def maps(
-    folder: Path,
-    name: str = "merged",
-    shown: Shown = "probability",
-    axes: Sequence[str] | None = None,
-) -> Result:
-    """Every map of a campaign as JSON values; one of them as a grid.
-
-    Args:
-        folder: campaign folder.
-        name: of the map that is shown.
-        shown: what colours the cells.
-        axes: features that span the maps; those of the configuration if None.
-
-    Raises:
-        ds_orchestrator.campaign.config.ConfigError: the campaign has no map of this name.
-    """
-    from ds_analysis.paper.campaign_evaluation import maps_of
-    from ds_analysis.paper.exclusions import exclusion_lines
-    from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
-    from ds_orchestrator.maps.feature_map import slices_of, to_json
-
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
-    every = maps_of(data, features=axes)
-    if axes is not None and not any(made.cells or made.excluded for made in every.values()):
-        raise ConfigError(
-            f"no test in {folder} has a cell over {','.join(axes)}: expected other --axes, or tests driven"
-        )
-    found = {map_id.name: feature_map for map_id, feature_map in every.items()}
-    if name not in found:
-        raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
-
-    def show() -> None:
-        console = Console()
-        for part in slices_of(found[name]):
-            for grid in grids(part, shown, console.width):
-                console.print(grid)
-        for line in legend(found[name], shown):
-            console.print(line, highlight=False)
-        for excluded in exclusion_lines(data):
-            console.print(excluded, highlight=False)
-        others = ", ".join(other for other in found if other != name)
-        console.print(f"Other maps, with --map NAME: {others}", highlight=False)
-        if axes is None and data.config.further_axes:
-            further = "; ".join(",".join(other) for other in data.config.further_axes)
-            console.print(f"Other axes, with --axes A,B: {further}", highlight=False)
-
-    return Result(document=to_json(every), show=show)
 
 
 def axes_named(text: str) -> list[str]:
@@ -193,4 +140,37 @@ def maps_command(
     One map at a time: `merged`, unless --map names another one. With --json, all of them.
     """
     named = None if axes is None else axes_named(axes)
-    answer(maps(folder, name, value, named), as_json)
+    from ds_analysis.paper.campaign_evaluation import maps_of
+    from ds_analysis.paper.exclusions import exclusion_lines
+    from ds_orchestrator.campaign.config import ConfigError
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.maps.feature_map import slices_of, to_json
+
+    named = None if axes is None else axes_named(axes)
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    every = maps_of(data, features=named)
+    if named is not None and not any(made.cells or made.excluded for made in every.values()):
+        raise ConfigError(
+            f"no test in {folder} has a cell over {','.join(named)}: expected other --axes, or tests driven"
+        )
+    found = {map_id.name: feature_map for map_id, feature_map in every.items()}
+    if name not in found:
+        raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
+
+    def show() -> None:
+        console = Console()
+        for part in slices_of(found[name]):
+            for grid in grids(part, value, console.width):
+                console.print(grid)
+        for line in legend(found[name], value):
+            console.print(line, highlight=False)
+        for excluded in exclusion_lines(data):
+            console.print(excluded, highlight=False)
+        others = ", ".join(other for other in found if other != name)
+        console.print(f"Other maps, with --map NAME: {others}", highlight=False)
+        if named is None and data.config.further_axes:
+            further = "; ".join(",".join(other) for other in data.config.further_axes)
+            console.print(f"Other axes, with --axes A,B: {further}", highlight=False)
+
+    answer(Result(document=to_json(every), show=show), as_json)

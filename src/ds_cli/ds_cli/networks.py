@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -27,94 +26,9 @@ from ds_cli.options import (
 from ds_cli.output import Interrupted, Result, answer, countdown, say
 
 if TYPE_CHECKING:
-    from ds_driver.data.recordings import Reading
+    pass
 
 app = typer.Typer()
-
-
-def collect(out: Path, simulators: list[str], **settings: Any) -> None:
-    """Collect a data set; the settings are those of `ds_driver.data.collection.CollectionPlan`."""
-    from ds_driver.data.collection import CollectionPlan
-    from ds_driver.data.collection import collect as collect_drives
-    from ds_driver.data.dataset import write_manifest
-    from ds_sim.installation import versions
-
-    plan = CollectionPlan(**settings)
-    try:
-        collect_drives(plan, simulators, out, countdown())
-    except KeyboardInterrupt:
-        raise Interrupted(_kept(out, "*.parquet", "drive")) from None
-    write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
-
-
-def _kept(out: Path, pattern: str, what: str) -> str:
-    """What a stopped verb leaves behind; empty if nothing."""
-    count = len([file for file in out.rglob(pattern) if not file.name.startswith(".")]) if out.is_dir() else 0
-    return f"{count} {what}{'' if count == 1 else 's'} in {out} are kept; the same command continues" if count else ""
-
-
-def import_drives(folders: list[Path], out: Path, name: str, reading: Reading) -> Result:
-    """Import recordings into a data set, as the drives of one more simulator."""
-    from ds_driver.data.recordings import import_recordings, open_recording
-
-    try:
-        found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, countdown())
-    except KeyboardInterrupt:
-        raise Interrupted from None
-
-    def show() -> None:
-        left = f"; {found.unlabelled} images without recorded steering are left out" if found.unlabelled else ""
-        print(f"{found.images} images in {found.files} files are in {out / name}{left}")
-
-    return Result(document=asdict(found), show=show)
-
-
-def train(data: Path, out: Path, *, trusted: Collection[str] = (), **settings: Any) -> None:
-    """Train a network; the settings are those of `ds_driver.training.TrainingPlan`."""
-    from ds_driver.training import TrainingPlan
-    from ds_driver.training import train as train_network
-
-    plan = TrainingPlan(**settings)
-    try:
-        train_network(data, out, plan, say, trusted=trusted)
-    except KeyboardInterrupt:
-        raise Interrupted(_checkpoint(out)) from None
-    print(out / f"{plan.network}.safetensors")
-
-
-def _checkpoint(out: Path) -> str:
-    """What a stopped training leaves behind; empty if nothing."""
-    known = (out / "checkpoint.pt").is_file()
-    return f"the finished epochs are kept in {out}; the same command continues" if known else ""
-
-
-def models() -> Result:
-    """The shipped networks with their model cards."""
-    from ds_driver.networks.weights import load_weights, shipped_networks
-
-    document = [
-        {
-            "name": name,
-            "parameters": load_weights(name).architecture.parameters,
-            "bytes": path.stat().st_size,
-            "input": [160, 320, 3],
-            "card": json.loads(path.with_suffix(".json").read_text()),
-        }
-        for name, path in shipped_networks().items()
-    ]
-
-    def show() -> None:
-        table = Table("name", "parameters", "bytes", "success on unseen roads")
-        for row in document:
-            success = ", ".join(f"{k} {_mean(v):.2f}" for k, v in row["card"]["success"].items())
-            table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
-        Console().print(table)
-
-    return Result(document=document, show=show)
-
-
-def _mean(rates: dict[str, float]) -> float:
-    return sum(rates.values()) / len(rates)
 
 
 @app.command("collect")
@@ -127,7 +41,19 @@ def collect_command(
     sims: Simulators = "bullet,softbody,panda,donkey",
 ) -> None:
     """Collect labelled driving data with the autopilot."""
-    collect(out, simulators_of(sims), roads=roads, seed=seed, every=every, disturbance=disturbance)
+    from ds_driver.data.collection import CollectionPlan, collect
+    from ds_driver.data.dataset import write_manifest
+    from ds_sim.installation import versions
+
+    simulators = simulators_of(sims)
+    plan = CollectionPlan(roads=roads, seed=seed, every=every, disturbance=disturbance)
+    try:
+        collect(plan, simulators, out, countdown())
+    except KeyboardInterrupt:
+        files = [file for file in out.rglob("*.parquet") if not file.name.startswith(".")] if out.is_dir() else []
+        drives = f"{len(files)} drive{'' if len(files) == 1 else 's'}"
+        raise Interrupted(f"{drives} in {out} are kept; the same command continues" if files else "") from None
+    write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
 
 
 @app.command("import")
@@ -146,10 +72,19 @@ def import_command(
 
     Networks can then be trained on it and compared.
     """
-    from ds_driver.data.recordings import Reading
+    from ds_driver.data.recordings import Reading, import_recordings, open_recording
 
     reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), trusted=tuple(trust or ()))
-    answer(import_drives(folders, out, name, reading), as_json)
+    try:
+        found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, countdown())
+    except KeyboardInterrupt:
+        raise Interrupted from None
+
+    def show() -> None:
+        left = f"; {found.unlabelled} images without recorded steering are left out" if found.unlabelled else ""
+        print(f"{found.images} images in {found.files} files are in {out / name}{left}")
+
+    answer(Result(document=asdict(found), show=show), as_json)
 
 
 @app.command("train")
@@ -167,18 +102,47 @@ def train_command(
     trust: Trust = None,
 ) -> None:
     """Train one network for all simulators of a data set."""
-    from ds_driver.training import schedule_of
+    from ds_driver.training import TrainingPlan, schedule_of, train
 
     chosen = schedule_of(schedule, network)
-    train(
-        data, out, network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs,
-        patience=chosen.patience, without_dropout=chosen.without_dropout, images_per_simulator=images,
-        learning_rate=learning_rate, threads=threads,
-        device=device, trusted=trust or [],
+    plan = TrainingPlan(
+        network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs, patience=chosen.patience,
+        without_dropout=chosen.without_dropout, images_per_simulator=images, learning_rate=learning_rate,
+        threads=threads, device=device,
     )  # fmt: skip
+    try:
+        train(data, out, plan, say, trusted=trust or [])
+    except KeyboardInterrupt:
+        known = (out / "checkpoint.pt").is_file()
+        raise Interrupted(
+            f"the finished epochs are kept in {out}; the same command continues" if known else ""
+        ) from None
+    print(out / f"{network}.safetensors")
 
 
 @app.command("models")
 def models_command(as_json: JsonFlag = False) -> None:
     """List the shipped networks and their success rates."""
-    answer(models(), as_json)
+    from ds_driver.networks.weights import load_weights, shipped_networks
+
+    document = [
+        {
+            "name": name,
+            "parameters": load_weights(name).architecture.parameters,
+            "bytes": path.stat().st_size,
+            "input": [160, 320, 3],
+            "card": json.loads(path.with_suffix(".json").read_text()),
+        }
+        for name, path in shipped_networks().items()
+    ]
+
+    def show() -> None:
+        table = Table("name", "parameters", "bytes", "success on unseen roads")
+        for row in document:
+            success = ", ".join(
+                f"{name} {sum(rates.values()) / len(rates):.2f}" for name, rates in row["card"]["success"].items()
+            )
+            table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
+        Console().print(table)
+
+    answer(Result(document=document, show=show), as_json)

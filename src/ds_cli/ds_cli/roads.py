@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -21,56 +21,6 @@ Format = Literal["opendrive", "commonroad", "sbft"]
 app = typer.Typer()
 road_app = typer.Typer(help="Generate, mirror, check, draw, export and import roads.", no_args_is_help=True)
 app.add_typer(road_app, name="road")
-
-
-def generate_roads(seed: int, count: int, max_angle: int) -> list[Any]:
-    """Control points of random roads."""
-    import numpy as np
-
-    import ds_road
-
-    rng = np.random.default_rng(seed)
-    return [ds_road.generate(rng, max_angle=max_angle).control_points for _ in range(count)]
-
-
-def mirror_roads(file: Path) -> list[Any]:
-    """Mirror images of the roads of a file."""
-    import ds_road
-
-    return [ds_road.road_to_json(road.mirrored()) for road in ds_road.read_roads(file)]
-
-
-def check_roads(file: Path) -> Result:
-    """Validity and features of every road of a file."""
-    import ds_road
-
-    document = [ds_road.check(raw) for raw in ds_road.read_raw_roads(file)]
-
-    def show() -> None:
-        table = Table("road", "valid", "length, m", "curvature, 1/m", "turns", "turns as in maxitwo", "reason")
-        for index, row in enumerate(document):
-            known = row["length"] is not None
-            table.add_row(
-                str(index),
-                "yes" if row["valid"] else "no",
-                f"{row['length']:.1f}" if known else "",
-                f"{row['curvature']:.4f}" if known else "",
-                str(row["turns_count"]) if known else "",
-                str(row["turns_count_maxitwo"]) if known else "",
-                row["reason"],
-            )
-        Console().print(table)
-
-    return Result(document=document, show=show)
-
-
-def show_road(file: Path | None, seed: int, max_angle: int, out: Path, lane: Side | None = None) -> Path:
-    """Draw one road as a PNG."""
-    import ds_road
-    from ds_sim.camera.encodings import png
-
-    out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle, lane))))
-    return out
 
 
 def one_road(file: Path | None, seed: int, max_angle: int, lane: Side | None = None) -> Road:
@@ -97,39 +47,6 @@ def one_road(file: Path | None, seed: int, max_angle: int, lane: Side | None = N
     return roads[0] if lane is None else roads[0].in_lane(lane)
 
 
-def export_roads(file: Path, out: Path, form: Format) -> list[Path]:
-    """Write every road of a file in another format.
-
-    Returns:
-        Paths of the files.
-    """
-    import ds_road
-    from ds_road import export
-
-    roads = ds_road.read_roads(file)
-    raw = ds_road.read_raw_roads(file)
-    names = [
-        one["test_id"] if isinstance(one, dict) and isinstance(one.get("test_id"), str) else f"road_{index:04d}"
-        for index, one in enumerate(raw)
-    ]
-    return export.write_all(roads, names, out, form)
-
-
-def import_roads(files: list[Path]) -> list[Any]:
-    """Roads of other tools' files; what was moved, or cannot be driven, is said on standard error."""
-    from ds_road import importing
-
-    found = []
-    for file in files:
-        for one in importing.import_roads(file):
-            found.append(one.to_json())
-            if any(one.moved):
-                say(f"{file}: {one.name} moved by ({one.moved[0]:g}, {one.moved[1]:g}) m into the box")
-            if not one.road.validity.valid:
-                say(f"{file}: {one.name} cannot be driven: {one.road.validity.reason}")
-    return found
-
-
 @road_app.command("generate")
 def road_generate_command(
     seed: Seed = 0,
@@ -137,13 +54,20 @@ def road_generate_command(
     max_angle: MaxAngle = 270,
 ) -> None:
     """Print random roads as a JSON list."""
-    print(json.dumps(generate_roads(seed, count, max_angle)))
+    import numpy as np
+
+    import ds_road
+
+    rng = np.random.default_rng(seed)
+    print(json.dumps([ds_road.generate(rng, max_angle=max_angle).control_points for _ in range(count)]))
 
 
 @road_app.command("mirror")
 def road_mirror_command(file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")]) -> None:
     """Print the mirror images of roads as a JSON list: left and right change places, the driven lane too."""
-    print(json.dumps(mirror_roads(file)))
+    import ds_road
+
+    print(json.dumps([ds_road.road_to_json(road.mirrored()) for road in ds_road.read_roads(file)]))
 
 
 @road_app.command("check")
@@ -151,7 +75,26 @@ def road_check_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: JsonFlag = False
 ) -> None:
     """Check every road of a file: validity, length, curvature and turns."""
-    answer(check_roads(file), as_json)
+    import ds_road
+
+    document = [ds_road.check(raw) for raw in ds_road.read_raw_roads(file)]
+
+    def show() -> None:
+        table = Table("road", "valid", "length, m", "curvature, 1/m", "turns", "turns as in maxitwo", "reason")
+        for index, row in enumerate(document):
+            known = row["length"] is not None
+            table.add_row(
+                str(index),
+                "yes" if row["valid"] else "no",
+                f"{row['length']:.1f}" if known else "",
+                f"{row['curvature']:.4f}" if known else "",
+                str(row["turns_count"]) if known else "",
+                str(row["turns_count_maxitwo"]) if known else "",
+                row["reason"],
+            )
+        Console().print(table)
+
+    answer(Result(document=document, show=show), as_json)
 
 
 @road_app.command("show")
@@ -165,7 +108,11 @@ def road_show_command(
     out: Annotated[Path, typer.Option(help="Picture to write, PNG.")] = Path("road.png"),
 ) -> None:
     """Draw a road as a PNG."""
-    print(show_road(file, seed, max_angle, out, lane))
+    import ds_road
+    from ds_sim.camera.encodings import png
+
+    out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle, lane))))
+    print(out)
 
 
 @road_app.command("export")
@@ -178,7 +125,16 @@ def road_export_command(
 
     Writes one file per road, named after its test or its place in the list, and prints their paths.
     """
-    for path in export_roads(file, out, form):
+    import ds_road
+    from ds_road import export
+
+    roads = ds_road.read_roads(file)
+    raw = ds_road.read_raw_roads(file)
+    names = [
+        one["test_id"] if isinstance(one, dict) and isinstance(one.get("test_id"), str) else f"road_{index:04d}"
+        for index, one in enumerate(raw)
+    ]
+    for path in export.write_all(roads, names, out, form):
         print(path)
 
 
@@ -192,4 +148,14 @@ def road_import_command(
 
     The content decides the format. Roads outside of the box of 250 m are moved into its middle if they fit.
     """
-    print(json.dumps(import_roads(files)))
+    from ds_road import importing
+
+    found = []
+    for file in files:
+        for one in importing.import_roads(file):
+            found.append(one.to_json())
+            if any(one.moved):
+                say(f"{file}: {one.name} moved by ({one.moved[0]:g}, {one.moved[1]:g}) m into the box")
+            if not one.road.validity.valid:
+                say(f"{file}: {one.name} cannot be driven: {one.road.validity.reason}")
+    print(json.dumps(found))

@@ -13,7 +13,7 @@ from ds_cli.options import JsonFlag, Simulator
 from ds_cli.output import Interrupted, Result, answer, countdown, say
 
 if TYPE_CHECKING:
-    from ds_driver.sim2real.settings import Sim2RealSettings
+    pass
 
 app = typer.Typer()
 sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
@@ -27,41 +27,72 @@ RealImages = Annotated[
 ]
 
 
-def train(simulator: str, real: Path, out: Path, settings: Sim2RealSettings, data_sets: list[Path]) -> Result:
-    """Measure where both domains show the lane, crop them alike, and train."""
+@sim2real_app.command("train")
+def train_command(
+    real: RealImages,
+    out: Annotated[Path, typer.Option(help="Folder; a training that was stopped there is resumed.")],
+    sim: Simulator = "bullet",
+    preset: Annotated[
+        Literal["laptop", "paper"], typer.Option(help="Sizes and duration; paper needs a GPU.")
+    ] = "laptop",
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of weights, order and drives.")] = 1,
+    epochs: Annotated[int | None, typer.Option(min=1, max=1000, help="Epochs; the preset's if left out.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Steps per epoch; the preset's if left out.")] = None,
+    threads: Annotated[int, typer.Option(min=1, max=256, help="Threads of PyTorch.")] = 2,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    unlike: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="Data set whose roads must not be among the simulated ones; repeatable."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Train a generator for one simulator's images.
+
+    The simulated images come from random roads of their own, driven by the autopilot.
+    """
     from ds_driver.sim2real.preparation import prepare_domains, read_sources
-    from ds_driver.sim2real.trainer import EPOCHS
-    from ds_driver.sim2real.trainer import train as train_generators
+    from ds_driver.sim2real.settings import PRESETS
+    from ds_driver.sim2real.trainer import EPOCHS, train
     from ds_driver.training import CHECKPOINT
 
+    settings = replace(PRESETS[preset], seed=seed, threads=threads, device=device)
+    changes: dict[str, Any] = {"epochs": epochs, "steps": steps}
+    settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
     try:
-        sources = read_sources(simulator, real, out, settings, countdown(), data_sets=data_sets)
+        sources = read_sources(sim, real, out, settings, countdown(), data_sets=unlike or [])
         match = sources.match
         for name, window, position in zip(
-            (simulator, "photographs"), (match.simulated, match.real), match.positions, strict=True
+            (sim, "photographs"), (match.simulated, match.real), match.positions, strict=True
         ):
             say(f"{name}: cropped to {window}; {position}")
         domains, warnings = prepare_domains(sources, real, out)
         for warning in warnings:
             say(f"warning: {warning}")
-        history = train_generators(domains, settings, out, say)
+        history = train(domains, settings, out, say)
     except KeyboardInterrupt:
         kept = (out / CHECKPOINT).is_file()
         line = f"the finished epochs are kept in {out}; the same command continues" if kept else ""
         raise Interrupted(line) from None
     document = {
-        "simulator": simulator,
+        "simulator": sim,
         "crop": {"simulated": asdict(match.simulated), "real": asdict(match.real)},
         "difference": match.difference,
         "warnings": list(warnings),
         "losses": history,
         "epochs": str(out / EPOCHS),
     }
-    return Result(document=document, show=lambda: print(out / EPOCHS))
+    answer(Result(document=document, show=lambda: print(out / EPOCHS)), as_json)
 
 
-def show(generator: Path, source: Path, out: Path, count: int) -> Result:
-    """Draw frames beside their translations."""
+@sim2real_app.command("show")
+def show_command(
+    generator: Generator,
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set, bag, tub or folder of camera images.")],
+    out: Annotated[Path, typer.Option(help="Picture to write, a .png file.")] = Path("sim2real.png"),
+    count: Annotated[int, typer.Option(min=1, max=200, help="Number of images, evenly chosen.")] = 8,
+    as_json: JsonFlag = False,
+) -> None:
+    """Draw simulated images beside their translations."""
     from ds_driver.sim2real.generator import load_generator
     from ds_driver.sim2real.pictures import camera_images, sheet
     from ds_driver.sim2real.translator import Translator
@@ -72,29 +103,21 @@ def show(generator: Path, source: Path, out: Path, count: int) -> Result:
     images = [translator.prepared(image) for image in camera_images(source, translator.generator.simulator, count)]
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, png(sheet([[image, translator.small(image)] for image in images])))
-    return Result(document={"picture": str(out), "images": len(images)}, show=lambda: print(out))
+    answer(Result(document={"picture": str(out), "images": len(images)}, show=lambda: print(out)), as_json)
 
 
-def translate(source: Path, out: Path, generator: Path, backend: str, workers: int | None) -> Result:
-    """Translate a data set, bag or tub."""
-    from ds_driver.sim2real.generator import load_generator
-    from ds_driver.sim2real.stage import open_set, shipped_sets
-    from ds_driver.sim2real.translation import translate as translate_all
-    from ds_driver.sim2real.translator import Translator
-
-    files = [generator]
-    if generator.is_dir() or str(generator) in shipped_sets():
-        files = list(open_set(str(generator)).files.values())
-    translators = (Translator(load_generator(file), backend) for file in files)
-    try:
-        count = sum(translate_all(source, out, one, countdown(), workers=workers) for one in translators)
-    except KeyboardInterrupt:
-        raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
-    return Result(document={"out": str(out), "translated": count}, show=lambda: print(out))
-
-
-def assess(folder: Path, real: Path, driver: str, ship_to: Path | None) -> Result:
-    """Assess the checkpoints of a training, and write out the chosen one."""
+@sim2real_app.command("assess")
+def assess_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
+    real: RealImages,
+    driver: Annotated[str, typer.Option(help="Frozen network whose change of steering is measured.")] = "dave2",
+    ship_to: Annotated[
+        Path | None,
+        typer.Option("--ship", metavar="DIR", help="Folder for the chosen generator, its card and its ONNX file."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Assess the checkpoints of a training on held-out frames, and choose one by the numbers."""
     from rich.console import Console
     from rich.table import Table
 
@@ -133,100 +156,7 @@ def assess(folder: Path, real: Path, driver: str, ship_to: Path | None) -> Resul
         for file in files:
             print(file)
 
-    return Result(document=document, show=show)
-
-
-def reality(source: Path, generators: str, networks: list[str], *, whole: bool, trained_on: Path | None) -> Result:
-    """Correlate networks' steering on held-out photographs with the human's."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from ds_driver.sim2real.evaluation.reality import agreements, matched_windows, read_human_drive
-    from ds_driver.sim2real.generator import Sim2RealError, load_generator
-    from ds_driver.sim2real.stage import open_set
-
-    if not networks:
-        raise Sim2RealError("no networks: name some, as in --drivers dave2,dave2_short")
-    loaded = [load_generator(file) for file in open_set(generators).files.values()]
-    photographed = read_human_drive(source, whole=whole)
-    windows = matched_windows(loaded, photographed, trained_on)
-    try:
-        found = agreements(networks, photographed, windows, loaded[0].shape.size, countdown())
-    except KeyboardInterrupt:
-        raise Interrupted from None
-    document = {
-        "photographs": len(photographed.images),
-        "blocks": int(photographed.blocks[-1]) + 1,
-        "crops": {name: asdict(window) for name, window in windows.items()},
-        "networks": [asdict(agreement) for agreement in found],
-    }
-
-    def show() -> None:
-        table = Table("network", "r", "r, human smoothed", "beyond the first", *windows, **NARROW)
-        for one in found:
-            numbers = (one.correlation, one.smoothed, one.beyond_first)
-            cells = ("" if n is None else f"{n.value:.2f} ({n.low:.2f} to {n.high:.2f})" for n in numbers)
-            table.add_row(one.network, *cells, *(f"{value:.2f}" for value in one.windows.values()))
-        Console().print(table)
-
-    return Result(document=document, show=show)
-
-
-@sim2real_app.command("train")
-def train_command(
-    real: RealImages,
-    out: Annotated[Path, typer.Option(help="Folder; a training that was stopped there is resumed.")],
-    sim: Simulator = "bullet",
-    preset: Annotated[
-        Literal["laptop", "paper"], typer.Option(help="Sizes and duration; paper needs a GPU.")
-    ] = "laptop",
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of weights, order and drives.")] = 1,
-    epochs: Annotated[int | None, typer.Option(min=1, max=1000, help="Epochs; the preset's if left out.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Steps per epoch; the preset's if left out.")] = None,
-    threads: Annotated[int, typer.Option(min=1, max=256, help="Threads of PyTorch.")] = 2,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    unlike: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="DIR", help="Data set whose roads must not be among the simulated ones; repeatable."),
-    ] = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Train a generator for one simulator's images.
-
-    The simulated images come from random roads of their own, driven by the autopilot.
-    """
-    from ds_driver.sim2real.settings import PRESETS
-
-    settings = replace(PRESETS[preset], seed=seed, threads=threads, device=device)
-    changes: dict[str, Any] = {"epochs": epochs, "steps": steps}
-    settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
-    answer(train(sim, real, out, settings, unlike or []), as_json)
-
-
-@sim2real_app.command("show")
-def show_command(
-    generator: Generator,
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set, bag, tub or folder of camera images.")],
-    out: Annotated[Path, typer.Option(help="Picture to write, a .png file.")] = Path("sim2real.png"),
-    count: Annotated[int, typer.Option(min=1, max=200, help="Number of images, evenly chosen.")] = 8,
-    as_json: JsonFlag = False,
-) -> None:
-    """Draw simulated images beside their translations."""
-    answer(show(generator, source, out, count), as_json)
-
-
-@sim2real_app.command("assess")
-def assess_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
-    real: RealImages,
-    driver: Annotated[str, typer.Option(help="Frozen network whose change of steering is measured.")] = "dave2",
-    ship: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the chosen generator, its card and its ONNX file.")
-    ] = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Assess the checkpoints of a training on held-out frames, and choose one by the numbers."""
-    answer(assess(folder, real, driver, ship), as_json)
+    answer(Result(document=document, show=show), as_json)
 
 
 @sim2real_app.command("translate")
@@ -243,7 +173,20 @@ def translate_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Translate the images of a data set, bag or tub; the same format out."""
-    answer(translate(source, out, generator, backend, workers), as_json)
+    from ds_driver.sim2real.generator import load_generator
+    from ds_driver.sim2real.stage import open_set, shipped_sets
+    from ds_driver.sim2real.translation import translate
+    from ds_driver.sim2real.translator import Translator
+
+    files = [generator]
+    if generator.is_dir() or str(generator) in shipped_sets():
+        files = list(open_set(str(generator)).files.values())
+    translators = (Translator(load_generator(file), backend) for file in files)
+    try:
+        count = sum(translate(source, out, one, countdown(), workers=workers) for one in translators)
+    except KeyboardInterrupt:
+        raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
+    answer(Result(document={"out": str(out), "translated": count}, show=lambda: print(out)), as_json)
 
 
 @sim2real_app.command("reality")
@@ -261,5 +204,36 @@ def reality_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Compare networks' steering on real photographs with the human's: correlation and 95 % interval."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ds_driver.sim2real.evaluation.reality import agreements, matched_windows, read_human_drive
+    from ds_driver.sim2real.generator import Sim2RealError, load_generator
+    from ds_driver.sim2real.stage import open_set
+
     names = [name.strip() for name in drivers.split(",") if name.strip()]
-    answer(reality(source, generators, names, whole=whole, trained_on=trained_on), as_json)
+    if not names:
+        raise Sim2RealError("no names: name some, as in --drivers dave2,dave2_short")
+    loaded = [load_generator(file) for file in open_set(generators).files.values()]
+    photographed = read_human_drive(source, whole=whole)
+    windows = matched_windows(loaded, photographed, trained_on)
+    try:
+        found = agreements(names, photographed, windows, loaded[0].shape.size, countdown())
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    document = {
+        "photographs": len(photographed.images),
+        "blocks": int(photographed.blocks[-1]) + 1,
+        "crops": {name: asdict(window) for name, window in windows.items()},
+        "networks": [asdict(agreement) for agreement in found],
+    }
+
+    def show() -> None:
+        table = Table("network", "r", "r, human smoothed", "beyond the first", *windows, **NARROW)
+        for one in found:
+            numbers = (one.correlation, one.smoothed, one.beyond_first)
+            cells = ("" if n is None else f"{n.value:.2f} ({n.low:.2f} to {n.high:.2f})" for n in numbers)
+            table.add_row(one.network, *cells, *(f"{value:.2f}" for value in one.windows.values()))
+        Console().print(table)
+
+    answer(Result(document=document, show=show), as_json)

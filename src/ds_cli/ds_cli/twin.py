@@ -64,50 +64,6 @@ class FitProgress:
         return self._unit * (at_least_one * COST[self._phase - 1] + sum(count * cost for count, cost in rest))
 
 
-def fit_twin(paths: list[Path], out: Path, start: Path | None, *, window: float, evaluations: int) -> Result:
-    """Fit the twin to recorded drives; writes the parameter file and, beside it, `fit.png`.
-
-    Raises:
-        ds_twin_donkey.windows.FitError: the drives are too short, or determine no parameter.
-        Interrupted: the user stopped it; nothing is written.
-    """
-    from ds_twin_donkey.fit import FitSettings, fit
-    from ds_twin_donkey.fit_picture import draw_fit
-    from ds_twin_donkey.logs import read_log
-    from ds_twin_donkey.parameter_file import document_of, read_parameters, write_parameters
-
-    logs = [read_log(path) for path in paths]
-    begin = read_parameters(start)[0] if start else None
-    out.parent.mkdir(parents=True, exist_ok=True)
-    drives = [drive for log in logs for drive in log.drives]
-    try:
-        found = fit(drives, begin, FitSettings(window_seconds=window, max_evaluations=evaluations), FitProgress())
-    except KeyboardInterrupt:
-        raise Interrupted from None
-    for name, ratio in found.misfit.items():
-        if ratio > MISFIT:
-            say(
-                f"warning: {name}: the residuals are {ratio:.1f} times the noise of the drives: "
-                "the model does not follow them, and the intervals are too narrow"
-            )
-    document = document_of(found, logs)
-    write_parameters(out, document)
-    picture = out.parent / "fit.png"
-    draw_fit(found, picture)
-    document |= {"file": str(out), "picture": str(picture)}
-
-    def show() -> None:
-        table = Table("parameter", "value", "95 % interval", "unit", "")
-        for name, row in document["parameters"].items():
-            if row["status"] != "held":
-                interval = " to ".join(f"{value:.4g}" for value in row.get("interval_95", []))
-                table.add_row(name, f"{row['value']:.4g}", interval, row["unit"], row["status"])
-        Console().print(table)
-        print(f"{out}\n{picture}")
-
-    return Result(document=document, show=show)
-
-
 @twin_app.command("fit")
 def twin_fit_command(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Bags and Donkey Car tubs of recorded drives.")],
@@ -123,4 +79,38 @@ def twin_fit_command(
 
     `--sim donkey@FILE` then drives with them.
     """
-    answer(fit_twin(logs, out, start, window=window, evaluations=evaluations), as_json)
+    from ds_twin_donkey.fit import FitSettings, fit
+    from ds_twin_donkey.fit_picture import draw_fit
+    from ds_twin_donkey.logs import read_log
+    from ds_twin_donkey.parameter_file import document_of, read_parameters, write_parameters
+
+    recorded = [read_log(path) for path in logs]
+    begin = read_parameters(start)[0] if start else None
+    out.parent.mkdir(parents=True, exist_ok=True)
+    drives = [drive for log in recorded for drive in log.drives]
+    try:
+        found = fit(drives, begin, FitSettings(window_seconds=window, max_evaluations=evaluations), FitProgress())
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    for name, ratio in found.misfit.items():
+        if ratio > MISFIT:
+            say(
+                f"warning: {name}: the residuals are {ratio:.1f} times the noise of the drives: "
+                "the model does not follow them, and the intervals are too narrow"
+            )
+    document = document_of(found, recorded)
+    write_parameters(out, document)
+    picture = out.parent / "fit.png"
+    draw_fit(found, picture)
+    document |= {"file": str(out), "picture": str(picture)}
+
+    def show() -> None:
+        table = Table("parameter", "value", "95 % interval", "unit", "")
+        for name, row in document["parameters"].items():
+            if row["status"] != "held":
+                interval = " to ".join(f"{value:.4g}" for value in row.get("interval_95", []))
+                table.add_row(name, f"{row['value']:.4g}", interval, row["unit"], row["status"])
+        Console().print(table)
+        print(f"{out}\n{picture}")
+
+    answer(Result(document=document, show=show), as_json)

@@ -23,80 +23,6 @@ By = Literal["cell", "run"]
 BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.")]
 
 
-def bag_info(folder: Path) -> Result:
-    """Describe a bag: outcome, road, versions and topics."""
-    from rich.text import Text
-
-    from ds_bags.info import describe, in_words
-    from ds_bags.layout import printable
-
-    document = describe(folder)
-
-    def show() -> None:
-        for line in in_words(document):
-            print(line)
-        table = Table("topic", "type", "messages")
-        for topic in document["topics"]:
-            # Names from a file are text, not markup.
-            table.add_row(*(Text(printable(topic[key])) for key in ("name", "type", "messages")))
-        Console().print(table)
-
-    return Result(document=document, show=show)
-
-
-def bag_recover(folder: Path, out: Path | None) -> Result:
-    """Recover a bag whose writer was killed."""
-    from ds_bags.copying import recover
-
-    found = recover(folder, out)
-    document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(found).items()}
-
-    def show() -> None:
-        print(
-            f"{found.folder}: {found.messages} messages over {found.seconds:.2f} s; the last {found.lost_bytes} bytes "
-            f"of {found.source} could not be recovered. The damaged file is kept."
-        )
-
-    return Result(document=document, show=show)
-
-
-def bag_redrive(
-    folder: Path, sim: str | None, *, video: Path | None, seed: int | None = None, trusted: Collection[str] = ()
-) -> Result:
-    """Re-simulate a bag's run, compare it with the recording, and show it as a video.
-
-    Raises:
-        ds_bags.layout.BagError: the bag cannot be read, or holds no run of this project.
-        ds_sim.video.VideoError: the video's name or folder does not suit.
-        Interrupted: the user stopped it; nothing is written.
-    """
-    from ds_bags.verification import verify_bag
-    from ds_sim.video import check_path
-
-    if video is not None:
-        check_path(video)
-    try:
-        found = verify_bag(folder, sim, seed=seed, trusted=trusted)
-        same = found.step is None
-        if video is not None and same:
-            _write_video(folder, found.simulator, video, seed, trusted)
-    except KeyboardInterrupt:
-        raise Interrupted from None
-    shown = str(video) if video is not None and same else None
-    document = {"bag": str(folder), "same": same, "video": shown} | asdict(found)
-
-    def show() -> None:
-        images = f", and so are {found.images} images" if found.images else ""
-        print(f"{found.frames} frames on {found.simulator} are identical to the recorded ones{images}")
-        if shown:
-            print(f"video: {shown}")
-
-    if not same:
-        no_video = "; no video was written" if video is not None else ""
-        say(f"error: {found.simulator} leaves the recorded run at step {found.step}, {found.difference}{no_video}")
-    return Result(document=document, show=show if same else lambda: None, error=not same)
-
-
 def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, trusted: Collection[str]) -> None:
     """Render a bag's run; its images come from the re-simulation, as most bags hold none."""
     from ds_bags.reader import BagReader, read_run
@@ -119,51 +45,29 @@ def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, tr
     write_video(video, f"{simulator}, {driver}", run.road, frames, run.commands, run.conditions, translate)
 
 
-def bag_pack(campaign: Path, out: Path, by: By) -> Result:
-    """Pack a campaign's bags, one pack per map cell or search run."""
-    from ds_bags.packs import pack
-    from ds_orchestrator.campaign.selection import groups_of
-
-    progress, packs = countdown(), []
-    groups = groups_of(campaign, by, say=say)
-    try:
-        for done, (name, bags) in enumerate(groups.items(), start=1):
-            packs.append(pack(bags, out / name, {"campaign": campaign.resolve().name, "group": name}))
-            progress(done, len(groups), f"{name}: {len(bags)} bags")
-    except KeyboardInterrupt:
-        raise Interrupted(f"{len(packs)} of {len(groups)} packs are in {out}" if packs else "") from None
-    before = sum(file.stat().st_size for bags in groups.values() for bag in bags for file in bag.iterdir())
-    document: dict[str, Any] = {
-        "packs": [{"folder": str(one.folder), "bags": one.bags, "bytes": one.bytes} for one in packs],
-        "bags": sum(one.bags for one in packs),
-        "bytes": sum(one.bytes for one in packs),
-        "bytes_before": before,
-    }
-
-    def show() -> None:
-        print(
-            f"{document['bags']} bags ({before / 1e6:.1f} MB) are in {len(packs)} packs "
-            f"({document['bytes'] / 1e6:.1f} MB) in {out}. The bags are kept; `ds bag unpack` recreates them."
-        )
-
-    return Result(document=document, show=show)
-
-
-def bag_unpack(folder: Path, out: Path, only: str | None) -> Result:
-    """Unpack the bags of a pack."""
-    from ds_bags.packs import unpack
-
-    made = [str(path) for path in unpack(folder, out, only)]
-    return Result(document={"bags": made}, show=lambda: print("\n".join(made)))
-
-
 @bag_app.command("info")
 def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
     """Describe a bag: outcome, road, versions and topics.
 
     A bag of another project is described as far as it is a rosbag2 or ROS 1 bag.
     """
-    answer(bag_info(folder), as_json)
+    from rich.text import Text
+
+    from ds_bags.info import describe, in_words
+    from ds_bags.layout import printable
+
+    document = describe(folder)
+
+    def show() -> None:
+        for line in in_words(document):
+            print(line)
+        table = Table("topic", "type", "messages")
+        for topic in document["topics"]:
+            # Names from a file are text, not markup.
+            table.add_row(*(Text(printable(topic[key])) for key in ("name", "type", "messages")))
+        Console().print(table)
+
+    answer(Result(document=document, show=show), as_json)
 
 
 @bag_app.command("recover")
@@ -173,7 +77,18 @@ def recover_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Recover a bag whose writer was killed."""
-    answer(bag_recover(folder, out), as_json)
+    from ds_bags.copying import recover
+
+    found = recover(folder, out)
+    document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(found).items()}
+
+    def show() -> None:
+        print(
+            f"{found.folder}: {found.messages} messages over {found.seconds:.2f} s; the last {found.lost_bytes} bytes "
+            f"of {found.source} could not be recovered. The damaged file is kept."
+        )
+
+    answer(Result(document=document, show=show), as_json)
 
 
 @bag_app.command("replay")
@@ -212,7 +127,31 @@ def redrive_command(
     whether this installation reproduces the run, and what the camera saw, even if the bag holds no images. Exit status
     1 if a frame differs.
     """
-    end(bag_redrive(folder, sim, video=video, seed=seed, trusted=trust or []), as_json)
+    from ds_bags.verification import verify_bag
+    from ds_sim.video import check_path
+
+    if video is not None:
+        check_path(video)
+    try:
+        found = verify_bag(folder, sim, seed=seed, trusted=trust or [])
+        same = found.step is None
+        if video is not None and same:
+            _write_video(folder, found.simulator, video, seed, trust or [])
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    shown = str(video) if video is not None and same else None
+    document = {"bag": str(folder), "same": same, "video": shown} | asdict(found)
+
+    def show() -> None:
+        images = f", and so are {found.images} images" if found.images else ""
+        print(f"{found.frames} frames on {found.simulator} are identical to the recorded ones{images}")
+        if shown:
+            print(f"video: {shown}")
+
+    if not same:
+        no_video = "; no video was written" if video is not None else ""
+        say(f"error: {found.simulator} leaves the recorded run at step {found.step}, {found.difference}{no_video}")
+    end(Result(document=document, show=show if same else lambda: None, error=not same), as_json)
 
 
 @bag_app.command("drive")
@@ -266,7 +205,32 @@ def pack_command(
 
     Any rosbag2 reader opens a pack; each run has its topics under its own name.
     """
-    answer(bag_pack(campaign, out, by), as_json)
+    from ds_bags.packs import pack
+    from ds_orchestrator.campaign.selection import groups_of
+
+    progress, packs = countdown(), []
+    groups = groups_of(campaign, by, say=say)
+    try:
+        for done, (name, bags) in enumerate(groups.items(), start=1):
+            packs.append(pack(bags, out / name, {"campaign": campaign.resolve().name, "group": name}))
+            progress(done, len(groups), f"{name}: {len(bags)} bags")
+    except KeyboardInterrupt:
+        raise Interrupted(f"{len(packs)} of {len(groups)} packs are in {out}" if packs else "") from None
+    before = sum(file.stat().st_size for bags in groups.values() for bag in bags for file in bag.iterdir())
+    document: dict[str, Any] = {
+        "packs": [{"folder": str(one.folder), "bags": one.bags, "bytes": one.bytes} for one in packs],
+        "bags": sum(one.bags for one in packs),
+        "bytes": sum(one.bytes for one in packs),
+        "bytes_before": before,
+    }
+
+    def show() -> None:
+        print(
+            f"{document['bags']} bags ({before / 1e6:.1f} MB) are in {len(packs)} packs "
+            f"({document['bytes'] / 1e6:.1f} MB) in {out}. The bags are kept; `ds bag unpack` recreates them."
+        )
+
+    answer(Result(document=document, show=show), as_json)
 
 
 @bag_app.command("unpack")
@@ -277,4 +241,7 @@ def unpack_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Unpack the bags of a pack, byte for byte as they were."""
-    answer(bag_unpack(folder, out, bag), as_json)
+    from ds_bags.packs import unpack
+
+    made = [str(path) for path in unpack(folder, out, bag)]
+    answer(Result(document={"bags": made}, show=lambda: print("\n".join(made))), as_json)

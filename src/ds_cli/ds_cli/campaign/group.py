@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import typer
 
-from ds_cli.campaign import compare, export, prepare, run, runs, suites, watch
+from ds_cli.campaign import compare, inspection, run, suites
 
 app = typer.Typer()
 campaign_app = typer.Typer(help="Prepare, run, resume, inspect and compare campaigns.", no_args_is_help=True)
-for part in (prepare.campaign_app, run.campaign_app, compare.campaign_app, export.campaign_app):
+for part in (run.campaign_app, inspection.campaign_app, compare.campaign_app):
     campaign_app.add_typer(part)
 app.add_typer(campaign_app, name="campaign")
-for part in (run.app, runs.app, suites.app, watch.app):
+for part in (run.app, inspection.app, suites.app):
     app.add_typer(part)

@@ -1,8 +1,10 @@
-"""`ds demo`, `ds campaign run, resume, status, roads`, `ds report`: campaigns, their state, and their roads."""
+"""`ds demo`, `ds campaign init, run, resume`: campaigns, from their configuration to their report."""
 
 from __future__ import annotations
 
-import json
+import shlex
+import sys
+import tempfile
 import time
 from contextlib import closing
 from dataclasses import asdict, replace
@@ -11,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from ds_cli.campaign.pass_options import (
     FailOnFailure,
@@ -22,6 +23,7 @@ from ds_cli.campaign.pass_options import (
     unmet_in_campaign,
 )
 from ds_cli.options import (
+    SHIPPED_SIMULATORS,
     AttachFlag,
     Cluster,
     EngineName,
@@ -31,18 +33,21 @@ from ds_cli.options import (
     Trust,
     Workers,
     cluster_of,
+    simulators_of,
     with_engine,
 )
-from ds_cli.output import Interrupted, Result, answer, duration, end, say
+from ds_cli.output import Interrupted, Result, duration, end, say
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.criteria import Criteria
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.engines.cluster import ClusterOptions
-    from ds_orchestrator.store.store import Store
 
 DEMO_WORKERS = 2
 """Graphs of the demo; chosen: with one, the twin drives alone at the end, on one core of two."""
+
+DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
+"""Answers if somebody only presses Enter."""
 
 app = typer.Typer()
 campaign_app = typer.Typer()
@@ -122,64 +127,6 @@ def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
     return config
 
 
-def status(folder: Path) -> Result:
-    """Report how far a campaign is, stage by stage."""
-    from ds_orchestrator.campaign.folder import open_store
-
-    with closing(open_store(folder)) as store:
-        return _status(folder, store)
-
-
-def _status(folder: Path, store: Store) -> Result:
-    from ds_analysis.paper.exclusions import exclusion_counts, exclusion_lines
-    from ds_orchestrator.campaign.folder import read_campaign
-    from ds_orchestrator.campaign.selection import missing_bags, missing_line
-    from ds_orchestrator.campaign.status import stages_of
-
-    data = read_campaign(store)
-    config, executions = data.config, data.executions
-    counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
-    for execution in executions:
-        of_simulator = counts.setdefault(execution.simulator, {})
-        of_simulator[execution.outcome.name] = of_simulator.get(execution.outcome.name, 0) + 1
-    stages = stages_of(data)
-    missing = missing_bags(folder, executions)
-    driving = [stage.expected for stage in stages if stage.failures is not None]
-    known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
-    document: dict[str, Any] = {
-        "executions": len(executions),
-        "executions_in_all": known,
-        "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
-        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in data.searches],
-        "outcomes": counts,
-        "excluded": exclusion_counts(data),
-        "missing_bags": missing,
-        "errors": [
-            dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
-            for row in data.errors
-        ],
-    }
-
-    def show() -> None:
-        table = Table(title=f"{document['executions']} of {document['executions_in_all']} executions")
-        for column in ("stage", "state", "done", "of", "failures", *(("excluded",) if data.excluded else ())):
-            table.add_column(column, justify="left" if column in ("stage", "state") else "right")
-        for stage in stages:
-            numbers: tuple[int | None, ...] = (stage.done, stage.expected, stage.failures)
-            numbers += (stage.excluded,) if data.excluded else ()
-            numbers = (None,) * len(numbers) if stage.failures is None else numbers
-            table.add_row(stage.name, stage.state, *("" if n is None else str(n) for n in numbers))
-        Console().print(table)
-        for line in exclusion_lines(data):
-            print(line)
-        if missing:
-            print(missing_line(missing))
-        if document["errors"]:
-            print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
-
-    return Result(document=document, show=show)
-
-
 def shipped_config(name: str) -> CampaignConfig:
     """Read a configuration that ships with ds_bringup.
 
@@ -212,6 +159,41 @@ def demo_command(
     end(campaign(with_engine(shipped_config("demo"), workers, engine), out, attach=attach), as_json)
 
 
+@campaign_app.command("init")
+def campaign_init_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Configuration to write.")] = Path("campaign.yaml"),
+    driver: Annotated[
+        str | None, typer.Option(help="Network: a name, a .safetensors or .yaml file, or module:Class.")
+    ] = None,
+    sims: Annotated[
+        str | None,
+        typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}."),
+    ] = None,
+    size: Annotated[str | None, typer.Option(help="Search: small, medium or paper.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+) -> None:
+    """Write a commented configuration for a network, after three questions or from three options.
+
+    Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
+    """
+    from ds_orchestrator.campaign.config import ConfigError
+    from ds_orchestrator.campaign.template import template
+    from ds_orchestrator.engines.preflight import check_driver
+
+    ask = sys.stdin.isatty()
+    driver = driver or (typer.prompt("Network", DRIVER, err=True) if ask else DRIVER)
+    sims = sims or (typer.prompt("Simulators: siblings, then the twin", SIMULATORS, err=True) if ask else SIMULATORS)
+    size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
+    if file.exists() and not force:
+        raise ConfigError(f"{file} exists already: choose another file, or --force")
+    names = simulators_of(sims)
+    check_driver(driver, names)
+    siblings, twin = (names[:-1], names[-1]) if len(names) > 1 else (names, None)
+    file.write_text(template(driver, siblings, twin, size), "utf-8")
+    print(file)
+    say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
+
+
 @campaign_app.command("run")
 def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
@@ -230,7 +212,6 @@ def campaign_run_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Run a campaign; resume it if the folder holds one with the same configuration."""
-    from ds_cli.campaign import prepare
     from ds_orchestrator.campaign.config import ConfigError, read_config
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
@@ -239,7 +220,7 @@ def campaign_run_command(
     if dry_run:
         if attach:
             raise ConfigError("--dry-run starts the engine itself: leave out --attach")
-        end(prepare.dry_run(changed, out, cluster_of(cluster)), as_json)
+        end(_dry_run(changed, out, cluster_of(cluster)), as_json)
         return
     end(judged(campaign(changed, out, attach=attach, cluster=cluster_of(cluster)), out, criteria, junit), as_json)
 
@@ -264,46 +245,52 @@ def campaign_resume_command(
     end(judged(campaign(changed, folder, attach=attach, cluster=cluster_of(cluster)), folder, criteria, junit), as_json)
 
 
-@campaign_app.command("status")
-def campaign_status_command(folder: Folder, as_json: JsonFlag = False) -> None:
-    """Show how far a campaign is, stage by stage."""
-    answer(status(folder), as_json)
+def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Result:
+    """Forecast a campaign from one drive on every simulator; nothing is written.
 
-
-@campaign_app.command("roads")
-def campaign_roads_command(
-    folder: Folder,
-    failed: Annotated[bool, typer.Option("--failed", help="Only roads on which the driver failed.")] = False,
-    simulator: Annotated[
-        str | None, typer.Option(help="Only roads driven on this simulator; --failed then means failed there.")
-    ] = None,
-    cell: Annotated[
-        str | None, typer.Option(help="Only roads of this cell of the feature map, as on its axes, such as 3,0.17.")
-    ] = None,
-    test: Annotated[str | None, typer.Option(help="Only the road of this test.")] = None,
-    out: Annotated[Path | None, typer.Option(help="File to write; standard output if left out.")] = None,
-) -> None:
-    """Print a campaign's roads as JSON, as `ds drive --road` and `ds road check` take it.
-
-    Each road comes with its test, seed, cell, and outcome on every simulator. `ds drive --road FILE` with a file of one
-    road drives it with the test's seed, which repeats the recorded run.
+    Raises:
+        Interrupted: the user stopped it.
     """
-    from ds_orchestrator.campaign.selection import roads_of
+    from ds_orchestrator.campaign.forecast import measure
+    from ds_orchestrator.engines.preflight import preflight
+    from ds_orchestrator.engines.start import running_engine
 
-    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
-    # One road per line, so that a line can be cut out and driven.
-    text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in found) + "\n]" if found else "[]"
-    if out is None:
-        print(text)
-    else:
-        out.write_text(text + "\n", "utf-8")
-        print(out)
-    say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
+    settings = config.drive_settings(cluster=cluster)
+    preflight(settings)
+    say(f"{config.executions_at_most} drives at most; measuring one on {', '.join(config.simulators)} each")
+    began = time.monotonic()
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="ds_forecast_") as logs,
+            running_engine(settings, logs=Path(logs), say=say) as engine,
+        ):
+            found = measure(config, engine, out, start_seconds=time.monotonic() - began)
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    document = {
+        **asdict(found),
+        "engine": config.engine,
+        "workers": config.workers,
+        "seconds": round(found.seconds, 1),
+        "disk": found.disk,
+    }
+
+    def show() -> None:
+        gates = f", and {found.gate_drives} of the autopilot for the gates" if found.gate_drives else ""
+        workers = f"{config.workers} worker{'' if config.workers == 1 else 's'}"
+        print(f"{found.drives} drives at most{gates}, engine {config.engine}, {workers}.")
+        print(
+            f"About {duration(found.seconds)} on this machine as it is now: "
+            + ", ".join(f"{one.simulator} took {duration(one.seconds)}" for one in found.measured)
+            + f" for one drive beside the others, and the engine {duration(found.start_seconds)} to start. "
+            "Drives that fail are shorter."
+        )
+        print(f"About {_size(found.disk)} in {out}, report not included; {_size(found.free)} are free.")
+        if found.disk > found.free:
+            print("That does not fit: free some space, or set record: none.")
+
+    return Result(document=document, show=show)
 
 
-@app.command("report")
-def report_command(folder: Folder, trust: Trust = None) -> None:
-    """Rebuild a campaign's maps, tables and HTML report."""
-    from ds_studies.whole_campaign import rebuild_report
-
-    print(rebuild_report(folder, say=say, trusted=trust or []))
+def _size(count: int) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.1f} MB"

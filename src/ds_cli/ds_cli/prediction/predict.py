@@ -27,11 +27,28 @@ TwinName = Annotated[
 ]
 
 
-def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | None) -> Result:
-    """Predict a simulator that was never driven from the siblings, and compare predictors if its outcomes are known.
+def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
+    """Format the bins of every cell, one text per axis."""
+    from ds_orchestrator.search.features import feature_of
 
-    Raises:
-        ds_analysis.prediction.outcome_table.OutcomeTableError: the folder allows no prediction.
+    axes = [feature_of(name) for name in verdicts.features]
+    return [tuple(axis.label(bin_) for axis, bin_ in zip(axes, one.cell, strict=True)) for one in verdicts.cells]
+
+
+@app.command("predict")
+def predict_command(
+    folder: TestsFolder,
+    twin: TwinName = None,
+    tolerated: Annotated[
+        float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")
+    ] = 0.1,
+    out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Predict where a car, or a simulator that was never driven, fails.
+
+    Each cell fails, is safe, disputed or untested; the siblings' outcomes are all that is used. Where the campaign has
+    a twin, every predictor is scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
     """
     from ds_analysis.common.table import write_tables
     from ds_analysis.prediction.coverage import forecast_cells
@@ -94,30 +111,4 @@ def predict(folder: Path, *, twin: str | None, tolerated: float, out: Path | Non
         if out is not None:
             print(out / "prediction.json")
 
-    return Result(document=document, show=show)
-
-
-def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
-    """Format the bins of every cell, one text per axis."""
-    from ds_orchestrator.search.features import feature_of
-
-    axes = [feature_of(name) for name in verdicts.features]
-    return [tuple(axis.label(bin_) for axis, bin_ in zip(axes, one.cell, strict=True)) for one in verdicts.cells]
-
-
-@app.command("predict")
-def predict_command(
-    folder: TestsFolder,
-    twin: TwinName = None,
-    tolerated: Annotated[
-        float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")
-    ] = 0.1,
-    out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Predict where a car, or a simulator that was never driven, fails.
-
-    Each cell fails, is safe, disputed or untested; the siblings' outcomes are all that is used. Where the campaign has
-    a twin, every predictor is scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
-    """
-    answer(predict(folder, twin=twin, tolerated=tolerated, out=out), as_json)
+    answer(Result(document=document, show=show), as_json)

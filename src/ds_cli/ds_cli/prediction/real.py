@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,120 +27,31 @@ app.add_typer(real_app, name="real")
 Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
 
 
-def propose_drives(folder: Path, *, drives: int, scale: float | None) -> Result:
-    """Choose the drives on the car that would tell most, and write what a person needs for them.
-
-    Raises:
-        ds_analysis.prediction.outcome_table.OutcomeTableError: the folder allows no prediction.
-        ds_analysis.prediction.real.selection.BudgetError: more drives than tests.
-        ds_analysis.prediction.real.records.RecordError: earlier files are damaged, or of another scale.
-    """
-    from ds_analysis.common.table import Column, Table
-    from ds_analysis.prediction.real.proposal import SCALE, propose, read_proposed, write_proposal
-    from ds_analysis.prediction.real.records import read_drives
-    from ds_analysis.prediction.real.selection import expected_error
-    from ds_analysis.prediction.real.update import margin_drives
-    from ds_analysis.prediction.real.worth import LEAST_GAIN
-
-    source, prediction = _fitted(folder)
-    known = read_drives(folder)
-    chosen_scale = scale or read_proposed(folder).scale or SCALE
-    updated = prediction.updated(margin_drives(source.table, known))
-    found = propose(source.table, updated, drives, scale=chosen_scale)
-    paths = write_proposal(folder, found)
-    expected = expected_error(source.table, updated)
-    table = Table(
-        name="proposal",
-        title=f"Drives on the car that tell most, after {len(known)} real drives",
-        columns=[
-            Column("test"), Column("P(fails)", "number"), Column("gain", "small"),
-            Column("siblings that fail", "count"),
-            Column("conditions"), Column("decides"),
-        ],
-        rows=[
-            (
-                one.test_id, one.probability, one.gain, list(one.siblings.values()).count("failed"),
-                ", ".join(f"{name} {value}" for name, value in one.to_set.items()), one.sentence,
-            )
-            for one in found
-        ],
-        notes=[
-            "gain: expected reduction of the mean squared error of all predictions by the drive, after those above; "
-            f"that error is expected to be {expected:.4f} now: stop when a drive gains less than "
-            f"{100 * LEAST_GAIN:.0f} % of it"
-        ],
-    )  # fmt: skip
-
-    def show() -> None:
-        table.show(Console())
-        for path in paths:
-            print(path)
-
-    document = {
-        "drives": [one.document() for one in found],
-        "expected_squared_error": expected,
-        "files": [str(path) for path in paths],
-    }
-    return Result(document=document, show=show)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Given:
-    """What the command line says about drives, where the file does not.
-
-    Attributes:
-        who: who drove.
-        when: date, ISO 8601.
-        test: test that a bag or tub recorded.
-        outcome: verdict on a bag or tub.
-        topic: odometry of a bag, or `TOPIC:FIELD` of a lateral position.
-    """
-
-    who: str | None
-    when: str | None
-    test: str | None
-    outcome: str | None
-    topic: str | None
-
-
-def record_drives(folder: Path, file: Path, given: Given, *, tolerated: float) -> Result:
-    """Add real drives to those of a folder, and show what they change.
-
-    Raises:
-        ds_analysis.prediction.real.records.RecordError: a row is wrong, or of a test that was never proposed.
-    """
-    from ds_analysis.prediction.real.proposal import read_proposed
-    from ds_analysis.prediction.real.recordings import is_recording
-    from ds_analysis.prediction.real.records import RecordError, added, read_csv, read_drives, write_drives
-
-    proposed = read_proposed(folder)
-    if proposed.scale is None:
-        raise RecordError(f"nothing was proposed for {folder}: run `ds real propose {folder} --drives 6` first")
-    if is_recording(file):
-        new = [_recorded(file, proposed, given)]
-    else:
-        new = read_csv(file, proposed.half_lanes, scale=proposed.scale, who=given.who, when=given.when)
-    path = write_drives(folder, added(read_drives(folder), new))
-    say(f"{len(new)} drives recorded in {path}")
-    return update_prediction(folder, tolerated=tolerated, out=None)
-
-
-def _recorded(path: Path, proposed: Proposed, given: Given) -> RealDrive:
-    """The drive that a bag or tub recorded."""
+def _recorded(
+    path: Path,
+    proposed: Proposed,
+    test: str | None,
+    outcome: str | None,
+    topic: str | None,
+    *,
+    who: str | None,
+    when: str | None,
+) -> RealDrive:
+    """The drive that a bag or tub recorded; the arguments are those of `ds real record`."""
     from ds_analysis.prediction.real.recordings import read_recording
     from ds_analysis.prediction.real.records import RecordError, drive_of
 
-    if given.test not in proposed.roads:
+    if test not in proposed.roads:
         known = ", ".join(sorted(proposed.roads)[:6])
         raise RecordError(f"{path}: which proposed test is it? expected --test with one of {known}")
-    road, scale = proposed.roads[given.test], proposed.scale or 1.0
-    found = read_recording(path, road, scale=scale, topic=given.topic)
-    outcome = given.outcome or found.outcome(road.lane_width / 2)
+    road, scale = proposed.roads[test], proposed.scale or 1.0
+    found = read_recording(path, road, scale=scale, topic=topic)
+    outcome = outcome or found.outcome(road.lane_width / 2)
     if outcome is None:
         driven = "" if found.share is None else f" after {found.share:.0%} of the road"
         raise RecordError(f"{path}: the recording tells no verdict{driven}: expected --outcome, such as completed")
     values = {
-        "test_id": given.test, "outcome": outcome, "who": given.who or "", "when": given.when or found.when,
+        "test_id": test, "outcome": outcome, "who": who or "", "when": when or found.when,
         "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale), "note": "",
     }  # fmt: skip
     return drive_of(values, proposed.half_lanes, scale, path.name)
@@ -229,11 +139,55 @@ def propose_command(
 
     Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
     """
+    from ds_analysis.common.table import Column, Table
+    from ds_analysis.prediction.real.proposal import SCALE, propose, read_proposed, write_proposal
+    from ds_analysis.prediction.real.records import read_drives
+    from ds_analysis.prediction.real.selection import expected_error
+    from ds_analysis.prediction.real.update import margin_drives
+    from ds_analysis.prediction.real.worth import LEAST_GAIN
     from ds_orchestrator.store.folder_files import locked
 
     with locked(folder):
-        result = propose_drives(folder, drives=drives, scale=scale)
-    answer(result, as_json)
+        source, prediction = _fitted(folder)
+        known = read_drives(folder)
+        chosen_scale = scale or read_proposed(folder).scale or SCALE
+        updated = prediction.updated(margin_drives(source.table, known))
+        found = propose(source.table, updated, drives, scale=chosen_scale)
+        paths = write_proposal(folder, found)
+    expected = expected_error(source.table, updated)
+    table = Table(
+        name="proposal",
+        title=f"Drives on the car that tell most, after {len(known)} real drives",
+        columns=[
+            Column("test"), Column("P(fails)", "number"), Column("gain", "small"),
+            Column("siblings that fail", "count"),
+            Column("conditions"), Column("decides"),
+        ],
+        rows=[
+            (
+                one.test_id, one.probability, one.gain, list(one.siblings.values()).count("failed"),
+                ", ".join(f"{name} {value}" for name, value in one.to_set.items()), one.sentence,
+            )
+            for one in found
+        ],
+        notes=[
+            "gain: expected reduction of the mean squared error of all predictions by the drive, after those above; "
+            f"that error is expected to be {expected:.4f} now: stop when a drive gains less than "
+            f"{100 * LEAST_GAIN:.0f} % of it"
+        ],
+    )  # fmt: skip
+
+    def show() -> None:
+        table.show(Console())
+        for path in paths:
+            print(path)
+
+    document = {
+        "drives": [one.document() for one in found],
+        "expected_squared_error": expected,
+        "files": [str(path) for path in paths],
+    }
+    answer(Result(document=document, show=show), as_json)
 
 
 @real_app.command("record")
@@ -262,11 +216,22 @@ def record_command(
     From a CSV with a row per drive; from a rosbag2 recording of one drive, by its odometry from the start of the road
     or a topic with the lateral position; or from a Donkey Car tub with --outcome.
     """
+    from ds_analysis.prediction.real.proposal import read_proposed
+    from ds_analysis.prediction.real.recordings import is_recording
+    from ds_analysis.prediction.real.records import RecordError, added, read_csv, read_drives, write_drives
     from ds_orchestrator.store.folder_files import locked
 
-    given = Given(who=who, when=when, test=test, outcome=outcome, topic=topic)
     with locked(folder):
-        result = record_drives(folder, file, given, tolerated=tolerated)
+        proposed = read_proposed(folder)
+        if proposed.scale is None:
+            raise RecordError(f"nothing was proposed for {folder}: run `ds real propose {folder} --drives 6` first")
+        if is_recording(file):
+            new = [_recorded(file, proposed, test, outcome, topic, who=who, when=when)]
+        else:
+            new = read_csv(file, proposed.half_lanes, scale=proposed.scale, who=who, when=when)
+        path = write_drives(folder, added(read_drives(folder), new))
+        say(f"{len(new)} drives recorded in {path}")
+        result = update_prediction(folder, tolerated=tolerated, out=None)
     answer(result, as_json)
 
 

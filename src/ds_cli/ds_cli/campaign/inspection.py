@@ -1,0 +1,198 @@
+"""`ds campaign status, roads, export`, `ds report`, `ds runs`, `ds watch`: what a campaign has done so far."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ds_cli.options import Folder, JsonFlag, Trust
+from ds_cli.output import Result, answer, say
+
+app = typer.Typer()
+campaign_app = typer.Typer()
+
+
+def status(folder: Path) -> Result:
+    """Report how far a campaign is, stage by stage."""
+    from ds_analysis.paper.exclusions import exclusion_counts, exclusion_lines
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.selection import missing_bags, missing_line
+    from ds_orchestrator.campaign.status import stages_of
+
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    config, executions = data.config, data.executions
+    counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
+    for execution in executions:
+        of_simulator = counts.setdefault(execution.simulator, {})
+        of_simulator[execution.outcome.name] = of_simulator.get(execution.outcome.name, 0) + 1
+    stages = stages_of(data)
+    missing = missing_bags(folder, executions)
+    driving = [stage.expected for stage in stages if stage.failures is not None]
+    known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
+    document: dict[str, Any] = {
+        "executions": len(executions),
+        "executions_in_all": known,
+        "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
+        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in data.searches],
+        "outcomes": counts,
+        "excluded": exclusion_counts(data),
+        "missing_bags": missing,
+        "errors": [
+            dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
+            for row in data.errors
+        ],
+    }
+
+    def show() -> None:
+        table = Table(title=f"{document['executions']} of {document['executions_in_all']} executions")
+        for column in ("stage", "state", "done", "of", "failures", *(("excluded",) if data.excluded else ())):
+            table.add_column(column, justify="left" if column in ("stage", "state") else "right")
+        for stage in stages:
+            numbers: tuple[int | None, ...] = (stage.done, stage.expected, stage.failures)
+            numbers += (stage.excluded,) if data.excluded else ()
+            numbers = (None,) * len(numbers) if stage.failures is None else numbers
+            table.add_row(stage.name, stage.state, *("" if n is None else str(n) for n in numbers))
+        Console().print(table)
+        for line in exclusion_lines(data):
+            print(line)
+        if missing:
+            print(missing_line(missing))
+        if document["errors"]:
+            print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
+
+    return Result(document=document, show=show)
+
+
+@campaign_app.command("status")
+def campaign_status_command(folder: Folder, as_json: JsonFlag = False) -> None:
+    """Show how far a campaign is, stage by stage."""
+    answer(status(folder), as_json)
+
+
+@campaign_app.command("roads")
+def campaign_roads_command(
+    folder: Folder,
+    failed: Annotated[bool, typer.Option("--failed", help="Only roads on which the driver failed.")] = False,
+    simulator: Annotated[
+        str | None, typer.Option(help="Only roads driven on this simulator; --failed then means failed there.")
+    ] = None,
+    cell: Annotated[
+        str | None, typer.Option(help="Only roads of this cell of the feature map, as on its axes, such as 3,0.17.")
+    ] = None,
+    test: Annotated[str | None, typer.Option(help="Only the road of this test.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; standard output if left out.")] = None,
+) -> None:
+    """Print a campaign's roads as JSON, as `ds drive --road` and `ds road check` take it.
+
+    Each road comes with its test, seed, cell, and outcome on every simulator. `ds drive --road FILE` with a file of one
+    road drives it with the test's seed, which repeats the recorded run.
+    """
+    from ds_orchestrator.campaign.selection import roads_of
+
+    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
+    # One road per line, so that a line can be cut out and driven.
+    text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in found) + "\n]" if found else "[]"
+    if out is None:
+        print(text)
+    else:
+        out.write_text(text + "\n", "utf-8")
+        print(out)
+    say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
+
+
+@app.command("report")
+def report_command(folder: Folder, trust: Trust = None) -> None:
+    """Rebuild a campaign's maps, tables and HTML report."""
+    from ds_studies.whole_campaign import rebuild_report
+
+    print(rebuild_report(folder, say=say, trusted=trust or []))
+
+
+@campaign_app.command("export")
+def campaign_export_command(
+    folder: Folder,
+    out: Annotated[Path, typer.Option(help="Folder to write to, created if missing.")],
+    frames: Annotated[bool, typer.Option("--frames", help="Also write every frame of every drive.")] = False,
+) -> None:
+    """Write a campaign's results as Parquet tables, for pandas, Polars, DuckDB or Spark.
+
+    executions.parquet has a row for each test on each simulator; with --frames, frames.parquet one for each frame.
+    Every column carries its unit and description. The campaign may still be running.
+    """
+    from ds_analysis.interchange.parquet import write_tables
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
+
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    for path in write_tables(data, out, frames=frames):
+        print(path)
+
+
+@app.command("runs")
+def runs_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with campaigns.")] = Path("."),
+    as_json: JsonFlag = False,
+) -> None:
+    """List the campaigns below a folder.
+
+    Each with its network and digest, the time of its last drive, drives, failures, and whether it is done.
+    """
+    from ds_bags.layout import printable
+    from ds_orchestrator.campaign.config import ConfigError
+    from ds_orchestrator.campaign.status import DEEPEST, campaigns_below
+
+    if not folder.is_dir():
+        raise ConfigError(f"{folder} is no folder: expected one with campaigns in it")
+    rows = list(campaigns_below(folder))
+    document = [{**asdict(row), "folder": str(row.folder), "failures": dict(row.failures)} for row in rows]
+
+    def show() -> None:
+        if not rows:
+            print(f"no campaign in {folder}, nor in the {DEEPEST} levels of folders below it")
+            return
+        table = Table("campaign", "network", "digest", "last drive, UTC", "drives", "failures", "state")
+        for row in rows:
+            drives = f"{row.drives} of {row.drives_at_most}" if row.driver else ""
+            failed = ", ".join(f"{name} {failures}/{tests}" for name, (failures, tests) in row.failures.items())
+            when = row.changed.replace("T", " ")[:16]
+            texts = (str(row.folder), row.driver, row.sha256[:8], when, drives, failed, row.state)
+            table.add_row(*(Text(printable(text), overflow="fold") for text in texts))
+        console = Console()
+        if not console.is_terminal:
+            console.width = max(console.width, 140)
+        console.print(table)
+
+    answer(Result(document=document, show=show), as_json)
+
+
+@app.command("watch")
+def watch_command(
+    folder: Folder,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of this machine's loopback interface; 0 for any free one.")
+    ] = 8760,
+    trust: Trust = None,
+) -> None:
+    """Show a campaign in the browser while it runs.
+
+    What runs now, the latest drives with camera and trajectory, the feature maps filling up, progress and time left.
+    The page is served to this machine only. The campaign's folder stays as it is, whatever engine writes it.
+    """
+    import asyncio
+
+    from ds_report.watch.server import serve
+
+    def ready(address: str) -> None:
+        print(address, flush=True)
+        say(f"shows {folder}, until Ctrl-C")
+
+    asyncio.run(serve(folder, port=port, trusted=trust or (), ready=ready))
