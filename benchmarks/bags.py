@@ -1,9 +1,8 @@
-"""Cost of recording: bytes and time per frame at each level, effect on the loop, and size of a campaign's bags.
+"""Cost of recording: bytes and time per frame at each level, and size of a campaign's bags.
 
 `python benchmarks/bags.py [--sim donkey] [--roads 5]`. A bag is written after its run, from the record that the graph
-returns, so that recording does not slow down the loop; a campaign waits for it before its next test. The loop is
-measured through ROS with and without a bag of level telemetry, alternately on the same roads. For the other levels the
-run is re-simulated to get its images; that part is measured separately.
+returns, so that recording does not slow down the loop; a campaign waits for it before its next test. For levels with
+images the run is re-simulated to get them; that part is measured separately.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ from rich.table import Table
 from ds_bags.layout import LEVELS, Level
 from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_orchestrator.graph.session import running_graph
-from ds_road import Road, generate
+from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -59,27 +57,10 @@ def costs(sim: str, runs: list[RunRecord], folder: Path) -> dict[Level, tuple[fl
     return found
 
 
-def loop(sim: str, driver: str, roads: list[Road], folder: Path) -> tuple[float, float]:
-    """Time per frame of the loop through ROS without and with a bag, ms; medians over the roads."""
-    plain: list[float] = []
-    recorded: list[float] = []
-    with running_graph({sim: "/ds1"}, driver, command_timeout=10.0, logs=folder / "logs") as executor:
-        executor.execute(sim, roads[0], 0)
-        for road in roads:
-            for times, keep in ((plain, False), (recorded, True)):
-                started = time.perf_counter()
-                run = executor.execute(sim, road, 0)
-                if keep:
-                    write_bag(folder / "loop", "/ds1", sim, run, {"driver": driver})
-                times.append(1e3 * (time.perf_counter() - started) / run.steps)
-    return statistics.median(plain), statistics.median(recorded)
-
-
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sim", default="donkey")
-    parser.add_argument("--driver", default="dave2")
     parser.add_argument("--roads", type=int, default=5)
     options = parser.parse_args()
     rng = np.random.default_rng(7)
@@ -102,11 +83,6 @@ def main() -> None:
             part = "" if level == "telemetry" else f"{resimulation:.0f}"
             table.add_row(level, f"{size / 1e3:.2f}", f"{took:.0f}", part, f"{whole:.0f}")
         console.print(table)
-        plain, recorded = loop(options.sim, options.driver, roads, folder)
-        console.print(
-            f"frame through ROS with {options.driver}: {plain:.2f} ms without, {recorded:.2f} ms with telemetry, "
-            f"{100 * (recorded / plain - 1):+.1f} %; the bag alone takes {found['telemetry'][1] / 1e3:.2f} ms"
-        )
         bags = TESTS * 3
         for level, (_, _, whole) in found.items():
             console.print(

@@ -1,18 +1,17 @@
-"""Compares inference backends on one thread: speed, steering, and outcomes of drives.
+"""Compares inference backends on one thread: speed and steering.
 
 `python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, alternating between backends, so that a
 busy machine slows down all alike. It prints the CPU time of this process, which other programs affect little, and the
 wall-clock time. The processor must have bfloat16.
 
-`--roads 17` also drives that many random roads in both directions on every simulator with each backend (17: 102 drives
-each), compares the outcomes with those of PyTorch, and compares the steering on frames of drives with PyTorch.
+`--roads 2` also compares the steering on frames of drives on that many random roads, on every simulator, with PyTorch;
+`benchmarks.precision` compares outcomes.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,18 +20,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import drive_all, make_driver
+from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import simulator_crop
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import BuiltInPilot
 from ds_driver.networks.pilot import Frame
 from ds_road import Road
 from ds_sim.registry import SIMULATORS, make_simulator
-from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
 BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16")
@@ -87,7 +83,7 @@ def differences(name: str, roads: list[Road], console: Console) -> None:
     deviations: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
     for simulator in SIMULATORS:
         crop = simulator_crop(simulator)
-        for seed, road in enumerate(roads[:2]):
+        for seed, road in enumerate(roads):
             for image in frames_of(name, simulator, road, seed, 3):
                 steering = {b: p.predict(Frame(image=image, speed=0.0, crop=crop)).steering for b, p in pilots.items()}
                 for backend, values in deviations.items():
@@ -96,26 +92,6 @@ def differences(name: str, roads: list[Road], console: Console) -> None:
     for backend, values in deviations.items():
         shares = (f"{v:.1e}" for v in np.percentile(values, (50, 95, 99, 100)))
         table.add_row(backend, str(len(values)), *shares)
-    console.print(table)
-
-
-def outcomes(name: str, roads: list[Road], console: Console) -> None:
-    """Drive every road in both directions on every simulator with each backend."""
-    ways = [way for road in roads for way in (road, road.reversed())]
-    runs: dict[str, list[RunRecord]] = {}
-    for backend in BACKENDS:
-        named = str(DriverName.parse(name).on(backend))
-        drives = [DriveRequest(s, named, road, seed) for s in SIMULATORS for seed, road in enumerate(ways)]
-        runs[backend] = list(drive_all(drives))
-    table = Table(f"{name}, {len(runs['torch'])} drives", "outcomes", "differ from PyTorch", "difference in fitness, m")
-    for backend, found in runs.items():
-        pairs = list(zip(runs["torch"], found, strict=True))
-        counts = ", ".join(f"{n} {o.name.lower()}" for o, n in sorted(Counter(r.outcome for r in found).items()))
-        gaps = [abs(a.fitness - b.fitness) for a, b in pairs if a.outcome is b.outcome and a.outcome.is_verdict]
-        changed = sum(a.outcome is not b.outcome for a, b in pairs)
-        table.add_row(
-            backend, counts, str(changed), f"median {np.median(gaps):.1e}, largest {max(gaps, default=0.0):.1e}"
-        )
     console.print(table)
 
 
@@ -141,7 +117,6 @@ def main() -> None:
         roads = roads_both_ways(arguments.roads, arguments.seed)
         for name in names:
             differences(name, roads, console)
-            outcomes(name, roads, console)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Compares drives in bfloat16 with drives in single precision: the same network, roads and seeds.
 
-`python -m benchmarks.precision --out precision.jsonl` drives 200 random roads, in turn on bullet, softbody and donkey,
+`python -m benchmarks.precision --out precision` drives 200 random roads, in turn on bullet, softbody and donkey,
 with `dave2` and with `dave2_short` (which fails often enough to show a difference), with the backends `openvino` and
-`openvino-bf16` each: 800 drives without ROS. Every drive becomes a line of the file; a stopped run continues there.
+`openvino-bf16` each: 800 drives without ROS. Every drive is kept; a stopped run continues there.
 The roads are drawn as a search draws its first ones, with maximum angles of 100 to 300 degrees, from a seed that
 nothing else uses.
 
@@ -14,9 +14,8 @@ Price 2012, which has a width even without any difference) contains 0 and its ha
 from __future__ import annotations
 
 import argparse
-import json
+import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -25,10 +24,11 @@ from scipy import stats
 from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.proportion import proportion_confint
 
-from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import drive_all
 from ds_driver.networks.driver_name import DriverName
-from ds_road import Road, generate
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.engines.drive_tests import GivenDrives, drive_tests, read_drives
+from ds_orchestrator.store.model import Test
+from ds_road import generate
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import Outcome
 
@@ -42,49 +42,16 @@ ANGLES = range(100, 301, 10)
 HALF_WIDTH = 5.0
 """Largest half width of the interval of the paired difference, percentage points."""
 
-Record = dict[str, Any]
-Key = tuple[int, str, str]
 
-
-def roads(count: int) -> list[Road]:
-    """Generate the roads; fewer are the first ones of more."""
-    rng = np.random.default_rng(SEED)
-    return [generate(rng, max_angle=int(rng.choice(ANGLES))) for _ in range(count)]
-
-
-def read(path: Path) -> dict[Key, Record]:
-    """Read the finished drives; cut off a last line that was being written when the run stopped."""
-    if not path.exists():
-        return {}
-    content = path.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
-    if whole != content:
-        path.write_bytes(whole)
-    records = [json.loads(line) for line in whole.splitlines()]
-    return {(r["road"], r["network"], r["backend"]): r for r in records}
-
-
-def drive_missing(path: Path, count: int, workers: int | None) -> None:
-    """Drive what the file lacks, road by road, and append it."""
-    done, names = read(path), list(SIMULATORS)
-    keys: list[Key] = []
-    drives: list[DriveRequest] = []
-    for index, road in enumerate(roads(count)):
-        for network in NETWORKS:
-            for backend in (SINGLE, HALF):
-                if (index, network, backend) not in done:
-                    name = names[index % len(names)]
-                    keys.append((index, network, backend))
-                    drives.append(DriveRequest(name, str(DriverName.parse(network).on(backend)), road, SEED + index))
-    with path.open("a") as file:
-        for (index, network, backend), job, run in zip(keys, drives, drive_all(drives, workers=workers), strict=True):
-            record = {
-                "road": index, "simulator": job.simulator, "network": network, "backend": backend,
-                "outcome": run.outcome.name, "verdict": run.outcome.is_verdict, "steps": run.steps,
-                "max_lateral_position": run.max_lateral_position,
-            }  # fmt: skip
-            file.write(json.dumps(record) + "\n")
-            file.flush()
+def work_of(count: int) -> dict[str, list[Test]]:
+    """Simulator -> its tests, in turn; fewer are the first ones of more."""
+    rng, names = np.random.default_rng(SEED), list(SIMULATORS)
+    work: dict[str, list[Test]] = {name: [] for name in names}
+    for number in range(count):
+        name, road = names[number % len(names)], generate(rng, max_angle=int(rng.choice(ANGLES)))
+        test = Test(test_id=f"{name}-0-{number:04d}", sibling=name, run=0, number=number, road=road, seed=SEED + number)
+        work[name].append(test)
+    return work
 
 
 def paired_difference(only_half: int, only_single: int, pairs: int) -> tuple[float, float, float]:
@@ -104,34 +71,30 @@ def paired_difference(only_half: int, only_single: int, pairs: int) -> tuple[flo
     return 100 * (only_half - only_single) / pairs, 100 * (p - q - margin), 100 * (p - q + margin)
 
 
-def compare(network: str, records: dict[Key, Record], console: Console) -> bool:
+def compare(network: str, single: GivenDrives, half: GivenDrives, console: Console) -> bool:
     """Print both backends side by side; return whether the rule holds for this network."""
-    pairs = [
-        (record, records[road, network, HALF])
-        for (road, name, backend), record in sorted(records.items())
-        if (name, backend) == (network, SINGLE) and (road, network, HALF) in records
-    ]
-    decided = [pair for pair in pairs if pair[0]["verdict"] and pair[1]["verdict"]]
-    if not decided:
+    keys = sorted(single.executions.keys() & half.executions.keys(), key=lambda key: key[0].rpartition("-")[2])
+    if not keys:
         console.print(f"{network}: no pair of drives yet")
         return False
+    decided = [(single.executions[key], half.executions[key]) for key in keys]
+    count = len(decided)
     table = Table(f"{network}: failures", *SIMULATORS, "all", "roads")
     for column, backend in enumerate((SINGLE, HALF)):
-        failed = [pair[column]["simulator"] for pair in decided if pair[column]["outcome"] != Outcome.COMPLETED.name]
-        table.add_row(backend, *(str(failed.count(s)) for s in SIMULATORS), str(len(failed)), str(len(decided)))
+        failed = [pair[column].simulator for pair in decided if pair[column].outcome is not Outcome.COMPLETED]
+        table.add_row(backend, *(str(failed.count(s)) for s in SIMULATORS), str(len(failed)), str(count))
     console.print(table)
-    single, half = (
-        np.array([pair[column]["outcome"] != Outcome.COMPLETED.name for pair in decided]) for column in (0, 1)
-    )
-    only_single, only_half, count = int((single & ~half).sum()), int((half & ~single).sum()), len(decided)
-    test = mcnemar([[int((single & half).sum()), only_single], [only_half, int((~single & ~half).sum())]], exact=True)
+    failures = np.array([[drive.outcome is not Outcome.COMPLETED for drive in pair] for pair in decided])
+    one, other = failures.T
+    only_single, only_half = int((one & ~other).sum()), int((other & ~one).sum())
+    test = mcnemar([[int((one & other).sum()), only_single], [only_half, int((~one & ~other).sum())]], exact=True)
     agreeing = count - only_single - only_half
     low, high = proportion_confint(agreeing, count, method="wilson")
     estimate, lower, upper = paired_difference(only_half, only_single, count)
-    gaps = np.array([b["max_lateral_position"] - a["max_lateral_position"] for a, b in decided])
+    gaps = np.array([b.max_lateral_position - a.max_lateral_position for a, b in decided])
     margin = stats.t.ppf(0.975, count - 1) * gaps.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan
     holds = lower <= 0 <= upper and (upper - lower) / 2 <= HALF_WIDTH and count == ROADS
-    differing = [f"{a['road']} ({a['simulator']})" for a, b in decided if a["outcome"] != b["outcome"]]
+    differing = [a.test_id for a, b in decided if a.outcome is not b.outcome]
     for line in (
         f"verdicts that differ: {only_single} failed in single precision only, {only_half} in bfloat16 only",
         f"roads of another outcome: {', '.join(differing) or 'none'}",
@@ -142,7 +105,7 @@ def compare(network: str, records: dict[Key, Record], console: Console) -> bool:
         f"largest lateral position, bfloat16 minus single: mean {gaps.mean():+.4f} m "
         f"({gaps.mean() - margin:+.4f} to {gaps.mean() + margin:+.4f}), median of |difference| "
         f"{np.median(abs(gaps)):.4f} m, largest {abs(gaps).max():.3f} m",
-        f"pairs with an error instead of a verdict: {len(pairs) - count}",
+        f"pairs with an error instead of a verdict, or not driven: {len(single.errors.keys() | half.errors.keys())}",
         f"rule for {ROADS} roads: {'holds' if holds else 'does not hold' if count >= ROADS else 'not yet decided'}",
     ):
         console.print(f"  {line}", highlight=False)
@@ -152,16 +115,19 @@ def compare(network: str, records: dict[Key, Record], console: Console) -> bool:
 def main() -> None:
     """Drive what is missing and print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=Path("precision.jsonl"), help="file of the finished drives")
+    parser.add_argument("--out", type=Path, default=Path("precision"), help="folder of the finished drives")
     parser.add_argument("--roads", type=int, default=ROADS)
-    parser.add_argument("--workers", type=int, help="processes; by default one for each processor")
-    parser.add_argument("--report", action="store_true", help="print what the file holds, drive nothing")
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)), help="processes")
+    parser.add_argument("--report", action="store_true", help="print what the folder holds, drive nothing")
     arguments = parser.parse_args()
-    if not arguments.report:
-        drive_missing(arguments.out, arguments.roads, arguments.workers)
-    console = Console(width=120)
-    records = read(arguments.out)
-    holds = [compare(network, records, console) for network in NETWORKS]
+    console, work, holds = Console(width=120), work_of(arguments.roads), []
+    for network in NETWORKS:
+        found = []
+        for backend in (SINGLE, HALF):
+            driver, folder = str(DriverName.parse(network).on(backend)), arguments.out / f"{network}-{backend}"
+            settings = DriveSettings(siblings=tuple(SIMULATORS), driver=driver, gates="none", workers=arguments.workers)
+            found.append(read_drives(folder, work) if arguments.report else drive_tests(settings, work, folder))
+        holds.append(compare(network, found[0], found[1], console))
     console.print(f"openvino-bf16 may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")
 
 
