@@ -93,15 +93,6 @@ class TooLargeError(BagError):
     """A bag beyond a limit; recovering it does not help."""
 
 
-class _Budget:
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
-        self.left = limit
-
-
-_budget: ContextVar[_Budget | None] = ContextVar("budget", default=None)
-
-
 class Opening:
     """What one pass over a bag may still decompress.
 
@@ -110,21 +101,24 @@ class Opening:
     """
 
     def __init__(self, size: int) -> None:
-        self._budget = _Budget(OPENED_AT_LEAST + OPENED_PER_BYTE * size)
+        self.limit = self.left = OPENED_AT_LEAST + OPENED_PER_BYTE * size
 
     @contextmanager
     def counting(self) -> Iterator[None]:
         """Count what is decompressed inside against this pass."""
-        token = _budget.set(self._budget)
+        token = _current.set(self)
         try:
             yield
         finally:
-            _budget.reset(token)
+            _current.reset(token)
+
+
+_current: ContextVar[Opening | None] = ContextVar("opening", default=None)
 
 
 def left_to_open() -> int:
     """Bytes that may still be decompressed in this pass."""
-    found = _budget.get()
+    found = _current.get()
     return OPENED_AT_LEAST if found is None else found.left
 
 
@@ -134,7 +128,7 @@ def count_opened(size: int) -> None:
     Raises:
         TooLargeError: more than the limit.
     """
-    found = _budget.get()
+    found = _current.get()
     if found is not None:
         found.left -= size
     if left_to_open() < 0 or (found is None and size > OPENED_AT_LEAST):
@@ -143,7 +137,7 @@ def count_opened(size: int) -> None:
 
 def too_much() -> TooLargeError:
     """The error of a bag whose compressed parts open to more than the limit."""
-    found = _budget.get()
+    found = _current.get()
     limit = OPENED_AT_LEAST if found is None else found.limit
     return TooLargeError(
         f"its compressed parts open to more than {limit / 2**20:.0f} MiB, the limit for a bag of this size"
