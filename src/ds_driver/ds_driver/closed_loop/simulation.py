@@ -175,11 +175,13 @@ class InterleavedDrives:
 
     def step(self) -> list[tuple[int, RunRecord]]:
         """Advance every drive by one frame; return keys and records of those that have ended."""
-        waiting = {key: drive for key, drive in self._active.items() if drive.session.driving}
+        waiting = [(key, drive) for key, drive in self._active.items() if drive.session.driving]
         if waiting:
             self._note(Phase.DRIVING, ALL_DRIVES)
-        commands = self._commands(list(waiting.values()))
-        for (key, drive), command in zip(waiting.items(), commands, strict=True):
+        frames = [drive.frame() for _, drive in waiting if drive.autopilot is None]
+        of_network = iter([] if self._network is None else _answers(self._network, frames))
+        commands = [drive.piloted() or next(of_network) for _, drive in waiting]
+        for (key, drive), command in zip(waiting, commands, strict=True):
             if isinstance(command, DriverError):
                 # As in the ROS graph, a driver without an answer counts as silent.
                 drive.session.end(Outcome.DRIVER_SILENT, str(command))
@@ -188,19 +190,14 @@ class InterleavedDrives:
             drive.seen = drive.session.advance(command)
             if drive.probe is not None:
                 drive.probe.see(drive.seen)
-        ended = [(key, drive) for key, drive in self._active.items() if not drive.session.driving]
-        return [(key, self._record_of(key, drive)) for key, drive in ended]
-
-    def _commands(self, drives: list[_Drive]) -> list[Command | DriverError]:
-        frames = [drive.frame() for drive in drives if drive.autopilot is None]
-        of_network = iter([] if self._network is None else _answers(self._network, frames))
-        return [next(of_network) if drive.autopilot is None else drive.piloted() for drive in drives]
-
-    def _record_of(self, key: int, drive: _Drive) -> RunRecord:
-        del self._active[key]
-        self._idle.setdefault(drive.simulator, []).append(drive.session.simulator)
-        assert drive.session.run is not None
-        return drive.session.run
+        records = []
+        for key, drive in list(self._active.items()):
+            if not drive.session.driving:
+                del self._active[key]
+                self._idle.setdefault(drive.simulator, []).append(drive.session.simulator)
+                assert drive.session.run is not None
+                records.append((key, drive.session.run))
+        return records
 
 
 _drives_of_process = cache(InterleavedDrives)
@@ -241,9 +238,9 @@ class _Drive:
     seen: Observation | None
     probe: ContrastProbe | None
 
-    def piloted(self) -> Command:
-        assert self.autopilot is not None and self.seen is not None
-        return self.autopilot(self.seen)
+    def piloted(self) -> Command | None:
+        assert self.seen is not None
+        return None if self.autopilot is None else self.autopilot(self.seen)
 
     def frame(self) -> Frame:
         assert self.seen is not None

@@ -101,7 +101,6 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
     Raises:
         DatasetError: the folder holds drives of another plan.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
     if not path.exists():
         write_whole(path, text)

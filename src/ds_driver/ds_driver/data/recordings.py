@@ -19,7 +19,7 @@ from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
-from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
+from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of_file, rgb_of_message
 from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.processes import Progress
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
@@ -170,7 +170,7 @@ def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
             first = time if first is None else first
             image, trouble = None, ""
             try:
-                image = fit_to_network(_pixels(message), reading.rows)
+                image = fit_to_network(rgb_of_message(message), reading.rows)
             except ImageError as error:
                 trouble = f"{recording.path}, image {index}: {error}"
             steering, speed = labels(time)
@@ -203,13 +203,6 @@ def _camera(bag: BagReader, reading: Reading) -> Any:
 def _is_translated(connection: Any) -> bool:
     """Tell whether a topic holds the images as a driver saw them, cropped and translated."""
     return f"/{TRANSLATED}/" in connection.topic
-
-
-def _pixels(message: Any) -> NDArray[np.uint8]:
-    data = np.frombuffer(message.data, np.uint8)
-    if hasattr(message, "format"):
-        return rgb_of_file(data.tobytes())
-    return rgb_of(data, encoding=message.encoding, height=message.height, width=message.width, step=message.step)
 
 
 def _labels(bag: BagReader, recording: Recording) -> Callable[[int], tuple[float | None, float]]:

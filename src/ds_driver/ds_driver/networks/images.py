@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -106,6 +107,18 @@ def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int) -
     if channels == 2 and width % 2:
         raise ImageError(f"image of {width} x {height} px: {encoding} needs an even width")
     return image if conversion is None else np.asarray(cv2.cvtColor(image, conversion), np.uint8)
+
+
+def rgb_of_message(message: Any) -> Pixels:
+    """Convert a `sensor_msgs/Image` or `CompressedImage`, of rclpy or of rosbags, to (height, width, 3) uint8 RGB.
+
+    Raises:
+        ImageError: see `rgb_of` and `rgb_of_file`.
+    """
+    data = np.frombuffer(message.data, np.uint8)
+    if hasattr(message, "format"):
+        return rgb_of_file(data.tobytes())
+    return rgb_of(data, encoding=message.encoding, height=message.height, width=message.width, step=message.step)
 
 
 def rgb_of_file(data: bytes) -> Pixels:

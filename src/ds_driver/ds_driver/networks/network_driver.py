@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.backends import Runner, graph_runner
+from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.onnx_export import to_onnx
@@ -52,7 +52,10 @@ class BuiltInPilot(Pilot):
 
     def __init__(self, network: str, backend: str = "auto", device: str = "cpu") -> None:
         if backend == "torch":
-            runner = _torch_runner(network, device)
+            # PyTorch takes 2 s and 200 MB to import.
+            from ds_driver.networks.torch_networks import network_runner
+
+            runner = network_runner(network, device)
         else:
             chosen = BUILT_IN_BACKEND if backend == "auto" else backend
             runner = graph_runner(to_onnx(load_weights(network)), network, chosen)
@@ -279,17 +282,6 @@ def driver_sha256(driver: str) -> str:
     else:
         return weights_sha256(name.network)
     return hashlib.sha256(b"".join(hashlib.sha256(part.read_bytes()).digest() for part in parts)).hexdigest()
-
-
-def _torch_runner(name: str, device: str) -> Runner:
-    """Run a network with PyTorch, which takes 2 s and 200 MB to import and is therefore imported on demand."""
-    import torch
-
-    from ds_driver.networks.torch_networks import load_network, torch_device, torch_runner
-
-    where = torch_device(device)
-    network = load_network(name).to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
-    return torch_runner(lambda batch: network(batch.permute(0, 3, 1, 2).float()), where)
 
 
 def _command(prediction: Prediction, speed: float) -> Command:

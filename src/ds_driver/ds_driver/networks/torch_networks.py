@@ -169,6 +169,13 @@ def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -
     return Runner(compute)
 
 
+def network_runner(name_or_path: str, device: str) -> Runner:
+    """Run a shipped network, or a weights file, on images from `ds_driver.networks.images.prepare`."""
+    where = torch_device(device)
+    network = load_network(name_or_path).to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
+    return torch_runner(lambda batch: network(batch.permute(0, 3, 1, 2).float()), where)
+
+
 def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runner:
     """Run a TorchScript file with PyTorch.
 

@@ -5,21 +5,18 @@ from __future__ import annotations
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
 
 import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
-from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
-from std_msgs.msg import Header
 
 from ds_driver.control.other_stacks import Geometry
-from ds_driver.networks.images import Crop, fit_to_network, rgb_of, rgb_of_file
+from ds_driver.networks.images import Crop, fit_to_network, rgb_of_message
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED
 from ds_driver.ros.command_publisher import OUTPUTS, CommandOutput
@@ -63,10 +60,8 @@ class CameraDriver(Node):
         self._driver, self._crop = NetworkDriver(network), Crop(top, bottom)
         self._speed = 0.0
         self._latency = LatencyDiagnostics(self)
-        if compressed:
-            self.create_subscription(CompressedImage, "camera/image_raw/compressed", self._on_compressed, CAMERA_QOS)
-        else:
-            self.create_subscription(Image, "camera/image_raw", self._on_image, CAMERA_QOS)
+        kind, topic = (CompressedImage, "image_raw/compressed") if compressed else (Image, "image_raw")
+        self.create_subscription(kind, f"camera/{topic}", self._on_image, CAMERA_QOS)
         if speed_from == "odom":
             self.create_subscription(Odometry, "odom", self._on_odometry, CAMERA_QOS)
         self.get_logger().info(f"{network} answers images with {output}")
@@ -74,22 +69,13 @@ class CameraDriver(Node):
     def _on_odometry(self, odometry: Odometry) -> None:
         self._speed = float(odometry.twist.twist.linear.x)
 
-    def _on_image(self, image: Image) -> None:
-        def pixels() -> NDArray[np.uint8]:
-            data = np.frombuffer(image.data, np.uint8)
-            return rgb_of(data, encoding=image.encoding, height=image.height, width=image.width, step=image.step)
-
-        self._answer(image.header, pixels)
-
-    def _on_compressed(self, image: CompressedImage) -> None:
-        self._answer(image.header, lambda: rgb_of_file(bytes(image.data)))
-
-    def _answer(self, header: Header, pixels: Callable[[], NDArray[np.uint8]]) -> None:
+    def _on_image(self, message: Image | CompressedImage) -> None:
         """Answer an image; one that cannot be answered is logged in one line."""
         began = time.monotonic()
         try:
-            image = fit_to_network(pixels())
-            self._output.send(self._driver.command(image, self._speed, self._crop, simulator=NOT_SIMULATED), header)
+            image = fit_to_network(rgb_of_message(message))
+            command = self._driver.command(image, self._speed, self._crop, simulator=NOT_SIMULATED)
+            self._output.send(command, message.header)
         except (ValueError, cv2.error) as error:
             self._latency.refused += 1
             self.get_logger().error(f"frame not answered: {' '.join(str(error).split())}", throttle_duration_sec=1.0)

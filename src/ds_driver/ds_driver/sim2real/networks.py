@@ -7,7 +7,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ds_driver.sim2real.generator import EPSILON, GeneratorShape
+from ds_driver.networks.backends import Runner
+from ds_driver.networks.torch_networks import torch_device, torch_runner
+from ds_driver.sim2real.generator import EPSILON, GeneratorShape, StoredGenerator
 
 INITIAL_DEVIATION = 0.02
 """Standard deviation of the initial weights (Zhu et al. 2017, section 7.1)."""
@@ -116,6 +118,14 @@ def to_batch(images: Tensor) -> Tensor:
 def to_images(batch: Tensor) -> Tensor:
     """Convert what a generator returns to (n, rows, columns, 3) uint8 RGB."""
     return ((batch.float() + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1).contiguous()
+
+
+def generator_runner(generator: StoredGenerator, device: str) -> Runner:
+    """Run a stored generator on prepared images, (n, rows, columns, 3) uint8 RGB."""
+    where, network = torch_device(device), Generator(generator.shape)
+    network.load_state_dict({name: torch.from_numpy(value) for name, value in generator.tensors.items()})
+    network = network.eval().to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
+    return torch_runner(lambda images: to_images(network(to_batch(images))), where)
 
 
 class ImagePool:

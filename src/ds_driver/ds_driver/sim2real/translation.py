@@ -20,7 +20,7 @@ from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.data.recordings import MAX_IMAGE_FILE
-from ds_driver.networks.images import ImageError, rgb_of, rgb_of_file
+from ds_driver.networks.images import ImageError, rgb_of_file, rgb_of_message
 from ds_driver.processes import Progress, map_in_processes
 from ds_driver.sim2real.generator import Sim2RealError, check_fits, load_generator
 from ds_driver.sim2real.translator import Translator
@@ -144,16 +144,13 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
         return translator.translate(pixels)
 
     def image(message: Any) -> Any:
-        data = np.frombuffer(message.data, np.uint8)
-        shape = {"height": message.height, "width": message.width, "step": message.step}
-        pixels = translated(rgb_of(data, encoding=message.encoding, **shape))
+        pixels = translated(rgb_of_message(message))
         rows, columns = pixels.shape[:2]
         shape = {"height": rows, "width": columns, "step": 3 * columns}
         return replace(message, encoding="rgb8", data=pixels.reshape(-1), **shape)
 
     def compressed(message: Any) -> Any:
-        pixels = translated(rgb_of_file(np.frombuffer(message.data, np.uint8).tobytes()))
-        return replace(message, format="jpeg", data=np.frombuffer(jpeg(pixels), np.uint8))
+        return replace(message, format="jpeg", data=np.frombuffer(jpeg(translated(rgb_of_message(message))), np.uint8))
 
     facts = {MARK: translator.generator.sha256}
     return rewrite_bag(folder, out, {IMAGE: image, COMPRESSED: compressed}, facts, without=[CAMERA_INFO])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import TensorProto
 
-from ds_driver.networks.backends import Runner, graph_runner
+from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.onnx_export import OnnxGraph
 from ds_driver.sim2real.generator import EPSILON, Sim2RealError, StoredGenerator, prepare, resize
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
@@ -98,7 +98,10 @@ class Translator:
         self.generator = generator
         self.backend = backend
         if backend == "torch":
-            self._runner = _torch_runner(generator, device)
+            # PyTorch takes 2 s and 200 MB to import.
+            from ds_driver.sim2real.networks import generator_runner
+
+            self._runner = generator_runner(generator, device)
         else:
             self._runner = graph_runner(generator_to_onnx(generator), "the generator", backend)
 
@@ -130,17 +133,3 @@ class Translator:
         parts = (np.stack(prepared[begin : begin + size]) for begin in range(0, len(prepared), size))
         translated = (image for part in parts for image in self._runner.compute(part)[0].astype(np.uint8))
         return [resize(image, (IMAGE_HEIGHT, IMAGE_WIDTH)) for image in translated]
-
-
-def _torch_runner(generator: StoredGenerator, device: str) -> Runner:
-    """Run a generator with PyTorch, which takes 2 s and 200 MB to import and is therefore imported on demand."""
-    import torch
-
-    from ds_driver.networks.torch_networks import torch_device, torch_runner
-    from ds_driver.sim2real.networks import Generator, to_batch, to_images
-
-    where = torch_device(device)
-    network = Generator(generator.shape)
-    network.load_state_dict({name: torch.from_numpy(value) for name, value in generator.tensors.items()})
-    network = network.eval().to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
-    return torch_runner(lambda images: to_images(network(to_batch(images))), where)
