@@ -32,25 +32,19 @@ def success_rates(
     Raises:
         DriverError: a drive ended in an error, so that there is no success rate.
     """
+    keys = [(name, way, i) for name in simulators for way in DIRECTIONS for i in range(len(roads))]
     drives = [
-        DriveRequest(name, driver, road if way == "forward" else road.reversed(), seed + i)
-        for name in simulators
-        for way in DIRECTIONS
-        for i, road in enumerate(roads)
+        DriveRequest(name, driver, roads[i] if way == "forward" else roads[i].reversed(), seed + i)
+        for name, way, i in keys
     ]
     completed: dict[str, dict[str, int]] = {name: dict.fromkeys(DIRECTIONS, 0) for name in simulators}
-    for done, (drive, run) in enumerate(zip(drives, drive_all(drives), strict=True), start=1):
-        way = DIRECTIONS[(done - 1) // len(roads) % 2]
+    for done, ((name, way, i), drive, run) in enumerate(zip(keys, drives, drive_all(drives), strict=True), start=1):
         if not run.outcome.is_verdict:
             raise DriverError(
                 f"{drive.simulator}, road {drive.road.road_id}, seed {drive.seed}: {run.outcome.name.lower()}"
                 f"{': ' if run.message else ''}{run.message}: "
                 f"an error says nothing about {driver}: fix it and run the assessment again"
             )
-        completed[drive.simulator][way] += run.outcome is Outcome.COMPLETED
-        progress(
-            done,
-            len(drives),
-            f"{drive.simulator} {roads[(done - 1) % len(roads)].road_id} {way}: {run.outcome.name.lower()}",
-        )
+        completed[name][way] += run.outcome is Outcome.COMPLETED
+        progress(done, len(drives), f"{name} {roads[i].road_id} {way}: {run.outcome.name.lower()}")
     return {name: {way: n / len(roads) for way, n in counts.items()} for name, counts in completed.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -52,14 +53,12 @@ def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road
     return roads
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Job:
+class _Job(NamedTuple):
     path: Path
     simulator: str
     road: Road
-    road_id: str
     direction: str
-    index: int
+    number: int
 
 
 def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
@@ -70,14 +69,7 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
     """
     keep_plan(folder, asdict(plan))
     jobs = [
-        _Job(
-            path=drive_path(folder, name, road.road_id, direction),
-            simulator=name,
-            road=road if direction == "forward" else road.reversed(),
-            road_id=road.road_id,
-            direction=direction,
-            index=index,
-        )
+        _Job(drive_path(folder, name, road.road_id, direction), name, road, direction, index)
         for index, road in enumerate(roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle))
         for direction in DIRECTIONS
         for name in simulators
@@ -92,13 +84,14 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
 
 def _collect(plan: CollectionPlan, job: _Job) -> str:
     """Drive one road and write its file; return a line for the user."""
-    simulator = simulator_of_process(job.simulator)
-    rng = np.random.default_rng([plan.seed, job.index, job.direction == "reverse", crc32(job.simulator.encode())])
-    rows, outcome = _drive(simulator, job.road, rng, plan)
+    simulator, road_id = simulator_of_process(job.simulator), job.road.road_id
+    road = job.road if job.direction == "forward" else job.road.reversed()
+    rng = np.random.default_rng([plan.seed, job.number, job.direction == "reverse", crc32(job.simulator.encode())])
+    rows, outcome = _drive(simulator, road, rng, plan)
     for row in rows:
-        row.update(simulator=job.simulator, road_id=job.road_id, direction=job.direction)
+        row.update(simulator=job.simulator, road_id=road_id, direction=job.direction)
     write_drive(job.path, rows)
-    return f"{job.simulator} {job.road_id} {job.direction}: {outcome.name.lower()}, {len(rows)} images"
+    return f"{job.simulator} {road_id} {job.direction}: {outcome.name.lower()}, {len(rows)} images"
 
 
 def _drive(
