@@ -10,8 +10,7 @@ from tests.fuzz.harness import Kind
 
 from ds_orchestrator.campaign.config import ConfigError
 from ds_road import generate
-from ds_studies.suite.run_suite import settings_of_suite
-from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, write_suite
+from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
 
 
 def _write(folder: Path) -> Path:

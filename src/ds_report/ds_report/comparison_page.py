@@ -14,7 +14,7 @@ from ds_analysis.comparison.tables import cell_table, command_of, drive_table, s
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.search.features import feature_of
 from ds_report.html_report import environment
-from ds_report.page_encoding import data_address
+from ds_report.page_data import data_address
 from ds_road import draw
 
 PICTURED = 12

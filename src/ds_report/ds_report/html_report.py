@@ -28,14 +28,15 @@ from ds_orchestrator.store.model import Execution
 from ds_orchestrator.store.store import seconds_of
 from ds_report.camera_pictures import (
     CAMERA_PLACE,
+    REPLAY_PICTURES,
     camera_pictures,
     common_test,
     drive_pictures,
+    plan_pictures,
     translates,
 )
 from ds_report.findings import count, summarise
 from ds_report.page_data import in_words, page_data
-from ds_report.picture_plan import REPLAY_PICTURES, plan_pictures
 from ds_report.plotly_figures import correlation_chart, density_chart, layouts
 from ds_report.sections import AnswerSection, FurtherMap, SiblingSection
 from ds_sim.simulator import Outcome

@@ -1,7 +1,13 @@
-"""Data from which the report's script draws, as JSON values: maps, tests, and their lines packed cell by cell."""
+"""Data from which the report's script draws, as JSON values: maps, tests, and their lines packed cell by cell.
+
+Roads and drives are smooth, so that the second differences of their coordinates in whole centimetres are almost all 0
+or 1, and deflate needs about three bits for each.
+"""
 
 from __future__ import annotations
 
+import base64
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -15,10 +21,49 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import FEET, Cell, Feature, base_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.findings import radius
-from ds_report.page_encoding import EVERY, UNITS, kept, pack
 from ds_report.plotly_figures import DASHES, colour_of_simulator
+from ds_sim.camera.encodings import png
 from ds_sim.conditions.text import format_conditions
 from ds_sim.simulator import FRAME_RATE, Outcome
+
+
+def data_address(picture: NDArray[np.uint8]) -> str:
+    """Encode an RGB picture, (rows, columns, 3) uint8, as the address of a PNG."""
+    return f"data:image/png;base64,{base64.b64encode(png(picture)).decode()}"
+
+
+UNITS = 100.0
+"""Units per metre, or per full lock of the steering; chosen: a centimetre is less than a pixel of any picture."""
+EVERY = 2
+"""Every second frame of a drive is kept, and its last one; chosen: 10 Hz, 0.8 m at full speed."""
+_FARTHEST = 2**24
+"""Largest coordinate in units, 168 km; larger ones from a faulty simulator are clipped."""
+
+Columns = Sequence[NDArray[np.float64]]
+
+
+def kept(steps: int) -> NDArray[np.intp]:
+    """Select the frames from 0 to `steps` that a report keeps."""
+    return np.unique(np.append(np.arange(0, steps + 1, EVERY), steps))
+
+
+def pack(columns: Columns) -> str:
+    """Pack columns of finite numbers as base64 text.
+
+    Format: deflate (zlib) over the lowest bytes of all numbers, then the second, third and highest bytes. The numbers
+    are uint32: the second differences of one column after the other, in 1 / `UNITS`, n >= 0 as 2 n and n < 0 as
+    -2 n - 1, so that all but the lowest bytes are nearly always 0.
+    """
+    numbers = [_second_differences(column) for column in columns]
+    whole = np.concatenate(numbers) if numbers else np.empty(0, np.int64)
+    planes = np.where(whole >= 0, 2 * whole, -2 * whole - 1).astype("<u4").view(np.uint8).reshape(-1, 4).T
+    return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
+
+
+def _second_differences(column: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Compute the second differences of a column, in units, with zeros before its first value."""
+    units = np.round(np.clip(UNITS * column, -_FARTHEST, _FARTHEST)).astype(np.int64)
+    return np.diff(np.diff(units, prepend=0), prepend=0)
 
 
 def in_words(outcome: Outcome) -> str:
@@ -46,15 +91,7 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
     return {
         **({"conditions": conditions} if any(conditions) else {}),
         **({"excluded": _excluded(data)} if data.excluded else {}),
-        "simulators": [
-            {
-                "name": name,
-                "role": "twin" if name == config.twin else f"sibling {index + 1}",
-                "colour": colour_of_simulator(index),
-                "dash": DASHES[index % len(DASHES)],
-            }
-            for index, name in enumerate(config.simulators)
-        ],
+        "simulators": simulator_rows(config),
         "axes": _axes(config, maps, places),
         "groups": _groups(maps),
         "driver": config.driver,
@@ -74,6 +111,19 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
         "frame": EVERY / FRAME_RATE,
         "selected": _telling_cell(maps),
     }  # fmt: skip
+
+
+def simulator_rows(config: CampaignConfig) -> list[dict[str, Any]]:
+    """Name, role, colour and dash of every simulator."""
+    return [
+        {
+            "name": name,
+            "role": "twin" if name == config.twin else f"sibling {index + 1}",
+            "colour": colour_of_simulator(index),
+            "dash": DASHES[index % len(DASHES)],
+        }
+        for index, name in enumerate(config.simulators)
+    ]
 
 
 def _excluded(data: CampaignData) -> dict[str, list[str]]:

@@ -26,7 +26,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.findings import count
-from ds_report.page_encoding import data_address
+from ds_report.page_data import data_address
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,19 +22,21 @@ from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 from ds_studies.sensitivity import analysis, measurement
-from ds_studies.sensitivity.bisection import Bracket, first_failure
 from ds_studies.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
 from ds_studies.sensitivity.measurement import (
     GATE,
     MOST_SEGMENTS,
     TESTED,
+    Bracket,
     RoadResult,
     candidate_roads,
     choose_roads,
+    coverage,
+    first_failure,
     measure,
+    threshold_of,
 )
 from ds_studies.sensitivity.picture import draw_sensitivity
-from ds_studies.sensitivity.thresholds import coverage, threshold_of
 
 LAG = next(factor for factor in all_factors() if factor.name == "steering_lag")
 

@@ -36,7 +36,7 @@ from ds_cli.output import end, say, stopped_in
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Origin
     from ds_analysis.comparison.drives import Network
-    from ds_studies.comparison.compared_tests import GivenTests
+    from ds_studies.comparison.compare import GivenTests
 
 ROADS, SEED = 40, 40
 """Random roads of two networks, and their seed; chosen: those of `ds siblings compare`."""
@@ -81,7 +81,7 @@ def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan
         ds_orchestrator.store.sqlite_file.StoreError: a folder holds no campaign.
     """
     from ds_orchestrator.campaign.folder import open_store, read_campaign
-    from ds_studies.comparison.compared_tests import network_of_campaign, tests_of_campaign, tests_of_campaigns
+    from ds_studies.comparison.compare import network_of_campaign, tests_of_campaign, tests_of_campaigns
     from ds_studies.whole_campaign import check_trust
 
     folders = [first, *([Path(second)] if is_campaign(second) else [])]
@@ -115,7 +115,7 @@ def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan
 def plan_of_networks(first: str, second: str, simulators: list[str], roads: int, seed: int) -> Plan:
     """Compare two networks on random roads."""
     from ds_driver.closed_loop.success_rate import unseen_roads
-    from ds_studies.comparison.compared_tests import random_tests
+    from ds_studies.comparison.compare import random_tests
 
     twin = TWIN if TWIN in simulators and len(simulators) > 1 else None
     siblings = [name for name in simulators if name != twin]

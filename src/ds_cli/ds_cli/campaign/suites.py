@@ -57,8 +57,7 @@ def suite_make_command(
     from ds_analysis.comparison.summary import count
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.search.features import feature_of
-    from ds_studies.suite.selection import suite_of
-    from ds_studies.suite.suite_file import SuiteError, write_suite
+    from ds_studies.suite.suite_file import SuiteError, suite_of, write_suite
 
     check_writable(out)
     if out.exists() and not force:
@@ -120,8 +119,7 @@ def suite_run_command(
     from ds_orchestrator.engines.fingerprint import code_sha256
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.registry import received_simulator
-    from ds_studies.suite.run_suite import run_suite, settings_of_suite, with_outcomes
-    from ds_studies.suite.suite_file import read_suite, write_suite
+    from ds_studies.suite.suite_file import read_suite, run_suite, settings_of_suite, with_outcomes, write_suite
 
     driver = driver_named(driver, backend, "cpu")
     criteria = criteria_of(fail_on, max_failures, has_reference=True)

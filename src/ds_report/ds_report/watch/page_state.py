@@ -1,8 +1,10 @@
-"""State of a watched campaign as JSON values, from which the page draws."""
+"""State of a watched campaign as JSON values, from which the page draws, and pictures of its finished drives."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,51 @@ from ds_orchestrator.campaign.live_file import LiveDrive
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution, Test
-from ds_report.page_data import in_words
-from ds_report.plotly_figures import DASHES, colour_of_simulator
+from ds_report.camera_pictures import SPACINGS, render_drive, replay_frames
+from ds_report.page_data import in_words, simulator_rows
 from ds_report.watch.campaign_reader import Snapshot
+from ds_sim.registry import make_simulator, received_simulator
+from ds_sim.simulator import Simulator
+
+
+class DrivePictures:
+    """Renders camera pictures of drives from their recorded paths; use it from one thread only.
+
+    Args:
+        driver: name of the driver, whose translated images stand below the camera's.
+        trusted: user-defined simulators whose code may run.
+    """
+
+    def __init__(self, driver: str, trusted: Collection[str] = ()) -> None:
+        self._driver, self._trusted = driver, trusted
+        self._simulators: dict[str, Simulator] = {}
+        self._refused: dict[str, str] = {}
+
+    def render(self, test: Test, execution: Execution) -> dict[str, Any]:
+        """Render a picture every half second, as `ds_report.camera_pictures.Drive` in JSON values."""
+        name = execution.simulator
+        if name not in self._simulators and name not in self._refused:
+            try:
+                checked = received_simulator(name, confirmed=self._trusted, option="--trust")
+                self._simulators[name] = make_simulator(checked)
+            except Exception as error:  # a missing or broken simulator must not prevent the page
+                self._refused[name] = " ".join(str(error).split())
+        if name in self._refused or not len(execution.trajectory):
+            return {
+                "frames": [],
+                "times": [],
+                "strip": [],
+                "note": f"no pictures: {self._refused.get(name, 'no frame')}",
+            }
+        frames = replay_frames(execution, SPACINGS[0])
+        return asdict(render_drive(self._simulators[name], name, test, execution, frames, self._driver))
+
+    def close(self) -> None:
+        """Close the simulators."""
+        for simulator in self._simulators.values():
+            simulator.close()
+        self._simulators.clear()
+
 
 _OUTLINE = 250
 """Points of the drawn edge of a road; chosen: all of a usual road, and no more of the longest."""
@@ -52,16 +96,9 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
         "tests": len(data.tests),
         "lane": round(data.tests[0].road.lane_width, 3) if data.tests else 4.0,
         "simulators": [
-            {
-                "name": name,
-                "role": "twin" if name == config.twin else f"sibling {index + 1}",
-                "colour": colour_of_simulator(index),
-                "dash": DASHES[index % len(DASHES)],
-                "failures": failures[name],
-                "tests": tests[name],
-                "latest": snapshot.latest.get(name),
-            }
-            for index, name in enumerate(config.simulators)
+            {**row, "failures": failures[row["name"]], "tests": tests[row["name"]],
+             "latest": snapshot.latest.get(row["name"])}
+            for row in simulator_rows(config)
         ],
         "stages": [
             {"name": stage.name, "done": stage.done, "expected": stage.expected, "failures": stage.failures,

@@ -21,8 +21,7 @@ from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.camera_pictures import translates
 from ds_report.html_report import environment
 from ds_report.watch.campaign_reader import CampaignReader
-from ds_report.watch.page_state import drive_lines, page_state
-from ds_report.watch.pictures import DrivePictures
+from ds_report.watch.page_state import DrivePictures, drive_lines, page_state
 
 HOST = "127.0.0.1"
 PORT = 8760

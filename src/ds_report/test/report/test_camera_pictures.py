@@ -11,8 +11,15 @@ from report_campaigns import make_execution, road
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.store.model import Test
-from ds_report.camera_pictures import SIZE, camera_pictures, drive_pictures
-from ds_report.picture_plan import moments, plan_pictures, replay_frames, telling_tests
+from ds_report.camera_pictures import (
+    SIZE,
+    camera_pictures,
+    drive_pictures,
+    moments,
+    plan_pictures,
+    replay_frames,
+    telling_tests,
+)
 from ds_sim.registry import make_simulator
 from ds_sim.session import Session
 

@@ -27,8 +27,7 @@ from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
-from ds_report.failure_region import RoadOutcomes, best_split, road_outcomes
-from ds_report.findings import summarise, where_it_fails
+from ds_report.findings import RoadOutcomes, best_split, road_outcomes, summarise, where_it_fails
 from ds_report.html_report import duration, write_report
 from ds_report.page_data import page_data
 from ds_road import Road

@@ -8,7 +8,7 @@ import numpy as np
 from ds_analysis.common.chart import COLOURS, WIDTH, Picture, write
 from ds_studies.sensitivity.analysis import Sensitivity
 from ds_studies.sensitivity.factors import LEVELS
-from ds_studies.sensitivity.thresholds import Threshold
+from ds_studies.sensitivity.measurement import Threshold
 
 _LEFT, _RIGHT, _HEAD, _FOOT, _BAR, _GAP = 250, 150, 92, 46, 13, 10
 _FAINT, _INK = (222, 222, 222), (40, 40, 40)

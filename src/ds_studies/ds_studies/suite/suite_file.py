@@ -1,4 +1,4 @@
-"""File of a regression suite: tests with the outcomes of the network from whose campaign they were chosen.
+"""Regression suites: the tests of a campaign that tell most, with the outcomes of its network, in a file.
 
 A suite is data: it names simulators and drivers, and runs no code of its own.
 """
@@ -7,14 +7,22 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from ds_analysis.comparison.analysis import Comparison, compare_networks
+from ds_analysis.comparison.drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError
 from ds_orchestrator.campaign.config_errors import problems
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
+from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.search.features import DEFAULT_FEATURES, feature_of
+from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.conditions.model import DEFAULT
@@ -185,3 +193,223 @@ def read_suite(path: Path) -> Suite:
         raise SuiteError(f"{path}: {problems(error, Suite)}") from None
     except RecursionError:
         raise SuiteError(f"{path}: nested too deeply, expected a suite of `ds suite make`") from None
+
+
+TESTS = 30
+"""Tests of a suite; chosen: 90 drives on three simulators, five minutes at the 18 drives a minute of two cores."""
+
+
+def select(data: CampaignData, *, most: int) -> dict[str, list[Reason]]:
+    """Choose tests, in turns from three lists until there are enough; why each was chosen.
+
+    - `failing`: fails on most simulators first, then the largest distance out of the lane.
+    - `boundary`: smallest absolute margin to the lane's edge on any simulator, on either side of it.
+    - `cell`: of every cell the test with the smallest margin; cells with the smallest one first.
+
+    Only tests with a verdict on every simulator take part.
+
+    Args:
+        data: contents of the campaign.
+        most: largest number of tests.
+    """
+    done = {(one.test_id, one.simulator): one for one in data.verdicts}
+    names = data.config.simulators
+    margins: dict[str, list[float]] = {}
+    failures: dict[str, int] = {}
+    for test in data.tests:
+        runs = [done.get((test.test_id, name)) for name in names]
+        known = [run for run in runs if run is not None]
+        if len(known) == len(names):
+            margins[test.test_id] = [run.fitness for run in known]
+            failures[test.test_id] = sum(run.outcome.is_failure for run in known)
+    failing = sorted((i for i in margins if failures[i]), key=lambda i: (-failures[i], min(margins[i]), i))
+    boundary = sorted(margins, key=lambda i: (min(map(abs, margins[i])), i))
+    worst_first = sorted(margins, key=lambda i: (min(margins[i]), i))
+    of_cell: dict[object, str] = {}
+    for test_id in worst_first:
+        if test_id in data.cells:
+            of_cell.setdefault(data.cells[test_id], test_id)
+    lists: dict[Reason, list[str]] = {"failing": failing, "boundary": boundary, "cell": list(of_cell.values())}
+    return _in_turns(lists, most)
+
+
+def _in_turns(lists: Mapping[Reason, Sequence[str]], most: int) -> dict[str, list[Reason]]:
+    """Take from each list in turn the next test that is not chosen yet; a test that fails or is its cell's says so."""
+    chosen: dict[str, list[Reason]] = {}
+    rest = {reason: iter(tests) for reason, tests in lists.items()}
+    while rest and len(chosen) < most:
+        for reason in list(rest):
+            test_id = next((i for i in rest[reason] if i not in chosen), None)
+            if test_id is None:
+                del rest[reason]
+            elif len(chosen) < most:
+                chosen[test_id] = [
+                    name for name in lists if name == reason or (name != "boundary" and test_id in lists[name])
+                ]
+    return chosen
+
+
+def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
+    """Make a suite of a campaign's tests that tell most.
+
+    Args:
+        folder: campaign folder.
+        data: its contents.
+        most: largest number of tests.
+
+    Raises:
+        SuiteError: no test has a verdict on every simulator.
+    """
+    chosen = select(data, most=min(most, MOST_TESTS))
+    if not chosen:
+        raise SuiteError(
+            f"{folder} has no test with a verdict on every simulator: run `ds campaign resume {folder}` first"
+        )
+    config = data.config
+    done = {(one.test_id, one.simulator): one for one in data.verdicts}
+    by_id = {test.test_id: test for test in data.tests}
+    return Suite(
+        campaign=folder.resolve().name,
+        driver=config.driver,
+        driver_sha256=data.notes.get(DRIVER_SHA256, ""),
+        siblings=list(config.siblings),
+        twin=config.twin,
+        lane=config.lane,
+        maxitwo_compatible=config.maxitwo_compatible,
+        features=list(config.features),
+        code_sha256=code_sha256(),
+        tests=[
+            _test(
+                by_id[test_id], why, data.cells.get(test_id), {name: done[test_id, name] for name in config.simulators}
+            )
+            for test_id, why in chosen.items()
+        ],
+    )
+
+
+def _test(
+    test: Test, why: list[Reason], cell: tuple[int, ...] | None, executions: Mapping[str, Execution]
+) -> SuiteTest:
+    points = [[float(value) for value in point] for point in test.road.control_points]
+    return SuiteTest(
+        name=test.test_id,
+        why=why,
+        control_points=points,
+        road_sha256=road_sha256(points),
+        seed=test.seed,
+        conditions=test.conditions,
+        cell=None if cell is None else list(cell),
+        outcomes={name: _expected(one) for name, one in executions.items()},
+    )
+
+
+def settings_of_suite(suite: Suite, driver: str) -> DriveSettings:
+    """How a suite's tests are driven: without gates, as the suite's tests are known to be valid."""
+    return DriveSettings(siblings=tuple(suite.siblings), twin=suite.twin, driver=driver, gates="none")
+
+
+def run_suite(
+    suite: Suite, settings: DriveSettings, candidate: Network, folder: Path, progress: Progress, *, source: str
+) -> tuple[Comparison, dict[tuple[str, str], Execution]]:
+    """Drive a suite, and compare its outcomes with those of the suite.
+
+    Args:
+        suite: the suite.
+        settings: of `settings_of_suite`, with the engine.
+        candidate: the driver.
+        folder: for the drives; a run that was stopped goes on there.
+        progress: who hears of it.
+        source: where the tests come from, in words.
+
+    Returns:
+        The comparison, and every execution by test and simulator.
+    """
+    tests = {
+        suite_test.name: Test(
+            test_id=f"suite-0-{number:04d}",
+            sibling=suite.siblings[0],
+            run=0,
+            number=number,
+            road=suite.road_of(suite_test),
+            seed=suite_test.seed,
+            conditions=suite_test.conditions,
+        )
+        for number, suite_test in enumerate(suite.tests)
+    }
+    work = {name: [tests[one.name] for one in suite.tests if name in one.outcomes] for name in suite.simulators}
+    found = drive_tests(settings, {name: of for name, of in work.items() if of}, folder, progress)
+    pairs, left_out, executions = [], [], {}
+    for one in suite.tests:
+        test = tests[one.name]
+        compared = ComparedTest(
+            name=one.name,
+            road=test.road,
+            seed=test.seed,
+            conditions=test.conditions,
+            cell=None if one.cell is None else tuple(one.cell),
+        )
+        for name, expected in one.outcomes.items():
+            key = (test.test_id, name)
+            if key in found.executions:
+                execution = executions[one.name, name] = found.executions[key]
+                pairs.append(
+                    PairedDrive(
+                        test=compared,
+                        simulator=name,
+                        reference=_outcome(expected),
+                        candidate=DriveOutcome.of(execution),
+                    )
+                )
+            elif key in found.errors:
+                left_out.append((one.name, name, found.errors[key]))
+    comparison = compare_networks(
+        pairs,
+        reference=Network(driver=suite.driver, sha256=suite.driver_sha256),
+        candidate=candidate,
+        origin="suite",
+        source=source,
+        simulators=suite.simulators,
+        features=suite.features,
+        twin=suite.twin,
+        excluded=len(found.excluded),
+        left_out=left_out,
+    )
+    return comparison, executions
+
+
+def with_outcomes(suite: Suite, candidate: Network, executions: dict[tuple[str, str], Execution], code: str) -> Suite:
+    """The same tests with the outcomes of another network, to be expected from now on."""
+    return suite.model_copy(
+        update={
+            "driver": candidate.driver,
+            "driver_sha256": candidate.sha256,
+            "code_sha256": code,
+            "tests": [
+                test.model_copy(
+                    update={
+                        "outcomes": {
+                            name: _expected(executions[test.name, name]) if (test.name, name) in executions else known
+                            for name, known in test.outcomes.items()
+                        }
+                    }
+                )
+                for test in suite.tests
+            ],
+        }
+    )
+
+
+def _outcome(expected: SuiteOutcome) -> DriveOutcome:
+    return DriveOutcome(
+        outcome=Outcome[expected.outcome], fitness=expected.fitness, trajectory_sha256=expected.trajectory_sha256
+    )
+
+
+def _expected(execution: Execution) -> SuiteOutcome:
+    return SuiteOutcome.model_validate(
+        {
+            "outcome": execution.outcome.name,
+            "fitness": execution.fitness,
+            "trajectory_sha256": execution.trajectory_sha256,
+        }
+    )
