@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ds_sim.ros.frame_jitter import FrameJitter
+from ds_sim.ros.real_time_loop import FrameJitter
 
 
 def test_lateness_and_missed_beats() -> None:

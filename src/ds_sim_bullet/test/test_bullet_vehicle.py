@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim_bullet.parameters import GRAVITY, BulletParameters
-from ds_sim_bullet.urdf import car_urdf
 from ds_sim_bullet.vehicle import BulletVehicle
+from ds_sim_bullet.world import car_urdf
 
 P = BulletParameters()
 RNG = np.random.default_rng(0)

@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 
 from ds_road import generate
 from ds_sim_panda.scene import textures, world
+from ds_sim_panda.scene.meshes import course_of
 from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.scene.parameters import HORIZON, VISIBILITY
-from ds_sim_panda.scene.road_mesh import course_of
 from ds_sim_panda.scene.scenery import Things, place_scenery
 from ds_sim_panda.scene.sunlight import own_daylight
 

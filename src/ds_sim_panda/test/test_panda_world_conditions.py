@@ -13,10 +13,10 @@ from panda_survey import LUMINANCE, PIXEL, distances, picture, row_of, survey
 from panda_views import CAMERA, STRAIGHT, pose, project
 
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim_panda.scene.along_road import repaired
+from ds_sim_panda.scene.meshes import course_of
 from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.scene.parameters import VISIBILITY
-from ds_sim_panda.scene.repairs import repaired
-from ds_sim_panda.scene.road_mesh import course_of
 from ds_sim_panda.scene.scenery import Things
 
 LINES = (125.0 - 3.925, 125.0, 125.0 + 3.925)

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
-from ds_sim_softbody.attitude import Attitude
-from ds_sim_softbody.car import Car
 from ds_sim_softbody.lattice import VALUES_PER_NODE, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
-from ds_sim_softbody.vehicle import SoftbodyVehicle
+from ds_sim_softbody.vehicle import Attitude, Car, SoftbodyVehicle
 
 P = SoftbodyParameters()
 PLAN = blueprint(P)

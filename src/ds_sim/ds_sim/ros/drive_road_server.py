@@ -10,7 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from ds_sim.ros.conversions import refusal_result
-from ds_sim.ros.refusal import RequestRefused
+from ds_sim.ros.loaded_road import RequestRefused
 
 
 class DriveRoadServer:

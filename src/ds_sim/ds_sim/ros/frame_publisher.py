@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from ds_interfaces.msg import Frame, VehicleState
+from collections.abc import Callable
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from ds_interfaces.msg import Frame
+from ds_interfaces.msg import VehicleState as VehicleStateMsg
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -12,10 +17,46 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from ds_road import Road
-from ds_sim.frames import base_frame, camera_frame
+from ds_sim.camera.spec import CameraSpec
+from ds_sim.frames import ROAD_FRAME, base_frame, body_pose, camera_frame, camera_pose
 from ds_sim.ros import conversions as messages
-from ds_sim.ros.transform_publisher import TransformPublisher
-from ds_sim.simulator import Observation, SimulatorSpec
+from ds_sim.ros.conversions import transform_message
+from ds_sim.simulator import DrawsRows, Observation, Simulator, SimulatorSpec, VehicleState
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # the ROS wheels on PyPI do not include it
+    TFMessage = None
+
+
+class TransformPublisher:
+    """Publishes road -> vehicle with every frame, and vehicle -> camera once, latched.
+
+    Args:
+        node: node that owns the publishers.
+        camera: camera of the simulator.
+        camera_frame: name of the camera's optical frame.
+        base_frame: name of the vehicle's frame.
+    """
+
+    def __init__(self, node: Node, camera: CameraSpec, camera_frame: str, base_frame: str) -> None:
+        self._base_frame = base_frame
+        self._moving: Any = None
+        if TFMessage is None:
+            node.get_logger().info("tf2_msgs is not installed: no /tf is published")
+            return
+        self._moving = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=100))
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._fixed = node.create_publisher(TFMessage, "/tf_static", latched)
+        fixed = transform_message(camera_pose(camera), Time(), base_frame, camera_frame)
+        self._fixed.publish(TFMessage(transforms=[fixed]))
+
+    def publish(self, vehicle: VehicleState, stamp: Time) -> None:
+        """Publish the vehicle's pose if there is a subscriber."""
+        if self._moving is not None and self._moving.get_subscription_count():
+            transform = transform_message(body_pose(vehicle), stamp, ROAD_FRAME, self._base_frame)
+            self._moving.publish(TFMessage(transforms=[transform]))
+
 
 IMAGE_DEPTH = 600
 """Images kept for subscribers that lag; chosen: 30 s of a run at 20 Hz. With 50, a recorder on a busy machine lost a
@@ -39,7 +80,7 @@ class FramePublisher:
         self._frame = node.create_publisher(Frame, "frame", 5)
         self._image = node.create_publisher(Image, "camera/image_raw", IMAGE_DEPTH)
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", 5)
-        self._state = node.create_publisher(VehicleState, "state", 50)
+        self._state = node.create_publisher(VehicleStateMsg, "state", 50)
         self._odom = node.create_publisher(Odometry, "odom", 50)
         self._clock = node.create_publisher(Clock, "/clock", 10) if clock else None
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -74,3 +115,38 @@ class FramePublisher:
     def publish_road(self, road: Road, stamp: float) -> None:
         """Publish a road for viewers, including those that join later."""
         self._markers.publish(messages.road_markers(road, self._spec.look, messages.to_time(stamp)))
+
+
+RowsSeen = Callable[[SimulatorSpec], tuple[int, int] | None]
+
+
+class DrawnRows:
+    """Leaves out rows that only the driver in the simulator's own process would get, and does not look at.
+
+    Args:
+        simulator: any simulator; one that does not satisfy `DrawsRows` draws all rows.
+        frames: publishers of its frames.
+    """
+
+    def __init__(self, simulator: Simulator, frames: FramePublisher) -> None:
+        self._simulator = simulator
+        self._frames = frames
+        self._seen: tuple[int, int] | None = None
+        self._own = 0
+
+    def draw_for(self, rows_seen: RowsSeen, *, subscriptions: int) -> None:
+        """Draw from the next run on what the driver in this process looks at.
+
+        Args:
+            rows_seen: maps the simulator's description to first row and end of these rows; to None for all rows.
+            subscriptions: subscriptions of that driver to `frame`.
+        """
+        self._seen, self._own = rows_seen(self._simulator.spec), subscriptions
+
+    def choose(self) -> None:
+        """Choose the rows of the run that begins; a subscriber that comes during a run gets whole images after it."""
+        if self._seen is None or not isinstance(self._simulator, DrawsRows):
+            return
+        whole = (0, self._simulator.spec.camera.height_px)
+        watched = self._frames.viewers > self._own
+        self._simulator.draw_rows(*(whole if watched else self._seen))

@@ -1,4 +1,4 @@
-"""Holds the test that a simulator's node drives next: a road, a seed and conditions."""
+"""What a simulator's node drives next, a road, a seed and conditions, and why it refuses a request."""
 
 from __future__ import annotations
 
@@ -11,8 +11,25 @@ from ds_road import Road, RoadError
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import Conditions, ConditionsError, NotApplicableError
 from ds_sim.ros.conversions import conditions_from_messages, road_from_message
-from ds_sim.ros.refusal import RequestRefused
 from ds_sim.simulator import Reason, SimulatorSpec
+
+
+class RequestRefused(ValueError):
+    """A simulator's node does not accept a road or a goal.
+
+    Args:
+        reason: reason code for programs.
+        message: cause and remedy in one line.
+    """
+
+    def __init__(self, reason: Reason, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+def no_road() -> RequestRefused:
+    """Make the refusal of a request that needs a loaded road."""
+    return RequestRefused(Reason.NO_ROAD, "no road is loaded: call load_road first, or give one with the goal")
 
 
 class LoadedRoad:

@@ -1,14 +1,56 @@
-"""Advances a simulator by the wall clock with the last command that came; not deterministic."""
+"""Drives frames at an even rate, 20 a second, and measures how late they come."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 from rclpy.clock import Clock
 from rclpy.node import Node
 
-from ds_sim.ros.frame_jitter import FrameJitter
 from ds_sim.simulator import FRAME_TIME, Command
+
+
+class FrameJitter:
+    """Statistics of beats that should come at an even period.
+
+    Args:
+        period: s between two beats.
+        start: time of beat 0, s of any steady clock.
+    """
+
+    def __init__(self, period: float, start: float) -> None:
+        self._period = period
+        self._start = start
+        self._late: list[float] = []
+        self._last = 0
+        self.missed = 0
+        """Number of grid points without a frame, because the previous frame took too long."""
+
+    def beat(self, now: float) -> None:
+        """Note a beat, at a time of the same clock; it belongs to the last point of the grid that has passed."""
+        elapsed = max(0.0, now - self._start)
+        index = int(elapsed / self._period)
+        self._late.append(elapsed - index * self._period)
+        self.missed += max(0, index - self._last - 1)
+        self._last = index
+
+    @property
+    def beats(self) -> int:
+        """Return the number of frames so far."""
+        return len(self._late)
+
+    def lateness(self, quantile: float) -> float:
+        """Return a quantile in [0, 1] of the frames' delays after their grid points, s; 0 without frames."""
+        return float(np.quantile(self._late, quantile)) if self._late else 0.0
+
+    def __str__(self) -> str:
+        """Summarise the jitter in one line."""
+        median, most, worst = (1e3 * self.lateness(q) for q in (0.5, 0.99, 1.0))
+        return (
+            f"real time: {self.beats} frames at {1.0 / self._period:g} Hz, late by {median:.1f} ms in the median, "
+            f"{most:.1f} ms at 99 %, {worst:.1f} ms at worst; {self.missed} frames missed"
+        )
 
 
 class RealTimeLoop:

@@ -17,15 +17,12 @@ from std_srvs.srv import Trigger
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.ros import conversions as messages
-from ds_sim.ros.command_monitor import CommandMonitor
-from ds_sim.ros.command_watchdog import CommandWatchdog
-from ds_sim.ros.drawn_rows import DrawnRows
+from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog
 from ds_sim.ros.drive_road_server import DriveRoadServer
-from ds_sim.ros.frame_publisher import FramePublisher
-from ds_sim.ros.loaded_road import LoadedRoad
+from ds_sim.ros.frame_publisher import DrawnRows, FramePublisher
+from ds_sim.ros.loaded_road import LoadedRoad, RequestRefused, no_road
 from ds_sim.ros.neighbours import Neighbours, two_drivers
 from ds_sim.ros.real_time_loop import RealTimeLoop
-from ds_sim.ros.refusal import RequestRefused, no_road
 from ds_sim.ros.runtime import run_node, with_info
 from ds_sim.ros.simulator_parameters import check_goal, declare_parameters
 from ds_sim.session import Session

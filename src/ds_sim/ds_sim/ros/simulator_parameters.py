@@ -9,8 +9,8 @@ from rclpy.node import Node
 
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
+from ds_sim.ros.loaded_road import RequestRefused
 from ds_sim.ros.parameters import declare
-from ds_sim.ros.refusal import RequestRefused
 from ds_sim.simulator import Reason
 
 SYNC_MODES = ("lockstep", "first", "realtime")

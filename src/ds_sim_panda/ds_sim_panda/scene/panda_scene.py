@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,15 +21,46 @@ from ds_sim.camera.optics import (
     noise_of,
     optics_of,
 )
+from ds_sim.camera.projection import optical_axes
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import check_rows
 from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_panda.scene.graphics import graphics, panda
+from ds_sim_panda.scene.parameters import FAR, NEAR
 from ds_sim_panda.scene.setting import WORLD_CONDITIONS, Setting, sun_direction
-from ds_sim_panda.scene.viewpoint import camera_pose, check_camera, make_lens
 from ds_sim_panda.scene.world import World
+
+_UNSUPPORTED = {"lens": "pinhole", "gain": 1.0, "gamma": 1.0, "exposure": 0.0, "blur": 0.0, "noise": 0.0, "latency": 0}
+
+
+def check_camera(spec: CameraSpec) -> None:
+    """Check that Panda3D draws this camera as described.
+
+    Raises:
+        ValueError: the camera has a property that this scene does not draw.
+    """
+    for name, expected in _UNSUPPORTED.items():
+        if getattr(spec, name) != expected:
+            raise ValueError(f"camera.{name} is {getattr(spec, name)}, expected {expected}: PandaScene draws no other")
+
+
+def make_lens(spec: CameraSpec) -> Any:
+    """Panda3D's lens of a pinhole camera with square pixels."""
+    lens = panda().PerspectiveLens()
+    half = math.tan(spec.horizontal_fov / 2)
+    lens.set_fov(math.degrees(spec.horizontal_fov), math.degrees(2 * math.atan(half * spec.height_px / spec.width)))
+    lens.set_near_far(NEAR, FAR)
+    return lens
+
+
+def camera_pose(spec: CameraSpec, state: VehicleState) -> NDArray[np.float64]:
+    """Pose of the camera in the road frame, (4, 4): rows right, forward, up and position, as Panda3D multiplies."""
+    (right, down, forward), position = optical_axes(spec, state)
+    pose = np.eye(4)
+    pose[:, :3] = right, forward, [-v for v in down], position
+    return pose
 
 
 class PandaScene:

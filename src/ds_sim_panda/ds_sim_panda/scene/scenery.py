@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from ds_sim_panda.scene.meshes import Course
 from ds_sim_panda.scene.parameters import (
     BUSH_HEIGHT,
     BUSH_SHARE,
@@ -30,7 +31,6 @@ from ds_sim_panda.scene.parameters import (
     TREE_SPACING,
     VERGE_WIDTH,
 )
-from ds_sim_panda.scene.road_mesh import Course
 
 
 @dataclass(frozen=True)

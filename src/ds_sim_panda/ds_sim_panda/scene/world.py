@@ -11,16 +11,14 @@ from ds_road import Road
 from ds_sim_panda.scene import textures
 from ds_sim_panda.scene.along_road import AlongRoad, along_road
 from ds_sim_panda.scene.graphics import panda
-from ds_sim_panda.scene.ground import ground_rings
-from ds_sim_panda.scene.meshes import mesh_node
+from ds_sim_panda.scene.meshes import Course, course_of, ground_rings, mesh_node, road_strip
 from ds_sim_panda.scene.parameters import VERGE_WIDTH
-from ds_sim_panda.scene.road_mesh import Course, course_of, road_strip
 from ds_sim_panda.scene.scenery import place_scenery
 from ds_sim_panda.scene.setting import Setting
 from ds_sim_panda.scene.shaders import shader
 from ds_sim_panda.scene.shadows import cast_shadows
 from ds_sim_panda.scene.sky import sky_dome, sky_texture
-from ds_sim_panda.scene.solid_meshes import solid_meshes
+from ds_sim_panda.scene.solids import solid_meshes
 from ds_sim_panda.scene.sunlight import own_daylight
 
 FILTER = 0.3
