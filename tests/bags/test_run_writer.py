@@ -21,7 +21,7 @@ from ds_bags.layout import LEVELS, BagError, Level
 from ds_bags.messages import MessageFactory, typestore
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
-from ds_sim.camera.projection import optical_axes
+from ds_sim.camera.lens import optical_axes
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.session import RunRecord

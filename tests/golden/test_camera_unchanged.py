@@ -21,10 +21,9 @@ from ds_sim.camera import ground as painting
 from ds_sim.camera import renderer
 from ds_sim.camera.atlas import AtlasMemory, Ground
 from ds_sim.camera.ground import paint_ground
-from ds_sim.camera.lens import components, sample_rays
+from ds_sim.camera.lens import components, optical_axes, sample_rays
 from ds_sim.camera.look import Look
 from ds_sim.camera.panorama import Panorama
-from ds_sim.camera.projection import optical_axes
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.textures import textures

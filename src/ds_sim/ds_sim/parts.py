@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +57,25 @@ class AdjustableVehicle(Protocol):
             payload: load over the mass of the vehicle, spread like that mass.
         """
         ...
+
+
+def check_ranges(
+    parameters: Any, limits: Mapping[str, tuple[float, float]], usual: tuple[float, float] = (0.0, math.inf)
+) -> None:
+    """Check the numbers of a dataclass of a vehicle's parameters.
+
+    Args:
+        parameters: the dataclass.
+        limits: smallest and largest value by name of the field.
+        usual: the same for all other fields.
+
+    Raises:
+        ValueError: a value is not finite or out of range.
+    """
+    for field in fields(parameters):
+        value, (low, high) = getattr(parameters, field.name), limits.get(field.name, usual)
+        if not (math.isfinite(value) and low <= value <= high):
+            raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 
 
 VEHICLE_CONDITIONS = frozenset({"friction", "payload"})

@@ -13,6 +13,8 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
+from ds_sim.parts import check_ranges
+
 GRAVITY = 9.81
 """m/s^2."""
 
@@ -112,19 +114,10 @@ class BulletParameters:
     solver_iterations: int = 50
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            low, high = _LIMITS.get(field.name, (0.0, math.inf))
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
+        check_ranges(self, _LIMITS)
 
     def adjusted(self, *, friction: float, payload: float) -> BulletParameters:
-        """Copy with another grip and load; springs and dampers stay those of the car as it was made.
-
-        Args:
-            friction: factor on the friction coefficient.
-            payload: load over the mass of the car, spread like that mass.
-        """
+        """Copy as `ds_sim.parts.AdjustableVehicle.adjust` has it; springs and dampers stay those of the car."""
         if (friction, payload) == (1.0, 0.0):
             return self
         mass = self.mass * (1.0 + payload)

@@ -20,7 +20,7 @@ from ds_sim_panda.scene.meshes import course_of
 from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.scene.parameters import HORIZON, VISIBILITY
 from ds_sim_panda.scene.scenery import Things, place_scenery
-from ds_sim_panda.scene.sunlight import own_daylight
+from ds_sim_panda.scene.setting import own_daylight
 
 RNG = np.random.default_rng(0)
 ORIGIN = course_of(STRAIGHT).origin

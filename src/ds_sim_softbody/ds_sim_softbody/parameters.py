@@ -13,6 +13,8 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
+from ds_sim.parts import check_ranges
+
 GRAVITY = 9.81
 """m/s^2."""
 
@@ -167,13 +169,7 @@ class SoftbodyParameters:
     solver_iterations: int = 2
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            low, high = (0.0, 1.0) if field.name in _SHARES else (_TINY, math.inf)
-            if field.name in _MAY_BE_ZERO:
-                low = 0.0
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
+        check_ranges(self, _LIMITS, usual=(1e-9, math.inf))
         if self.frame_substeps % self.body_substeps:
             raise ValueError(
                 f"frame_substeps is {self.frame_substeps}, expected a multiple of body_substeps "
@@ -181,12 +177,7 @@ class SoftbodyParameters:
             )
 
     def adjusted(self, *, friction: float, payload: float) -> SoftbodyParameters:
-        """Copy with another grip and load; springs and dampers stay those of the car as it was made.
-
-        Args:
-            friction: factor on the friction coefficient.
-            payload: load over the mass of the car, spread like that mass.
-        """
+        """Copy as `ds_sim.parts.AdjustableVehicle.adjust` has it; springs and dampers stay those of the car."""
         if (friction, payload) == (1.0, 0.0):
             return self
         grown = 1.0 + payload
@@ -219,9 +210,14 @@ class SoftbodyParameters:
         return self.wheelbase * (self.front_share - 0.5)
 
 
-_TINY = 1e-9
-_SHARES = frozenset({"front_share", "roll_front_share", "ackermann"})
-_MAY_BE_ZERO = frozenset(
-    {"load_sensitivity", "carcass_damping", "rolling_resistance", "frame_damping", "arm_damping",
-     "body_damping", "roll_axis_height", "rotor_inertia", "regenerative_force", "front_share"}
-)  # fmt: skip
+_LIMITS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("front_share", "roll_front_share", "ackermann"), (0.0, 1.0)),
+    **dict.fromkeys(
+        (
+            "load_sensitivity", "carcass_damping", "rolling_resistance", "frame_damping", "arm_damping",
+            "body_damping", "roll_axis_height", "rotor_inertia", "regenerative_force",
+        ),
+        (0.0, math.inf),
+    ),
+}  # fmt: skip
+"""Range of each value whose range is not simply above 0."""

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_sim.camera.lens import rays
+from ds_sim.camera.lens import Vector, rays
 from ds_sim.camera.look import Look
-from ds_sim.camera.projection import Vector
 from ds_sim.camera.spec import CameraSpec
 
 _STEP = 8

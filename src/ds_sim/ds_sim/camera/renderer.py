@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.camera.ground import Ground
-from ds_sim.camera.lens import components, sample_rays
+from ds_sim.camera.lens import Vector, components, optical_axes, sample_rays
 from ds_sim.camera.look import Look
 from ds_sim.camera.panorama import Panorama
-from ds_sim.camera.projection import Vector, optical_axes
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera.light import decode
-from ds_sim.camera.optics import mounted
-from ds_sim.camera.projection import project
+from ds_sim.camera.lens import project
+from ds_sim.camera.optics import decode, mounted
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import PROBE_EVERY
 from ds_sim.session import RunRecord

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_sim.camera.lens import optical_axes
 from ds_sim.camera.optics import (
     LENS_CONDITIONS,
     MOUNT_CONDITIONS,
@@ -21,7 +22,6 @@ from ds_sim.camera.optics import (
     noise_of,
     optics_of,
 )
-from ds_sim.camera.projection import optical_axes
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions

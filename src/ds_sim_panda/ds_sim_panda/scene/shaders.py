@@ -18,7 +18,7 @@ from ds_sim_panda.scene.parameters import (
     WHITE,
     YELLOW,
 )
-from ds_sim_panda.scene.sunlight import own_daylight
+from ds_sim_panda.scene.setting import own_daylight
 
 MOST_LIGHT = 1.5
 """Light that the largest vertex colour stands for, as a share of daylight on level ground."""

@@ -14,8 +14,8 @@ from ds_sim_panda.scene.along_road import AlongRoad
 from ds_sim_panda.scene.graphics import graphics, panda
 from ds_sim_panda.scene.meshes import Course, mesh_node, road_strip
 from ds_sim_panda.scene.parameters import SHADE_REACH, SHADE_SLANT, SHADOW_MARGIN, SHADOW_PIXELS, VERGE_WIDTH
+from ds_sim_panda.scene.setting import Direction
 from ds_sim_panda.scene.shaders import shader
-from ds_sim_panda.scene.sunlight import Direction
 from ds_sim_panda.scene.textures import patches, upload
 
 _BORDER = 8

@@ -19,7 +19,7 @@ from ds_sim_panda.scene.parameters import (
     ZENITH,
     ZENITH_ELEVATION,
 )
-from ds_sim_panda.scene.sunlight import Daylight
+from ds_sim_panda.scene.setting import Daylight
 from ds_sim_panda.scene.textures import noise, stored, upload
 
 LOWEST, HIGHEST = math.radians(-4.0), math.radians(56.0)

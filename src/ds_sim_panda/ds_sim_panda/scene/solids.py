@@ -16,8 +16,8 @@ from ds_sim_panda.scene.graphics import panda
 from ds_sim_panda.scene.meshes import VERTEX, mesh_node
 from ds_sim_panda.scene.parameters import BARK, LEAVES, NEEDLES, POST, ROOF, WALL, Linear
 from ds_sim_panda.scene.scenery import Things
+from ds_sim_panda.scene.setting import Daylight
 from ds_sim_panda.scene.shaders import MOST_LIGHT
-from ds_sim_panda.scene.sunlight import Daylight
 from ds_sim_panda.scene.textures import LAYERS
 
 DIAGONAL = math.sqrt(2.0)

@@ -14,12 +14,11 @@ from ds_sim_panda.scene.graphics import panda
 from ds_sim_panda.scene.meshes import Course, course_of, ground_rings, mesh_node, road_strip
 from ds_sim_panda.scene.parameters import VERGE_WIDTH
 from ds_sim_panda.scene.scenery import place_scenery
-from ds_sim_panda.scene.setting import Setting
+from ds_sim_panda.scene.setting import Setting, own_daylight
 from ds_sim_panda.scene.shaders import shader
 from ds_sim_panda.scene.shadows import cast_shadows
 from ds_sim_panda.scene.sky import sky_dome, sky_texture
 from ds_sim_panda.scene.solids import solid_meshes
-from ds_sim_panda.scene.sunlight import own_daylight
 
 FILTER = 0.3
 """Width of road and verge beyond their borders, in which these fade into what is below, m; chosen: a pixel is wider

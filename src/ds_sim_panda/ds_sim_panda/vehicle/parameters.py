@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
+from ds_sim.parts import check_ranges
 from ds_sim.simulator import AutopilotGains
 from ds_sim_panda.vehicle import published
 
@@ -65,10 +65,7 @@ class MultiBodyParameters:
         if self.parameter_set not in published.CARS:
             numbers = ", ".join(str(number) for number in published.CARS)
             raise ValueError(f"parameter_set is {self.parameter_set}, expected one of {numbers}: correct it")
-        for name, (low, high) in _LIMITS.items():
-            value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(f"{name} is {value}, expected a number from {low:g} to {high:g}: correct it")
+        check_ranges(self, _LIMITS)
 
     @property
     def published(self) -> Any:

@@ -14,7 +14,7 @@ from ds_driver.sim2real.generator import Window
 from ds_driver.sim2real.lane_pairs import FIRST_ROW, HEIGHTS, lane_shape
 from ds_driver.sim2real.lane_view import find_lines, lane_borders
 from ds_road import Road
-from ds_sim.camera.projection import NEAREST, project
+from ds_sim.camera.lens import NEAREST, project
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
 
