@@ -1,7 +1,7 @@
 from .camera.ground import Ground, paint_ground
+from .camera.lens import project
 from .camera.look import Look
 from .camera.painted_scene import PaintedScene
-from .camera.lens import project
 from .camera.renderer import Camera
 from .camera.sensor import Sensor
 from .camera.spec import CameraSpec
