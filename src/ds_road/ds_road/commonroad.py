@@ -56,12 +56,12 @@ def commonroad(road: Road, name: str) -> str:
         "commonRoad", commonRoadVersion=VERSION, benchmarkID=f"ZAM_{_letters(name)}-1_1_T-1", date=_DATE,
         author="Digital Siblings", affiliation="", source=f"road {road.road_id}", timeStepSize=_TIME_STEP,
     )  # fmt: skip
-    location = _add(root, "location")
+    location = add(root, "location")
     for tag, unknown in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):
-        _add(location, tag, unknown)
-    tags = _add(root, "scenarioTags")
+        add(location, tag, unknown)
+    tags = add(root, "scenarioTags")
     for tag in ("no_oncoming_traffic", "rural", "simulated", "two_lane"):
-        _add(tags, tag)
+        add(tags, tag)
     right = road.lane == "right"
     centre, outer = road.points, road.right_edge if right else road.left_edge
     other = (road.left_edge if right else road.right_edge)[::-1]
@@ -124,39 +124,39 @@ def without_repeats(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _lanelet(
     root: Element, number: str, bounds: tuple[NDArray[np.float64], NDArray[np.float64]], side: str, neighbour: str
 ) -> None:
-    lanelet = _add(root, "lanelet", id=number)
+    lanelet = add(root, "lanelet", id=number)
     for tag, points in zip(("leftBound", "rightBound"), bounds, strict=True):
-        bound = _add(lanelet, tag)
+        bound = add(lanelet, tag)
         for point in points:
             _point(bound, point)
-        _add(bound, "lineMarking", "solid")  # paper 3.1.2: all three lines are
-    _add(lanelet, side, ref=neighbour, drivingDir="opposite")
-    _add(lanelet, "laneletType", "country")
-    _add(lanelet, "userOneWay", "vehicle")
+        add(bound, "lineMarking", "solid")  # paper 3.1.2: all three lines are
+    add(lanelet, side, ref=neighbour, drivingDir="opposite")
+    add(lanelet, "laneletType", "country")
+    add(lanelet, "userOneWay", "vehicle")
 
 
 def _planning_problem(root: Element, road: Road) -> None:
     line = road.lane_centre
     first, last = line[1] - line[0], line[-1] - line[-2]
-    problem = _add(root, "planningProblem", id="3")
-    start = _add(problem, "initialState")
-    _point(_add(start, "position"), line[0] + _START * first / np.hypot(*first))
+    problem = add(root, "planningProblem", id="3")
+    start = add(problem, "initialState")
+    _point(add(start, "position"), line[0] + _START * first / np.hypot(*first))
     for tag, value in (("orientation", math.atan2(first[1], first[0])), ("velocity", 0.0), ("yawRate", 0.0)):
         _exact(start, tag, value)
     _exact(start, "slipAngle", 0.0)
-    _add(_add(start, "time"), "exact", "0")
-    goal = _add(problem, "goalState")
-    time = _add(goal, "time")
-    _add(time, "intervalStart", "1")
-    _add(time, "intervalEnd", _MOST_STEPS)
-    rectangle = _add(_add(goal, "position"), "rectangle")
-    _add(rectangle, "length", _decimal(_GOAL_LENGTH))
-    _add(rectangle, "width", _decimal(road.lane_width))
-    _add(rectangle, "orientation", _decimal(math.atan2(last[1], last[0])))
-    centre = _add(rectangle, "center")
+    add(add(start, "time"), "exact", "0")
+    goal = add(problem, "goalState")
+    time = add(goal, "time")
+    add(time, "intervalStart", "1")
+    add(time, "intervalEnd", _MOST_STEPS)
+    rectangle = add(add(goal, "position"), "rectangle")
+    add(rectangle, "length", _decimal(_GOAL_LENGTH))
+    add(rectangle, "width", _decimal(road.lane_width))
+    add(rectangle, "orientation", _decimal(math.atan2(last[1], last[0])))
+    centre = add(rectangle, "center")
     back = line[-1] - last / np.hypot(*last) * _GOAL_LENGTH / 2
     for axis, value in zip("xy", back, strict=True):
-        _add(centre, axis, _decimal(value))
+        add(centre, axis, _decimal(value))
 
 
 def _start(root: Element, lanelets: dict[str, Lanelet]) -> str:
@@ -209,20 +209,22 @@ def _coordinates(point: Element) -> tuple[float, float]:
     return x, y
 
 
-def _add(parent: Element, tag: str, text: str | None = None, **attributes: str) -> Element:
-    element = ElementTree.SubElement(parent, tag, attributes)
+def add(parent: Element, tag: str, text: str | None = None, **attributes: str | float) -> Element:
+    """Append an element; numbers are written so that every bit comes back."""
+    texts = {key: value if isinstance(value, str) else repr(float(value)) for key, value in attributes.items()}
+    element = ElementTree.SubElement(parent, tag, texts)
     element.text = text
     return element
 
 
 def _point(parent: Element, point: NDArray[np.float64]) -> None:
-    element = _add(parent, "point")
+    element = add(parent, "point")
     for axis, value in zip("xy", point, strict=True):
-        _add(element, axis, _decimal(value))
+        add(element, axis, _decimal(value))
 
 
 def _exact(parent: Element, tag: str, value: float) -> None:
-    _add(_add(parent, tag), "exact", _decimal(value))
+    add(add(parent, tag), "exact", _decimal(value))
 
 
 def _decimal(value: float) -> str:

@@ -26,7 +26,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road.commonroad import commonroad
+from ds_road.commonroad import add, commonroad
 from ds_road.geometry import SAMPLES_PER_SEGMENT
 from ds_road.importing import STEPS_CODE
 from ds_road.road import Road, RoadError
@@ -97,21 +97,21 @@ def opendrive(road: Road, name: str) -> str:
     edges = np.vstack((road.left_edge, road.right_edge))
     (west, south), (east, north) = edges.min(axis=0), edges.max(axis=0)
     root = ElementTree.Element("OpenDRIVE")
-    _add(
+    add(
         root, "header", revMajor="1", revMinor="7", name=_printable(name), version="1.0",
         north=north, south=south, east=east, west=west,
     )  # fmt: skip
     rule = "RHT" if road.lane == "right" else "LHT"
-    body = _add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule=rule)
-    _add(body, "type", s="0", type="rural")
+    body = add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule=rule)
+    add(body, "type", s="0", type="rural")
     body.append(geometry)
-    lanes = _add(body, "lanes")
-    section = _add(lanes, "laneSection", s="0")
-    _lane(_add(section, "left"), 1, road.lane_width, "solid")
-    _lane(_add(section, "center"), 0, None, "solid", "yellow")
-    _lane(_add(section, "right"), -1, road.lane_width, "solid")
-    _add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
-    _add(body, "userData", code=STEPS_CODE, value="1" if road.sampled else str(SAMPLES_PER_SEGMENT - 1))
+    lanes = add(body, "lanes")
+    section = add(lanes, "laneSection", s="0")
+    _lane(add(section, "left"), 1, road.lane_width, "solid")
+    _lane(add(section, "center"), 0, None, "solid", "yellow")
+    _lane(add(section, "right"), -1, road.lane_width, "solid")
+    add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
+    add(body, "userData", code=STEPS_CODE, value="1" if road.sampled else str(SAMPLES_PER_SEGMENT - 1))
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -128,11 +128,11 @@ def _plan_view(road: Road) -> tuple[ElementTree.Element, float]:
         v = coefficients @ np.array([-sin, cos])
         straight = np.abs(v).max() < _STRAIGHT
         length = float(math.hypot(*coefficients.sum(axis=0))) if straight else _arc_length(coefficients)
-        piece = _add(element, "geometry", s=s, x=start[0], y=start[1], hdg=heading, length=length)
+        piece = add(element, "geometry", s=s, x=start[0], y=start[1], hdg=heading, length=length)
         if straight:
-            _add(piece, "line")
+            add(piece, "line")
         else:
-            _add(
+            add(
                 piece, "paramPoly3", aU="0", bU=u[0], cU=u[1], dU=u[2], aV="0", bV="0", cV=v[1], dV=v[2],
                 pRange="normalized",
             )  # fmt: skip
@@ -168,18 +168,10 @@ def _arc_length(coefficients: NDArray[np.float64]) -> float:
 
 
 def _lane(side: ElementTree.Element, number: int, width: float | None, mark: str, colour: str = "white") -> None:
-    lane = _add(side, "lane", id=str(number), type="none" if width is None else "driving", level="false")
+    lane = add(side, "lane", id=str(number), type="none" if width is None else "driving", level="false")
     if width is not None:
-        _add(lane, "width", sOffset="0", a=width, b="0", c="0", d="0")
-    _add(
-        lane, "roadMark", sOffset="0", type=mark, weight="standard", color=colour, width=_MARK_WIDTH, laneChange="none"
-    )
-
-
-def _add(parent: ElementTree.Element, tag: str, **attributes: str | float) -> ElementTree.Element:
-    """Append an element; numbers are written so that every bit comes back."""
-    texts = {key: value if isinstance(value, str) else repr(float(value)) for key, value in attributes.items()}
-    return ElementTree.SubElement(parent, tag, texts)
+        add(lane, "width", sOffset="0", a=width, b="0", c="0", d="0")
+    add(lane, "roadMark", sOffset="0", type=mark, weight="standard", color=colour, width=_MARK_WIDTH, laneChange="none")
 
 
 def _printable(name: str) -> str:

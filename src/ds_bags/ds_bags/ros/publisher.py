@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterable
 from importlib import import_module
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -21,6 +19,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, QosDurability, 
 from rosgraph_msgs.msg import Clock
 
 from ds_bags.layout import printable
+from ds_sim.installation import share_folders
 from ds_sim.ros.runtime import init_ros
 
 QUEUE = 5000
@@ -132,14 +131,12 @@ def _message_class(connection: Connection) -> tuple[Any, str]:
 
 def _is_interface(package: str, kind: str) -> bool:
     """Check that a prefix of the workspace defines a message."""
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return any((Path(prefix) / "share" / package / "msg" / f"{kind}.msg").is_file() for prefix in prefixes if prefix)
+    return any((share / "msg" / f"{kind}.msg").is_file() for share in share_folders(package))
 
 
 def _installed_digest(package: str, kind: str) -> str:
     """Return the RIHS01 hash of an installed type, or "" if it is unknown."""
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        file = Path(prefix) / "share" / package / "msg" / f"{kind}.json"
+    for file in (share / "msg" / f"{kind}.json" for share in share_folders(package)):
         if file.is_file():
             hashes = json.loads(file.read_text()).get("type_hashes", [])
             name = f"{package}/msg/{kind}"

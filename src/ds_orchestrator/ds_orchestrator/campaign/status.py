@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -114,13 +114,13 @@ class CampaignRow:
     """
 
     folder: Path
-    driver: str
-    sha256: str
+    driver: str = ""
+    sha256: str = ""
     changed: str
     state: str
-    drives: int
-    drives_at_most: int
-    failures: dict[str, tuple[int, int]]
+    drives: int = 0
+    drives_at_most: int = 0
+    failures: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def campaigns_below(folder: Path) -> Iterator[CampaignRow]:
@@ -152,10 +152,7 @@ def _row(folder: Path) -> CampaignRow:
             made, current = store.results().get("report"), store.count_results()
             sha256 = store.notes().get(DRIVER_SHA256, "")
     except (StoreError, ConfigError, OSError) as error:
-        return CampaignRow(
-            folder=folder, driver="", sha256="", changed=written, state=str(error), drives=0, drives_at_most=0,
-            failures={},
-        )  # fmt: skip
+        return CampaignRow(folder=folder, changed=written, state=str(error))
     tally = dict.fromkeys(config.simulators, (0, 0))
     for (simulator, outcome), number in counts.items():
         failures, drives = tally[simulator]
