@@ -16,7 +16,7 @@ import typer
 from tests.campaign.engines import MadeUpEngine
 from tests.command_line import ds
 
-from ds_analysis.comparison.criteria import Criteria
+from ds_analysis.comparison.ci_results import Criteria
 from ds_cli.campaign.run import judged
 from ds_cli.output import Result, end
 from ds_driver.closed_loop.drive_request import DriveRequest

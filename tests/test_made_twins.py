@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.prediction.budget_scores import SEED, Case, score
-from benchmarks.prediction.budget_tables import pooled
-from benchmarks.prediction.drive_learners import RATE, SHIFT_SCALE, SHIFTED, learned
+from benchmarks.prediction.budget_scores import RATE, SEED, SHIFT_SCALE, SHIFTED, Case, learned, pooled, score
 from benchmarks.prediction.made_twins import EVERY, OUTSIDE, WIDE, WITHIN, made_twin
 from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Runs, cases_of, draw_tests
 from scipy.stats import bernoulli, beta, norm
 
-from ds_analysis.paper.simulator_agreement import DrivenRoad
-from ds_analysis.prediction.outcome_table import table_of_outcomes
-from ds_analysis.siblings.outcomes import Outcomes
+from ds_analysis.common.driven_road import DrivenRoad
+from ds_analysis.common.outcome_table import OutcomeTable, State
 from ds_road import generate
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.registry import SimulatorName, make_simulator
@@ -56,10 +53,8 @@ def test_a_twin_is_scored_and_outcomes_of_drives_count_for_every_predictor(monke
     rng = np.random.default_rng(3)
     roads = tuple(generate(rng, max_angle=200) for _ in range(16))
     failed = np.column_stack((rng.random((16, 3)) < 0.3, np.ones(16, bool)))
-    outcomes = Outcomes(
-        simulators=("a", "b", "c", "d"), roads=roads, failed=failed, lateral=np.where(failed, 2.0, 1.2), profiles={}
-    )
-    table = table_of_outcomes(outcomes, twin="d")
+    states = np.where(failed, State.FAILED, State.COMPLETED).astype(np.int8)
+    table = OutcomeTable.of(roads, states, np.where(failed, 2.0, 1.2), siblings=("a", "b", "c"), twin="d")
     found = score(Case(network="none", group="made", name="d", outside="", table=table, clusters=table.test_ids))
     driven = failed[:, :3].mean(axis=1)
     assert found.plain["mean"] == pytest.approx((driven - 1.0) ** 2)

@@ -13,13 +13,11 @@ import argparse
 from contextlib import closing
 from pathlib import Path
 
-from benchmarks.prediction.budget_scores import BUDGETS, Case, Scored, score
-from benchmarks.prediction.budget_tables import tables_of
+from benchmarks.prediction.budget_scores import BUDGETS, Case, Scored, score, tables_of
 from rich.console import Console
 
+from ds_analysis.common.outcome_table import table_of_campaign
 from ds_analysis.common.table import write_tables
-from ds_analysis.prediction.outcome_table import table_of_campaign
-from ds_analysis.prediction.sources import as_population
 from ds_cli.output import countdown, say
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 
@@ -33,7 +31,7 @@ def cases_of(folder: Path) -> list[Case]:
     """
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
-    whole = as_population(table_of_campaign(data))
+    whole = table_of_campaign(data).as_population()
     table = whole.select(whole.on_siblings)
     return [
         Case(

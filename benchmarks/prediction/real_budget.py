@@ -30,15 +30,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from benchmarks.prediction.budget_scores import BUDGETS, SEED, Case, Scored, score
-from benchmarks.prediction.budget_tables import tables_of
+from benchmarks.prediction.budget_scores import BUDGETS, SEED, Case, Scored, score, tables_of
 from benchmarks.prediction.made_twins import CAMERA, MadeTwin, made_twin
 from rich.console import Console
 
+from ds_analysis.common.driven_road import DrivenRoad
+from ds_analysis.common.outcome_table import OutcomeTable, table_of_runs
 from ds_analysis.common.table import write_tables
-from ds_analysis.paper.simulator_agreement import DrivenRoad
-from ds_analysis.prediction.outcome_table import OutcomeTable, table_of_outcomes
-from ds_analysis.siblings.outcomes import Outcomes
 from ds_cli.output import say
 from ds_cli.progress import ScreenListener
 from ds_driver.closed_loop.success_rate import unseen_roads
@@ -175,17 +173,10 @@ def _table(
     columns = [[of[k] for k in rows] for of in runs]
     if any(run is None for of in columns for run in of):
         return None
-    found = [(k, [run for run in of if run is not None]) for k, *of in zip(rows, *columns, strict=True)]
-    judged = [(k, of) for k, of in found if all(run.outcome.is_verdict for run in of)]
-    outcomes = Outcomes(
-        simulators=(*(f"sibling {k}" for k in range(1, len(runs))), twin),
-        roads=tuple(tests[k].road for k, _ in judged),
-        failed=np.array([[run.outcome.is_failure for run in of] for _, of in judged], np.bool_),
-        lateral=np.array([[run.max_lateral_position for run in of] for _, of in judged]),
-        profiles={},
-        conditions=tuple(tests[k].conditions for k, _ in judged),
-    )
-    return table_of_outcomes(outcomes, twin=twin)
+    names = (*(f"sibling {k}" for k in range(1, len(runs))), twin)
+    known = {name: [run for run in of if run is not None] for name, of in zip(names, columns, strict=True)}
+    table = table_of_runs(known, conditions=[tests[k].conditions for k in rows])
+    return table.judged().with_twin(twin)
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ import pytest
 from report_campaigns import make_campaign, make_tests
 from tests.campaign.test_unusable_folders import Ds, content, ds
 
-from ds_analysis.prediction.outcome_table import OutcomeTableError, table_of_comparison
+from ds_analysis.common.outcome_table import OutcomeTableError, table_of_comparison
 from ds_analysis.prediction.real.proposal import read_proposed
 from ds_analysis.prediction.real.records import RecordError, read_csv, read_drives
 from ds_driver.whole_files import write_whole

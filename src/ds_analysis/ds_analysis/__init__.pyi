@@ -1,32 +1,55 @@
+from .common.driven_road import DrivenRoad
 from .common.heatmap import draw_map, write_maps
-from .common.paired_statistics import PairedCounts, adjusted, difference_interval
-from .common.table import Table, write_tables
-from .comparison.analysis import CellComparison, Comparison, SimulatorComparison, compare_networks
-from .comparison.criteria import Criteria, MaxFailures
-from .comparison.drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
-from .comparison.markdown import markdown_of
-from .comparison.summary import advice_of, answer_of, cautions_of, sentences_of
-from .paper.campaign_evaluation import maps_of
-from .paper.correlation import Correlation, PairedDifference, correlate, evaluate, paired_differences
-from .paper.robustness_checks import RobustnessCheck, check_robustness
-from .paper.simulator_agreement import DrivenRoad, PairComparison
-from .prediction.coverage import CellForecast, forecast_cells
-from .prediction.outcome_table import (
+from .common.outcome_table import (
+    ROAD_FEATURES,
     OutcomeTable,
     OutcomeTableError,
     State,
+    read_table,
     table_of_campaign,
     table_of_comparison,
-    table_of_outcomes,
+    table_of_runs,
 )
+from .common.table import Table, write_tables
+from .comparison.analysis import (
+    CellComparison,
+    Comparison,
+    SimulatorComparison,
+    advice_of,
+    answer_of,
+    cautions_of,
+    compare_networks,
+    sentences_of,
+)
+from .comparison.ci_results import Criteria, MaxFailures
+from .comparison.paired_drives import (
+    ComparedTest,
+    ComparisonError,
+    DriveOutcome,
+    Network,
+    PairedCounts,
+    PairedDrive,
+    adjusted,
+    difference_interval,
+)
+from .comparison.tables import markdown_of
+from .paper.campaign_evaluation import maps_of
+from .paper.correlation import (
+    Correlation,
+    PairedDifference,
+    RobustnessCheck,
+    check_robustness,
+    correlate,
+    evaluate,
+    paired_differences,
+)
+from .paper.simulator_agreement import PairComparison
+from .prediction.calibration import CellForecast, SelfCheck, check_in_turn, forecast_cells
 from .prediction.predictor_scores import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
-from .prediction.self_check import SelfCheck, check_in_turn
 from .prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
 from .prediction.verdicts import CellVerdict, TestVerdict, Verdicts, judge
+from .siblings.added_information import AddedInformation, Baseline
 from .siblings.analysis import SiblingAnalysis, analyse, analysis_tables
-from .siblings.baseline import Baseline
-from .siblings.information import AddedInformation
-from .siblings.outcomes import ROAD_FEATURES, Outcomes, outcomes_of_campaign, outcomes_of_runs
 from .siblings.residuals import ResidualCorrelation
 
 __all__ = [
@@ -47,7 +70,6 @@ __all__ = [
     "Network",
     "OutcomeTable",
     "OutcomeTableError",
-    "Outcomes",
     "PairComparison",
     "PairedCounts",
     "PairedDifference",
@@ -84,14 +106,13 @@ __all__ = [
     "judge",
     "maps_of",
     "markdown_of",
-    "outcomes_of_campaign",
-    "outcomes_of_runs",
     "paired_differences",
     "predict_twin",
+    "read_table",
     "sentences_of",
     "table_of_campaign",
     "table_of_comparison",
-    "table_of_outcomes",
+    "table_of_runs",
     "write_maps",
     "write_tables",
 ]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ds_analysis.comparison.drives import ComparedTest, DriveOutcome, Network, PairedDrive
+from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_road import generate
 from ds_sim.simulator import Outcome
 

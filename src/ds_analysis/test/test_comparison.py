@@ -12,14 +12,24 @@ import pytest
 from compared_drives import NEW, OLD, outcome, pairs
 from scipy.stats import binomtest
 
-from ds_analysis.common.paired_statistics import PairedCounts, adjusted, difference_interval, fewest_changes
-from ds_analysis.comparison.analysis import Comparison, compare_networks
-from ds_analysis.comparison.criteria import Criteria, MaxFailures
-from ds_analysis.comparison.drives import ComparedTest, PairedDrive
-from ds_analysis.comparison.junit import cases_of, junit_of
-from ds_analysis.comparison.markdown import markdown_of
-from ds_analysis.comparison.summary import advice_of, answer_of, cautions_of, sentences_of
-from ds_analysis.comparison.tables import cell_table, document_of, drive_table, simulator_table
+from ds_analysis.comparison.analysis import (
+    Comparison,
+    advice_of,
+    answer_of,
+    cautions_of,
+    compare_networks,
+    sentences_of,
+)
+from ds_analysis.comparison.ci_results import Criteria, MaxFailures, cases_of, junit_of
+from ds_analysis.comparison.paired_drives import (
+    ComparedTest,
+    PairedCounts,
+    PairedDrive,
+    adjusted,
+    difference_interval,
+    fewest_changes,
+)
+from ds_analysis.comparison.tables import cell_table, document_of, drive_table, markdown_of, simulator_table
 from ds_orchestrator.campaign.config import ConfigError
 from ds_report.comparison_page import colour_of_difference, grids_of, write_comparison_page
 

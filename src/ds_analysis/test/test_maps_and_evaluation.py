@@ -15,8 +15,7 @@ from scipy.stats import beta
 from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.common.statistics import Array
-from ds_analysis.paper.correlation import correlate, evaluate, paired_differences
-from ds_analysis.paper.robustness_checks import check_robustness
+from ds_analysis.paper.correlation import check_robustness, correlate, evaluate, paired_differences
 from ds_orchestrator.maps.algebra import apply, jeffreys_interval, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json

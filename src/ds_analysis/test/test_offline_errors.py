@@ -11,13 +11,7 @@ from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
 from ds_analysis.paper.open_loop import ErrorsError, architecture_of, predict
 from ds_analysis.paper.paper_tables import error_tables
-from ds_analysis.paper.steering_error_stats import (
-    check_error_robustness,
-    cohens_d,
-    compare_errors,
-    densities,
-    shares,
-)
+from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
 from ds_driver.data.dataset import write_drive
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_sim.camera.encodings import jpeg

@@ -12,14 +12,8 @@ import pytest
 from rich.console import Console
 
 from ds_analysis.common.table import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
-from ds_analysis.paper.correlation import Correlation, PairedDifference
-from ds_analysis.paper.paper_tables import (
-    correlation_tables,
-    paired_difference_table,
-    robustness_table,
-    role_of,
-)
-from ds_analysis.paper.robustness_checks import RobustnessCheck
+from ds_analysis.paper.correlation import Correlation, PairedDifference, RobustnessCheck
+from ds_analysis.paper.paper_tables import correlation_tables, paired_difference_table, robustness_table, role_of
 from ds_orchestrator.maps.feature_map import MapId
 
 TABLE = Table(

@@ -15,8 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from report_campaigns import make_campaign
 
-from ds_analysis.interchange.columns import EXECUTIONS, FRAMES
-from ds_analysis.interchange.parquet import write_tables
+from ds_analysis.common.parquet import EXECUTIONS, FRAMES, write_tables
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_road import read_roads

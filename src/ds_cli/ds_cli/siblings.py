@@ -31,9 +31,10 @@ from ds_cli.options import (
 from ds_cli.output import Result, end, number, say, stopped_in
 
 if TYPE_CHECKING:
-    from ds_analysis.paper.simulator_agreement import DrivenRoad, PairComparison
+    from ds_analysis.common.driven_road import DrivenRoad
+    from ds_analysis.common.outcome_table import OutcomeTable
+    from ds_analysis.paper.simulator_agreement import PairComparison
     from ds_analysis.siblings.analysis import SiblingAnalysis
-    from ds_analysis.siblings.outcomes import Outcomes
     from ds_road import Road, Side
 
 PICTURED = 6
@@ -82,9 +83,9 @@ def siblings_compare_command(
     that it adds about the twin beyond these features and the siblings before it. docs/evaluation.md says how each
     number is computed.
     """
+    from ds_analysis.common.outcome_table import table_of_runs
     from ds_analysis.paper.simulator_agreement import compare, summary
     from ds_analysis.siblings.analysis import analyse, outcome_rows
-    from ds_analysis.siblings.outcomes import outcomes_of_runs
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.engine import DriveSettings
@@ -104,10 +105,11 @@ def siblings_compare_command(
     folder = None if out is None else out / "drives"
     with stopped_in(folder):
         runs = drive_same_roads(settings, chosen, seed, folder, Progress(listen=ScreenListener, say=say))
-    pairs, outcomes = compare(runs), outcomes_of_runs(runs)
+    table = table_of_runs(runs)
+    pairs, judged = compare(table), table.judged()
     say("analysing")
     about = twin or (TWIN if TWIN in names else None)
-    found = analyse(outcomes, names if about is None else [about])
+    found = analyse(judged, names if about is None else [about])
     document: dict[str, Any] = {
         "driver": driver,
         "roads": len(chosen),
@@ -121,11 +123,11 @@ def siblings_compare_command(
             road.road_id: [name for name in names if runs[name][i].outcome.is_failure] for i, road in enumerate(chosen)
         },
         **found.document(),
-        "outcomes": outcome_rows(outcomes),
-        "left_out": outcomes.left_out,
+        "outcomes": outcome_rows(judged),
+        "left_out": len(table) - len(judged),
     }
     if out is not None:
-        _write(out, document, chosen, runs, outcomes, found)
+        _write(out, document, chosen, runs, table, found)
 
     def show() -> None:
         _show(document, pairs, found)
@@ -156,7 +158,7 @@ def _write(
     document: dict[str, Any],
     roads: Sequence[Road],
     runs: dict[str, list[DrivenRoad]],
-    outcomes: Outcomes,
+    table: OutcomeTable,
     found: SiblingAnalysis,
 ) -> None:
     """Write comparison.json, roads.json, tables and pictures."""
@@ -170,10 +172,11 @@ def _write(
     (out / "comparison.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
     ds_road.write_roads(list(roads), out / "roads.json")
     write_tables(analysis_tables(found), out)
-    if outcomes.roads:
-        (out / "failures.png").write_bytes(png(draw_failures(outcomes, found.feature)))
-        (out / "who_fails_where.png").write_bytes(png(draw_matrix(outcomes, found.feature)))
-    for rank, index in enumerate(most_different(runs, PICTURED)):
+    judged = table.judged()
+    if len(judged):
+        (out / "failures.png").write_bytes(png(draw_failures(judged, found.feature)))
+        (out / "who_fails_where.png").write_bytes(png(draw_matrix(judged, found.feature)))
+    for rank, index in enumerate(most_different(table, PICTURED)):
         paths = {name: of[index].path for name, of in runs.items()}
         (out / f"most_different_{rank + 1}.png").write_bytes(png(ds_road.draw(roads[index], trajectories=paths)))
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from ds_analysis.common.table import read_tables, write_tables
 from ds_analysis.paper.campaign_evaluation import (
     correlations_of,
+    excluded_table,
     maps_of,
     network_of,
     paired_differences_of,
     tables_of,
     write_correlations,
 )
-from ds_analysis.paper.exclusions import excluded_table
 from ds_driver import whole_files
 from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json

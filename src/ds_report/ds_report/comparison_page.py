@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ds_analysis.common.heatmap import COLOURS, Rgb, ink_on
-from ds_analysis.comparison.analysis import CellComparison, Comparison
-from ds_analysis.comparison.drives import PairedDrive
-from ds_analysis.comparison.summary import advice_of, answer_of, cautions_of, sentences_of
+from ds_analysis.common.chart import Rgb
+from ds_analysis.common.heatmap import COLOURS, ink_on
+from ds_analysis.comparison.analysis import CellComparison, Comparison, advice_of, answer_of, cautions_of, sentences_of
+from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.search.features import feature_of

@@ -8,7 +8,7 @@ from typing import Any
 import plotly.graph_objects as go
 
 from ds_analysis.common.table import Table
-from ds_analysis.paper import paper_results as paper_numbers
+from ds_analysis.paper import paper_tables as paper_numbers
 from ds_analysis.paper.correlation import Correlation
 from ds_analysis.paper.paper_tables import Network, role_of
 from ds_road.picture import PALETTE

@@ -9,17 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from ds_analysis.common.heatmap import bounds_of, draw_map
+from ds_analysis.common.outcome_table import OutcomeTableError, table_of_campaign
 from ds_analysis.common.table import Table
-from ds_analysis.prediction.outcome_table import OutcomeTableError, table_of_campaign
+from ds_analysis.prediction.calibration import check_in_turn
 from ds_analysis.prediction.real.records import RecordError, read_drives
 from ds_analysis.prediction.real.update import margin_drives
-from ds_analysis.prediction.self_check import check_in_turn
-from ds_analysis.prediction.sources import as_population
-from ds_analysis.prediction.span import span_of
-from ds_analysis.prediction.twin_prediction import predict_twin
+from ds_analysis.prediction.twin_prediction import predict_twin, span_of
 from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts, judge
 from ds_analysis.siblings.analysis import analyse, analysis_tables
-from ds_analysis.siblings.outcomes import outcomes_of_campaign
 from ds_analysis.siblings.pictures import draw_failures, draw_matrix
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
@@ -72,12 +69,12 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     """
     try:
         drives = read_drives(folder)
-        table = as_population(table_of_campaign(data))
+        table = table_of_campaign(data).as_population()
         prediction = predict_twin(table)
         prediction = prediction.updated(margin_drives(table, drives))
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
-    verdicts = judge(table, prediction, tuple(data.config.features))
+    verdicts = judge(table, prediction)
     check = check_in_turn(table)
     titles = [feature_of(name).title for name in verdicts.features]
     return AnswerSection(
@@ -152,18 +149,20 @@ class SiblingSection:
 
 def sibling_section(data: CampaignData) -> SiblingSection | None:
     """Analyse the tests of a campaign that were driven on every simulator; None without any, or with one simulator."""
-    outcomes = outcomes_of_campaign(data)
-    if len(outcomes.simulators) < 2 or not outcomes.roads:
-        return None
     config = data.config
-    found = analyse(outcomes, [config.twin] if config.twin else config.siblings)
+    if len(config.simulators) < 2 or not data.verdicts:
+        return None
+    table = table_of_campaign(data).judged()
+    if not len(table):
+        return None
+    found = analyse(table, [config.twin] if config.twin else config.siblings)
     return SiblingSection(
-        roads=len(outcomes.roads),
+        roads=len(table),
         sentences=found.sentences,
         tables=analysis_tables(found),
         pictures=[
-            (f"Largest lateral position over {found.feature}", data_address(draw_failures(outcomes, found.feature))),
-            ("Who fails where", data_address(draw_matrix(outcomes, found.feature))),
+            (f"Largest lateral position over {found.feature}", data_address(draw_failures(table, found.feature))),
+            ("Who fails where", data_address(draw_matrix(table, found.feature))),
         ],
     )
 

@@ -81,6 +81,11 @@ def curvature(points: NDArray[np.float64]) -> float:
     return float(np.max(2.0 * double_area[bent] / sides[bent], initial=0.0))
 
 
+def arc_lengths(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances along a line of (n, 2) points from its first point to each of them, (n,), in the line's unit."""
+    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+
+
 def lane_curvature(lane_centre: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signed curvature of a lane, averaged over a window of `LANE_WINDOW` around each place, 1/m, right positive.
 

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ds_analysis.paper.simulator_agreement import DrivenRoad
+from ds_analysis.common.driven_road import DrivenRoad
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import GivenDrives, Progress, drive_tests
 from ds_orchestrator.store.model import Test

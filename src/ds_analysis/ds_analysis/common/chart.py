@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ COLOURS: tuple[Rgb, ...] = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 12
 WIDTH, LEFT = 1140, 78
 """Pixels of every panel, and of the space to the left of its axes."""
 _RIGHT, _TOP, _BOTTOM = 24, 42, 52
-_INK: Rgb = (40, 40, 40)
+INK: Rgb = (30, 30, 30)
 _FAINT: Rgb = (225, 225, 225)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
@@ -88,6 +90,22 @@ def _ticks(low: float, high: float) -> list[float]:
     return [round(i * step, 10) for i in range(first, last + 1)]
 
 
-def write(image: Picture, text: str, at: tuple[int, int], size: float) -> None:
-    """Write text with its start at a pixel of the baseline."""
-    cv2.putText(image, text, at, _FONT, size, _INK, 1, cv2.LINE_AA)
+def write(
+    image: Picture,
+    text: str,
+    at: tuple[int, int],
+    size: float,
+    *,
+    ink: Rgb = INK,
+    anchor: Literal["start", "middle", "end"] = "start",
+    thickness: int = 1,
+) -> None:
+    """Write text with its start, middle or end at a pixel of the baseline."""
+    width = text_width(text, size, thickness)
+    left = at[0] - {"start": 0, "middle": width // 2, "end": width}[anchor]
+    cv2.putText(image, text, (left, at[1]), _FONT, size, ink, thickness, cv2.LINE_AA)
+
+
+def text_width(text: str, size: float, thickness: int = 2) -> int:
+    """Width of a text, pixels."""
+    return int(cv2.getTextSize(text, _FONT, size, thickness)[0][0])

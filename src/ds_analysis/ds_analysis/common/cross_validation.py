@@ -13,14 +13,11 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logit
 from scipy.stats import rankdata
 
-from ds_analysis.common.families import Indices, are_alone, parts_of
+from ds_analysis.common.statistics import Array, Bools, Indices, are_alone, splits_of
 
-Array = NDArray[np.float64]
-Outcome = NDArray[np.bool_]
 Columns = Literal["best", "all"]
 """Predictors of a model: the single feature that separates the training roads best, or all features."""
 
@@ -77,7 +74,7 @@ class Predictions:
 
 def predict_failures(
     features: Array,
-    failed: Outcome,
+    failed: Bools,
     *,
     families: Indices | None = None,
     columns: Sequence[Columns] = ("best", "all"),
@@ -113,7 +110,7 @@ def predict_failures(
     return Predictions(probability=probability, folds=folds, chosen=chosen)
 
 
-def predict_with(predictions: Predictions, failed: Outcome, added: Array) -> Array:
+def predict_with(predictions: Predictions, failed: Bools, added: Array) -> Array:
     """Add predictors to predictions: a logistic model with the predicted logits as its offset.
 
     Training roads enter with logits from models that did not see them, as the roads that are predicted do. Of each
@@ -142,7 +139,7 @@ def predict_with(predictions: Predictions, failed: Outcome, added: Array) -> Arr
     return probability
 
 
-def bits(probability: Array, failed: Outcome) -> Array:
+def bits(probability: Array, failed: Bools) -> Array:
     """Mean logarithmic loss over the repeats: bits by which each outcome still surprises, (roads,)."""
     return np.asarray(-np.log2(np.where(failed, probability, 1.0 - probability)).mean(axis=0))
 
@@ -156,7 +153,7 @@ def bounded(probability: Array, roads: int) -> Array:
     return np.asarray(np.clip(probability, least, 1.0 - least))
 
 
-def folds_of(failed: Outcome, families: Indices, seed: int) -> Iterator[tuple[Indices, Indices]]:
+def folds_of(failed: Bools, families: Indices, seed: int) -> Iterator[tuple[Indices, Indices]]:
     """Divide roads into `FOLDS` parts; yields training and test indices.
 
     Roads that descend from each other stay in one part, drawn at random. Where none do, the parts have about the same
@@ -165,14 +162,12 @@ def folds_of(failed: Outcome, families: Indices, seed: int) -> Iterator[tuple[In
     from sklearn.model_selection import StratifiedKFold
 
     if not are_alone(families):
-        parts = parts_of(families, FOLDS, seed)
-        for part in np.unique(parts):
-            yield np.flatnonzero(parts != part), np.flatnonzero(parts == part)
-        return
-    yield from StratifiedKFold(FOLDS, shuffle=True, random_state=seed).split(failed, failed)
+        yield from splits_of(families, FOLDS, seed)
+    else:
+        yield from StratifiedKFold(FOLDS, shuffle=True, random_state=seed).split(failed, failed)
 
 
-def best_feature(features: Array, failed: Outcome) -> int:
+def best_feature(features: Array, failed: Bools) -> int:
     """Index of the feature with the largest AUC-ROC for failures, in whichever direction; the first of equal ones."""
     if failed.all() or not failed.any():
         return 0
@@ -180,7 +175,7 @@ def best_feature(features: Array, failed: Outcome) -> int:
     return int(np.argmax(np.round(np.maximum(auc, 1.0 - auc), 12)))
 
 
-def auc_roc(values: Array, failed: Outcome) -> Array:
+def auc_roc(values: Array, failed: Bools) -> Array:
     """Area under the ROC curve of each column of values, from ranks (Mann and Whitney); equal values count half."""
     failures = int(failed.sum())
     ranks = rankdata(values, axis=0)[failed].sum(axis=0) - failures * (failures + 1) / 2
@@ -188,7 +183,7 @@ def auc_roc(values: Array, failed: Outcome) -> Array:
 
 
 def _chosen(
-    models: Sequence[tuple[Columns, float]], features: Array, failed: Outcome, families: Indices, seed: int
+    models: Sequence[tuple[Columns, float]], features: Array, failed: Bools, families: Indices, seed: int
 ) -> tuple[tuple[Columns, float], Array]:
     """Choose the model with the smallest loss in a cross-validation, the first of equal ones.
 
@@ -205,7 +200,7 @@ def _chosen(
     return models[best], found[best]
 
 
-def _fitted(model: tuple[Columns, float], features: Array, failed: Outcome, others: Array) -> Array:
+def _fitted(model: tuple[Columns, float], features: Array, failed: Bools, others: Array) -> Array:
     """Fit a model to training roads, and predict the probability of failure on other roads."""
     from sklearn.linear_model import LogisticRegression
 
@@ -213,12 +208,12 @@ def _fitted(model: tuple[Columns, float], features: Array, failed: Outcome, othe
         return bounded(np.full(len(others), float(failed[0])), len(failed))
     columns, strength = model
     used = [best_feature(features, failed)] if columns == "best" else slice(None)
-    train, test = _standardised(features[:, used], others[:, used])
+    train, test = standardised(features[:, used], others[:, used])
     fit = LogisticRegression(C=strength, solver="newton-cholesky").fit(train, failed)
     return bounded(fit.predict_proba(test)[:, 1], len(train))
 
 
-def _standardised(train: Array, test: Array) -> tuple[Array, Array]:
+def standardised(train: Array, test: Array) -> tuple[Array, Array]:
     """Subtract the mean of the training roads and divide by their standard deviation, unless it is 0."""
     centre, scale = train.mean(axis=0), train.std(axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -234,7 +229,7 @@ def _new_parts(fold: Fold, added: Array) -> tuple[Array, Array]:
         np.column_stack((logits, added[roads]))
         for logits, roads in ((fold.known, fold.train), (fold.predicted, fold.test))
     )
-    train, test = _standardised(train, test)
+    train, test = standardised(train, test)
     new, new_test = [], []
     for k in range(added.shape[1]):
         before, at = _with_ones(train[:, : k + 1]), _with_ones(test[:, : k + 1])

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ds_analysis.common.chart import INK, Picture, Rgb, text_width, write
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, slices_of
-from ds_orchestrator.search.features import feature_of
+from ds_orchestrator.search.features import Cell, feature_of
 from ds_sim.camera.encodings import png
 from ds_sim.registry import label_of
 
 Value = Literal["probability", "quality_loss"]
-Rgb = tuple[int, int, int]
 
 VALUE_TITLES: dict[Value, str] = {
     "probability": "failure probability",
@@ -30,10 +29,8 @@ COLOURS: tuple[Rgb, Rgb, Rgb] = ((120, 198, 121), (254, 224, 130), (178, 24, 43)
 """Colours at 0, 0.5 and 1: green to red (paper 4.4.2); the red end is darker, so that the order survives in grey."""
 EMPTY: Rgb = (240, 240, 240)
 _HATCH: Rgb = (205, 205, 205)
-_INK: Rgb = (30, 30, 30)
 _PALE: Rgb = (250, 250, 250)
-_GRID: Rgb = (150, 150, 150)
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+GRID: Rgb = (150, 150, 150)
 _CELL_WIDTH, _CELL_HEIGHT = 60, 34
 _LEFT, _TOP, _RIGHT, _BOTTOM = 72, 66, 78, 52
 _BAR_WIDTH, _BAR_HEIGHT = 16, 160
@@ -64,7 +61,11 @@ class Bounds:
 
 def bounds_of(maps: Iterable[FeatureMap]) -> Bounds:
     """Compute the smallest bounds with every filled cell of all maps, so that pictures are comparable cell by cell."""
-    cells = {cell for feature_map in maps for cell in (*feature_map.cells, *feature_map.excluded)} or {(0, 0)}
+    return bounds_of_cells([cell for one in maps for cell in (*one.cells, *one.excluded)] or [(0, 0)])
+
+
+def bounds_of_cells(cells: Sequence[Cell]) -> Bounds:
+    """Compute the smallest bounds with some cells, at least one."""
     turns, curvature = [cell[0] for cell in cells], [cell[1] for cell in cells]
     return Bounds(turns=(min(turns), max(turns)), curvature=(min(curvature), max(curvature)))
 
@@ -80,10 +81,10 @@ def ink_on(colour: Rgb) -> Rgb:
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
     luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
     # Both contrasts are equal where (luminance + 0.05)^2 = 1.05 x 0.063; 0.063 belongs to the dark ink.
-    return _INK if luminance > 0.207 else _PALE
+    return INK if luminance > 0.207 else _PALE
 
 
-def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArray[np.uint8]:
+def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Picture:
     """Draw one value of a feature map.
 
     Every filled cell shows its value and its number of tests; cells without tests are hatched. Tests that the gates
@@ -99,29 +100,53 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> NDArra
     """
     excluded = sum(feature_map.excluded.values())
     titles = (feature_map.title, VALUE_TITLES[value] + (f"; -n: excluded, {excluded} in all" if excluded else ""))
-    grid_width = _CELL_WIDTH * len(bounds.columns)
-    grid_height = _CELL_HEIGHT * len(bounds.rows)
-    title_width = max(_text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
+
+    def draw(patch: Picture, cell: Cell) -> None:
+        _draw_cell(patch, feature_map.cells.get(cell), value, feature_map.excluded.get(cell, 0))
+
+    image = draw_grid(titles, feature_map.features, bounds, (_CELL_WIDTH, _CELL_HEIGHT), draw)
+    _draw_colour_bar(image, (_LEFT + _CELL_WIDTH * len(bounds.columns) + 18, _TOP + 8))
+    return image
+
+
+def draw_grid(
+    titles: tuple[str, str],
+    features: Sequence[str],
+    bounds: Bounds,
+    size: tuple[int, int],
+    draw: Callable[[Picture, Cell], None],
+) -> Picture:
+    """Draw the cells over two features, with the features' labels, and room for a colour bar to the right.
+
+    Args:
+        titles: heading, and a line below it.
+        features: names of the features.
+        bounds: part of the feature space to show.
+        size: width and height of a cell, pixels.
+        draw: called with the (height + 1, width + 1, 3) pixels of each cell and the cell.
+
+    Returns:
+        (rows, columns, 3) uint8 RGB.
+    """
+    wide, high = size
+    grid_width, grid_height = wide * len(bounds.columns), high * len(bounds.rows)
+    title_width = max(text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
     width = max(_LEFT + grid_width + _RIGHT, title_width + 24)
-    height = _TOP + max(grid_height, _BAR_HEIGHT + 40) + _BOTTOM
-    image = np.full((height, width, 3), 255, np.uint8)
-    _write(image, titles[0], (12, 24), 0.6, thickness=2)
-    _write(image, titles[1], (12, 46), 0.5)
-    for column, turns in enumerate(bounds.columns):
-        for row, curvature in enumerate(bounds.rows):
-            corner = (_LEFT + column * _CELL_WIDTH, _TOP + row * _CELL_HEIGHT)
-            cell = (turns, curvature)
-            _draw_cell(image, corner, feature_map.cells.get(cell), value, feature_map.excluded.get(cell, 0))
-    across, upwards = (feature_of(name) for name in feature_map.features[:2])
-    for column, turns in enumerate(bounds.columns):
-        middle = _LEFT + column * _CELL_WIDTH + _CELL_WIDTH // 2
-        _write(image, across.label(turns), (middle, _TOP + grid_height + 18), 0.45, anchor="middle")
-    for row, curvature in enumerate(bounds.rows):
-        baseline = _TOP + row * _CELL_HEIGHT + _CELL_HEIGHT // 2 + 5
-        _write(image, upwards.label(curvature), (_LEFT - 8, baseline), 0.42, anchor="end")
-    _write(image, across.title, (_LEFT + grid_width // 2, _TOP + grid_height + 40), 0.45, anchor="middle")
+    image = np.full((_TOP + max(grid_height, _BAR_HEIGHT + 40) + _BOTTOM, width, 3), 255, np.uint8)
+    write(image, titles[0], (12, 24), 0.6, thickness=2)
+    write(image, titles[1], (12, 46), 0.5)
+    across, upwards = (feature_of(name) for name in features[:2])
+    for column, a in enumerate(bounds.columns):
+        for row, b in enumerate(bounds.rows):
+            left, top = _LEFT + column * wide, _TOP + row * high
+            draw(image[top : top + high + 1, left : left + wide + 1], (a, b))
+        middle = _LEFT + column * wide + wide // 2
+        write(image, across.label(a), (middle, _TOP + grid_height + 18), 0.45, anchor="middle")
+    for row, b in enumerate(bounds.rows):
+        baseline = _TOP + row * high + high // 2 + 5
+        write(image, upwards.label(b), (_LEFT - 8, baseline), 0.42, anchor="end")
+    write(image, across.title, (_LEFT + grid_width // 2, _TOP + grid_height + 40), 0.45, anchor="middle")
     _write_upwards(image, upwards.title, (8, _TOP + grid_height // 2))
-    _draw_colour_bar(image, (_LEFT + grid_width + 18, _TOP + 8))
     return image
 
 
@@ -149,75 +174,52 @@ def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
         _save(folder / "overview.png", np.vstack(rows))
 
 
-def _save(path: Path, image: NDArray[np.uint8]) -> None:
+def _save(path: Path, image: Picture) -> None:
     write_whole(path, png(image))
 
 
-def _draw_cell(
-    image: NDArray[np.uint8], corner: tuple[int, int], cell: MapCell | None, value: Value, excluded: int
-) -> None:
+def _draw_cell(patch: Picture, cell: MapCell | None, value: Value, excluded: int) -> None:
     """Draw a coloured cell with its numbers, or a hatched one if it is empty."""
-    left, top = corner
-    middle = left + _CELL_WIDTH // 2
+    middle = _CELL_WIDTH // 2
     apart = f"-{excluded}" if excluded else ""
-    patch = image[top : top + _CELL_HEIGHT, left : left + _CELL_WIDTH]
+    inside = patch[:_CELL_HEIGHT, :_CELL_WIDTH]
     if cell is None:
-        patch[:] = EMPTY
+        inside[:] = EMPTY
         for offset in range(-_CELL_HEIGHT, _CELL_WIDTH, 10):
-            cv2.line(patch, (offset, _CELL_HEIGHT), (offset + _CELL_HEIGHT, 0), _HATCH, 1, cv2.LINE_AA)
-        _write(image, apart, (middle, top + 29), 0.33, anchor="middle")
+            cv2.line(inside, (offset, _CELL_HEIGHT), (offset + _CELL_HEIGHT, 0), _HATCH, 1, cv2.LINE_AA)
+        write(patch, apart, (middle, 29), 0.33, anchor="middle")
     else:
         number = float(getattr(cell, value))
         colour = colour_of(number)
         ink = ink_on(colour)
-        patch[:] = colour
-        _write(image, f"{number:.2f}", (middle, top + 17), 0.5, ink=ink, anchor="middle")
-        _write(image, f"n={cell.tests} {apart}".rstrip(), (middle, top + 29), 0.33, ink=ink, anchor="middle")
-    cv2.rectangle(image, (left, top), (left + _CELL_WIDTH, top + _CELL_HEIGHT), _GRID, 1)
+        inside[:] = colour
+        write(patch, f"{number:.2f}", (middle, 17), 0.5, ink=ink, anchor="middle")
+        write(patch, f"n={cell.tests} {apart}".rstrip(), (middle, 29), 0.33, ink=ink, anchor="middle")
+    cv2.rectangle(patch, (0, 0), (_CELL_WIDTH, _CELL_HEIGHT), GRID, 1)
 
 
-def _draw_colour_bar(image: NDArray[np.uint8], corner: tuple[int, int]) -> None:
+def _draw_colour_bar(image: Picture, corner: tuple[int, int]) -> None:
     """Draw the colours from 1 at the top to 0 at the bottom, and a sample of an empty cell."""
     left, top = corner
     for row in range(_BAR_HEIGHT):
         image[top + row, left : left + _BAR_WIDTH] = colour_of(1.0 - row / (_BAR_HEIGHT - 1))
-    cv2.rectangle(image, (left, top), (left + _BAR_WIDTH, top + _BAR_HEIGHT), _GRID, 1)
+    cv2.rectangle(image, (left, top), (left + _BAR_WIDTH, top + _BAR_HEIGHT), GRID, 1)
     for number in (0.0, 0.5, 1.0):
         baseline = top + round((1.0 - number) * _BAR_HEIGHT) + 4
-        _write(image, f"{number:g}", (left + _BAR_WIDTH + 5, baseline), 0.4)
+        write(image, f"{number:g}", (left + _BAR_WIDTH + 5, baseline), 0.4)
     patch = image[top + _BAR_HEIGHT + 10 :, left:][:_BAR_WIDTH, :_BAR_WIDTH]
     patch[:] = EMPTY
     for offset in (-8, 0, 8):
         cv2.line(patch, (offset, _BAR_WIDTH), (offset + _BAR_WIDTH, 0), _HATCH, 1, cv2.LINE_AA)
-    cv2.rectangle(patch, (0, 0), (_BAR_WIDTH - 1, _BAR_WIDTH - 1), _GRID, 1)
-    _write(image, "no", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 18), 0.33)
-    _write(image, "test", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 28), 0.33)
+    cv2.rectangle(patch, (0, 0), (_BAR_WIDTH - 1, _BAR_WIDTH - 1), GRID, 1)
+    write(image, "no", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 18), 0.33)
+    write(image, "test", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 28), 0.33)
 
 
-def _text_width(text: str, scale: float, thickness: int = 2) -> int:
-    return int(cv2.getTextSize(text, _FONT, scale, thickness)[0][0])
-
-
-def _write(
-    image: NDArray[np.uint8],
-    text: str,
-    at: tuple[int, int],
-    scale: float,
-    *,
-    ink: Rgb = _INK,
-    anchor: Literal["start", "middle", "end"] = "start",
-    thickness: int = 1,
-) -> None:
-    """Write text with its start, middle or end at a pixel of the baseline."""
-    width = _text_width(text, scale, thickness)
-    left = at[0] - {"start": 0, "middle": width // 2, "end": width}[anchor]
-    cv2.putText(image, text, (left, at[1]), _FONT, scale, ink, thickness, cv2.LINE_AA)
-
-
-def _write_upwards(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
+def _write_upwards(image: Picture, text: str, at: tuple[int, int]) -> None:
     """Write text rotated by 90 degrees, centred beside a pixel."""
-    strip = np.full((18, _text_width(text, 0.45) + 4, 3), 255, np.uint8)
-    _write(strip, text, (2, 13), 0.45)
+    strip = np.full((18, text_width(text, 0.45) + 4, 3), 255, np.uint8)
+    write(strip, text, (2, 13), 0.45)
     turned = cv2.rotate(strip, cv2.ROTATE_90_COUNTERCLOCKWISE)
     top = min(max(at[1] - turned.shape[0] // 2, 0), image.shape[0] - turned.shape[0])
     image[top : top + turned.shape[0], at[0] : at[0] + turned.shape[1]] = turned

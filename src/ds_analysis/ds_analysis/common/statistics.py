@@ -1,9 +1,9 @@
-"""Statistics of two maps over the cells that both fill: correlation, precision-recall and their bootstrap intervals."""
+"""Statistics of maps over the cells that both fill, and of families of tests, with their bootstrap intervals."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,13 @@ from scipy.stats import ConstantInputWarning, DegenerateDataWarning, NearConstan
 from ds_orchestrator.maps.algebra import LEVEL
 from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.search.features import Cell
+from ds_road import Road
+from ds_road.generation import GENES
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+Interval = tuple[float, float]
 
 RESAMPLES = 1000
 """Resamples of a bootstrap; chosen: ends of an interval are accurate to about a tenth of its width, in 1 s."""
@@ -164,3 +169,65 @@ def bootstrap_interval(
     if high - low < _NO_WIDTH and abs(abs(high) - 1.0) < _NO_WIDTH:
         return None
     return float(low), float(high)
+
+
+def families_of(roads: Sequence[Road]) -> Indices:
+    """Number the families of tests by the root of mutation of their roads.
+
+    Mutation moves the control points `GENES` alone (`ds_road.mutate`), or a condition. The others stay bit for bit
+    those of the root, which differ between random roads: equal ones tell a family, and no pedigree need be stored.
+
+    Args:
+        roads: (tests,) roads.
+
+    Returns:
+        (tests,) numbers from 0, in the order of first appearance.
+    """
+    numbers: dict[object, int] = {}
+    return np.array([numbers.setdefault(_kept_by_mutation(road), len(numbers)) for road in roads], np.intp)
+
+
+def are_alone(families: Indices) -> bool:
+    """Whether every test is a family of its own, as random roads are."""
+    return len(np.unique(families)) == len(families)
+
+
+def parts_of(families: Indices, parts: int, seed: int) -> Indices:
+    """Divide families at random into parts, or into as many as there are families; (tests,) number of the part."""
+    known, member = np.unique(families, return_inverse=True)
+    order = np.random.default_rng(seed).permutation(len(known))
+    return np.asarray((order % min(parts, len(known)))[member])
+
+
+def splits_of(families: Indices, parts: int, seed: int) -> Iterator[tuple[Indices, Indices]]:
+    """Divide families as `parts_of` does; yields the tests of the other parts, for training, and those of each part."""
+    member = parts_of(families, parts, seed)
+    for part in np.unique(member):
+        yield np.flatnonzero(member != part), np.flatnonzero(member == part)
+
+
+def interval_over_families(
+    samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float], families: Indices
+) -> tuple[float, float] | None:
+    """Estimate a 95 % interval by a bootstrap over whole families; see `bootstrap_interval`.
+
+    Args:
+        samples: (tests,) values each.
+        statistic: of the samples.
+        families: (tests,) number of the family.
+    """
+    if are_alone(families):
+        return bootstrap_interval(samples, statistic, RESAMPLES)
+    rows = [np.flatnonzero(families == one) for one in np.unique(families)]
+
+    def of_families(drawn: NDArray[np.float64]) -> float:
+        picked = np.concatenate([rows[int(k)] for k in drawn])
+        return statistic(*(values[picked] for values in samples))
+
+    return bootstrap_interval((np.arange(len(rows), dtype=np.float64),), of_families, RESAMPLES)
+
+
+def _kept_by_mutation(road: Road) -> object:
+    if road.sampled:
+        return road.road_id  # has no control points to move
+    return road.lane, tuple(point for k, point in enumerate(road.control_points) if k not in GENES)

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import rich.box
 import rich.table
+from pydantic import Field, TypeAdapter, ValidationError
 from rich.console import Console
 from rich.text import Text
 
 from ds_driver.whole_files import write_json, write_whole
 from ds_road.bounded_file import read_regular
 
-Value = str | float | int | tuple[float, float] | None
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Value = str | Number | Annotated[int, Field(ge=-(2**53), le=2**53)] | tuple[Number, Number] | None
 """None is a missing number, a pair an interval."""
 Style = Literal["text", "count", "number", "small", "p"]
 """number: three digits after the point; small: five."""
@@ -138,6 +138,9 @@ class Table:
         console.print(table)
 
 
+_KEPT = TypeAdapter(list[Table])
+
+
 def shown(value: Value, style: Style) -> str:
     """Format a value for reading; "" if it is missing."""
     if value is None:
@@ -197,45 +200,15 @@ def read_tables(path: Path) -> list[Table]:
         TablesError: the file does not hold tables.
     """
     try:
-        return [
-            _checked(
-                name=found["name"],
-                title=found["title"],
-                columns=[Column(**column) for column in found["columns"]],
-                rows=[[tuple(v) if isinstance(v, list) else v for v in row] for row in found["rows"]],
-                notes=found["notes"],
-            )
-            for found in json.loads(read_regular(path, _LARGEST_FILE, follow_links=False))
-        ]
+        tables = _KEPT.validate_json(read_regular(path, _LARGEST_FILE, follow_links=False))
+        if any(len(row) != len(table.columns) for table in tables for row in table.rows):
+            raise ValueError("a row has another length than the columns")
     except FileNotFoundError:
         return []
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise TablesError(f"{path} cannot be read ({error}): remove it, or give `ds evaluate` --data again") from None
-
-
-def _checked(*, name: object, title: object, columns: list[Column], rows: list[list[Any]], notes: list[Any]) -> Table:
-    """Create a table from values that a file holds.
-
-    Raises:
-        ValueError: a value has the wrong type, or a row another length than the columns.
-    """
-    if not all(isinstance(text, str) for text in (name, title, *notes, *(column.name for column in columns))):
-        raise ValueError("a name, title or note is not text")
-    if any(column.style not in get_args(Style) for column in columns):
-        raise ValueError("a column has an unknown style")
-    if any(len(row) != len(columns) for row in rows):
-        raise ValueError("a row has another length than the columns")
-    for value in (value for row in rows for value in row):
-        parts = value if isinstance(value, tuple) else (value,)
-        if not (value is None or isinstance(value, str) or all(_is_finite(part) for part in parts)):
-            raise ValueError("a value is neither text, a finite number nor an interval")
-        if isinstance(value, tuple) and len(value) != 2:
-            raise ValueError("an interval does not have two ends")
-    return Table(name=str(name), title=str(title), columns=columns, rows=rows, notes=notes)
-
-
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and abs(value) <= sys.float_info.max
+    except (OSError, ValueError) as error:
+        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
+        raise TablesError(f"{path} cannot be read ({reason}): remove it, or give `ds evaluate` --data again") from None
+    return tables
 
 
 def document_of(tables: Sequence[Table]) -> Mapping[str, Any]:

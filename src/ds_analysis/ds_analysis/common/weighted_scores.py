@@ -9,12 +9,10 @@ leaves such resamples out.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ds_analysis.common.statistics import Array, Indices
 from ds_orchestrator.maps.algebra import LEVEL
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 _NO_WIDTH = 1e-9
 """Width below which an interval is a single point."""
 _CONSTANT = 1e-18

@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_analysis.common.statistics import Array
 from ds_driver.data.recordings import RecordedFrame, Recording
 from ds_driver.networks.images import Crop
 
-Array = NDArray[np.float64]
 Answer = Callable[[RecordedFrame, Crop], float | None]
 """Computes steering, -1 full left to +1 full right, from a frame with an image; None if the driver does not answer."""
 WORST = 6

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -12,61 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from statsmodels.stats.inter_rater import cohens_kappa
 
-from ds_orchestrator.store.model import Execution
-from ds_road import Road
-from ds_sim.lane_tracker import LaneTracker
-from ds_sim.session import RunRecord
+from ds_analysis.common.driven_road import DrivenRoad
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import Array
 from ds_sim.simulator import Outcome
 
-GRID = 0.5
-"""Arc length between two places at which lateral positions are compared, m; chosen: the distance of two frames."""
 APART = 0.5
 """Distance from which two lateral positions count as apart, m; chosen: a quarter of half a lane."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DrivenRoad:
-    """What became of one road on one simulator.
-
-    Attributes:
-        road: the road.
-        outcome: how the run ended.
-        max_lateral_position: largest absolute lateral position of the run, m.
-        path: (frames, 2) positions, m.
-        profile: lateral positions along the lane; see `lateral_profile`.
-    """
-
-    road: Road
-    outcome: Outcome
-    max_lateral_position: float = 0.0
-    path: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
-    profile: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-
-    @classmethod
-    def of_run(cls, run: RunRecord) -> DrivenRoad:
-        """Take what matters from a run."""
-        arc = np.array([o.lane.arc_length for o in run.observations], np.float64)
-        lateral = np.array([o.lane.lateral_position for o in run.observations])
-        return cls(
-            road=run.road,
-            outcome=run.outcome,
-            max_lateral_position=run.max_lateral_position,
-            path=np.array([(o.vehicle.x, o.vehicle.y) for o in run.observations], np.float64).reshape(-1, 2),
-            profile=lateral_profile(arc, lateral, run.road.lane_width / 2),
-        )
-
-    @classmethod
-    def of_execution(cls, road: Road, execution: Execution) -> DrivenRoad:
-        """The same from a store, whose trajectories have no arc lengths: they are found as a simulator finds them."""
-        path, tracker = execution.trajectory[:, :2], LaneTracker(road.lane_centre)
-        arc = np.array([tracker.update(x, y)[1] for x, y in path.tolist()], np.float64)
-        return cls(
-            road=road,
-            outcome=execution.outcome,
-            max_lateral_position=execution.max_lateral_position,
-            path=path,
-            profile=lateral_profile(arc, execution.trajectory[:, 4], road.lane_width / 2),
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,16 +60,9 @@ class PairComparison:
     correlation: float | None
 
 
-def compare(runs: Mapping[str, Sequence[DrivenRoad]]) -> list[PairComparison]:
-    """Compare every pair of simulators.
-
-    Args:
-        runs: simulator -> its runs, the same roads in the same order for all.
-
-    Returns:
-        One comparison per pair, in the order of the mapping. Runs that ended in an error are left out.
-    """
-    return [_pair(a, b, list(zip(runs[a], runs[b], strict=True))) for a, b in combinations(runs, 2)]
+def compare(table: OutcomeTable) -> list[PairComparison]:
+    """Compare every pair of simulators, in their order, on the tests with a verdict on both."""
+    return [_pair(table, a, b) for a, b in combinations(table.simulators, 2)]
 
 
 def summary(runs: Sequence[DrivenRoad]) -> dict[str, Any]:
@@ -134,55 +79,33 @@ def summary(runs: Sequence[DrivenRoad]) -> dict[str, Any]:
     }
 
 
-def most_different(runs: Mapping[str, Sequence[DrivenRoad]], count: int) -> list[int]:
-    """Find the indices of the roads on which two simulators get farthest apart, the farthest first."""
-    total = len(next(iter(runs.values())))
+def most_different(table: OutcomeTable, count: int) -> list[int]:
+    """Find the rows of the tests on which two simulators get farthest apart, the farthest first."""
     widest = [
-        max((float(gap.max()) for a, b in combinations(runs, 2) if len(gap := gaps(runs[a][i], runs[b][i]))), default=0)
-        for i in range(total)
+        max((float(gap.max()) for a, b in combinations(at, 2) if len(gap := gaps(a, b))), default=0)
+        for at in zip(*table.profiles.values(), strict=True)
     ]
-    return sorted(range(total), key=lambda i: (-widest[i], i))[:count]
+    return sorted(range(len(table)), key=lambda i: (-widest[i], i))[:count]
 
 
-def gaps(one: DrivenRoad, other: DrivenRoad) -> NDArray[np.float64]:
-    """Compute the distance between the lateral positions of two runs, m, every `GRID` m that both covered."""
-    first, second = _lateral(one, other)
-    return np.abs(first - second)
+def gaps(one: Array, other: Array) -> Array:
+    """Compute the distance between two profiles, m, at the places that both cover."""
+    both = min(len(one), len(other))
+    return np.abs(one[:both] - other[:both])
 
 
-def _lateral(one: DrivenRoad, other: DrivenRoad) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lateral positions of two runs at the places that both covered."""
-    both = min(len(one.profile), len(other.profile))
-    return one.profile[:both], other.profile[:both]
-
-
-def lateral_profile(arc: NDArray[np.float64], lateral: NDArray[np.float64], half_lane: float) -> NDArray[np.float64]:
-    """Interpolate lateral positions at the places `GRID`, 2 `GRID`, ... m along the lane, as far as the run went.
-
-    Args:
-        arc: (frames,) arc length along the lane, m.
-        lateral: (frames,) lateral position, m.
-        half_lane: half the width of the lane, m. Positions are clipped there: how far a car goes after leaving the lane
-            does not tell where it failed.
-
-    Returns:
-        (places,) lateral positions, m.
-    """
-    if not len(arc):
-        return np.empty(0)
-    along = np.maximum.accumulate(arc)
-    places = np.arange(GRID, along[-1], GRID)
-    return np.asarray(np.interp(places, along, np.clip(lateral, -half_lane, half_lane)), np.float64)
-
-
-def _pair(first: str, second: str, pairs: list[tuple[DrivenRoad, DrivenRoad]]) -> PairComparison:
-    judged = [(a, b) for a, b in pairs if a.outcome.is_verdict and b.outcome.is_verdict]
+def _pair(outcomes: OutcomeTable, first: str, second: str) -> PairComparison:
+    judged = np.flatnonzero(outcomes.known(first) & outcomes.known(second)).tolist()
+    failed, other_failed = outcomes.failed(first)[judged], outcomes.failed(second)[judged]
     table = np.zeros((2, 2), int)
-    for a, b in judged:
-        table[int(a.outcome.is_failure), int(b.outcome.is_failure)] += 1
+    np.add.at(table, (failed.astype(int), other_failed.astype(int)), 1)
     kappa, interval, reason = _kappa(first, second, table)
-    laterals = [_lateral(a, b) for a, b in judged]
-    ones, others = (np.concatenate([pair[i] for pair in laterals]) if laterals else np.empty(0) for i in (0, 1))
+    pairs = [(outcomes.profiles[first][k], outcomes.profiles[second][k]) for k in judged]
+    common = [min(map(len, pair)) for pair in pairs]
+    ones, others = (
+        np.concatenate([np.empty(0), *(pair[i][:both] for pair, both in zip(pairs, common, strict=True))])
+        for i in (0, 1)
+    )
     apart = np.abs(ones - others)
     known = len(apart) > 0
     varied = known and ones.std() > 0 and others.std() > 0

@@ -8,7 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ds_analysis.common.chart import COLOURS, LEFT, WIDTH, Array, Chart, Picture, write
+from ds_analysis.common.chart import COLOURS, LEFT, WIDTH, Chart, Picture, write
+from ds_analysis.common.statistics import Array
 from ds_analysis.paper.open_loop import Answers
 from ds_analysis.paper.steering_error_stats import EDGES, density, pooled_errors
 from ds_sim.camera.encodings import png

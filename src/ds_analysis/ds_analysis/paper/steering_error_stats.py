@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import ks_2samp, wasserstein_distance, wilcoxon
 
+from ds_analysis.common.statistics import Array
 from ds_analysis.paper.open_loop import Answers, ErrorsError
 
-Array = NDArray[np.float64]
 MERGED = "merged"
 """Name of all siblings' errors concatenated (paper 4.3.1: their combination)."""
 RANGE, BINS = 0.6, 15

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from ds_analysis.prediction.outcome_table import OutcomeTable, OutcomeTableError, State
-
-Array = NDArray[np.float64]
+from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError, State
+from ds_analysis.common.statistics import Array, Bools
 
 INSIDE = float(np.log(0.5))
 """Margin below which a run is well within its lane: half of half a lane, 1 m. From there on a car 1.8 m wide, as a
@@ -50,7 +49,7 @@ class Margins:
     predictors: Array
     values: Array
     signs: NDArray[np.int8]
-    driven: NDArray[np.bool_]
+    driven: Bools
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 from scipy.stats import norm
 
+from ds_analysis.common.statistics import Array
 from ds_analysis.prediction.margins import Curvature, Margins, curvature_of
-
-Array = NDArray[np.float64]
 
 INTERCEPT_SCALE = 1.0
 """Scale of the half-normal prior of tau_a: the wider of the two (0.5 and 1) that Roever et al. (Res. Synth. Methods

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from ds_analysis.common import weighted_scores as scores
-from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND, RESAMPLES
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND, RESAMPLES, Array, Interval
 from ds_analysis.common.table import Column, Table
-from ds_analysis.prediction.outcome_table import OutcomeTable
 from ds_analysis.prediction.predictors import (
     HIERARCHICAL,
     SINGLE,
     UNDRIVEN,
-    Array,
     Predictions,
     comparable,
     modelled,
@@ -25,8 +24,6 @@ from ds_analysis.prediction.predictors import (
 )
 from ds_analysis.prediction.twin_prediction import TwinPrediction
 from ds_orchestrator.maps.algebra import jeffreys_interval
-
-Interval = tuple[float, float]
 
 THRESHOLDS = (0.5, 0.1)
 """Predicted probabilities from which a test or cell is called failing: more likely than not, and one in ten, where a
@@ -159,7 +156,7 @@ def compare_predictors(table: OutcomeTable, prediction: TwinPrediction | None = 
         prediction: of the hierarchical model without drives of the twin, if it is known already.
 
     Raises:
-        ds_analysis.prediction.outcome_table.OutcomeTableError: there is no twin, or too few tests.
+        ds_analysis.common.outcome_table.OutcomeTableError: there is no twin, or too few tests.
     """
     rows = comparable(table)
     models = {name: values[rows] for name, values in modelled(table, prediction).items()}

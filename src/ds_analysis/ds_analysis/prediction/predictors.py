@@ -1,6 +1,8 @@
 """Predictors of the twin's failures, side by side: per test and per cell.
 
-Every predictor sees the siblings' outcomes, features and conditions; none sees the twin's outcomes.
+Every predictor sees the siblings' outcomes, features and conditions; none sees the twin's outcomes. The undriven
+baseline, logistic models of road features and conditions, predicts each test from tests of other families: without
+driving it, or a near copy of it, anywhere.
 """
 
 from __future__ import annotations
@@ -9,15 +11,84 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ds_analysis.prediction.outcome_table import OutcomeTable, OutcomeTableError
+from ds_analysis.common.cross_validation import FOLDS, SEED, STRENGTHS, Columns, best_feature, bounded, standardised
+from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
+from ds_analysis.common.statistics import Array, Bools, Indices, splits_of
 from ds_analysis.prediction.twin_prediction import TwinPrediction, predict_twin
-from ds_analysis.prediction.undriven import undriven_probabilities
 from ds_orchestrator.maps.algebra import OPERATORS
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+
+def undriven_probabilities(table: OutcomeTable, columns: Columns) -> Array:
+    """Predict every test from the siblings' outcomes on tests of other families.
+
+    Args:
+        table: outcomes; the twin's are not looked at.
+        columns: `all` features and conditions, or the `best` one.
+
+    Returns:
+        (tests,) probabilities of failure.
+
+    Raises:
+        OutcomeTableError: fewer than two families of tests have a verdict on a sibling.
+    """
+    from sklearn import config_context
+
+    failures = sum(table.failed(name).astype(np.float64) for name in table.siblings)
+    verdicts = sum(table.known(name).astype(np.float64) for name in table.siblings)
+    counts = np.column_stack((failures, verdicts - failures))
+    driven = np.flatnonzero(counts.sum(axis=1) > 0)
+    if len(np.unique(table.families[driven])) < 2:
+        raise OutcomeTableError("all tests descend from one road: expected two families of tests, or more")
+    with config_context(assume_finite=True, skip_parameter_validation=True):
+        found = np.empty(len(table))
+        for others, test in splits_of(table.families, FOLDS, SEED):
+            train = np.intersect1d(others, driven)
+            model = _chosen(table.features[train], counts[train], table.families[train], columns)
+            found[test] = _fitted(model, table.features[train], counts[train], table.features[test])
+    return found
+
+
+Model = tuple[list[int], float]
+"""Columns of the features, and the inverse strength of the ridge penalty."""
+
+
+def _chosen(features: Array, counts: Array, families: Indices, columns: Columns) -> Model:
+    """Choose the strength of the penalty with the smallest loss on other families, the first of equal ones."""
+    used = list(range(features.shape[1]))
+    if columns == "best":
+        rows = np.repeat(np.arange(len(counts)), counts.sum(axis=1).astype(int))
+        failed = np.concatenate([np.repeat((True, False), pair) for pair in counts.astype(int)])
+        used = [best_feature(features[rows], failed)]
+    splits = list(splits_of(families, FOLDS, SEED + 1))
+    if len(splits) < 2:
+        return used, 1.0
+    losses = []
+    for strength in STRENGTHS:
+        loss = 0.0
+        for train, test in splits:
+            probability = _fitted((used, strength), features[train], counts[train], features[test])
+            loss -= float(counts[test, 0] @ np.log(probability) + counts[test, 1] @ np.log(1.0 - probability))
+        losses.append(round(loss, 9))
+    return used, STRENGTHS[int(np.argmin(losses))]
+
+
+def _fitted(model: Model, features: Array, counts: Array, others: Array) -> Array:
+    """Fit a model to failures and successes of training tests, and predict other tests."""
+    from sklearn.linear_model import LogisticRegression
+
+    used, strength = model
+    total = counts.sum()
+    if not counts.sum(axis=0).all():  # all failed, or none
+        return bounded(np.full(len(others), counts[:, 0].sum() / total), int(total))
+    train, test = standardised(features[:, used], others[:, used])
+    fit = LogisticRegression(C=strength, solver="newton-cholesky").fit(
+        np.vstack((train, train)),
+        np.repeat((1, 0), len(train)),
+        sample_weight=np.concatenate((counts[:, 0], counts[:, 1])),
+    )
+    return bounded(fit.predict_proba(test)[:, 1], int(total))
+
 
 UNDRIVEN = "undriven features"
 """Predictor that every other one has to beat."""
@@ -44,7 +115,7 @@ class Predictions:
     weights: Array
 
 
-def comparable(table: OutcomeTable) -> NDArray[np.bool_]:
+def comparable(table: OutcomeTable) -> Bools:
     """(tests,) tests with a verdict on every sibling and on the twin.
 
     Raises:
@@ -94,7 +165,7 @@ def predict_tests(table: OutcomeTable, models: Mapping[str, Array], weights: Arr
         level="test",
         rows=table.test_ids,
         truth=table.failed(str(table.twin)).astype(np.float64),
-        probabilities={**driven, **_merged(list(driven.values())), **models},
+        probabilities={**driven, **merged(list(driven.values())), **models},
         weights=weights,
     )
 
@@ -121,13 +192,13 @@ def predict_cells(table: OutcomeTable, models: Mapping[str, Array], weights: Arr
         rows=tuple(cells),
         truth=rate(table.failed(str(table.twin)).astype(np.float64)),
         probabilities={
-            **driven, **_merged(list(driven.values())), **{name: rate(values) for name, values in models.items()}
+            **driven, **merged(list(driven.values())), **{name: rate(values) for name, values in models.items()}
         },
         weights=(tests > 0).astype(np.float64),
     )  # fmt: skip
 
 
-def _merged(driven: list[Array]) -> dict[str, Array]:
+def merged(driven: list[Array]) -> dict[str, Array]:
     """Every operator on the siblings' values; all siblings drove all tests, so weights are equal."""
     weights = np.ones(len(driven))
     return {name: operator.combine(np.array(driven), weights) for name, operator in OPERATORS.items()}

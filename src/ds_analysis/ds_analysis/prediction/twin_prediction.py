@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp, ndtr
 
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.prediction.margins import INSIDE, Margins, margins_of
-from ds_analysis.prediction.outcome_table import OutcomeTable
 from ds_analysis.prediction.population import CoefficientMixture, Population, fit_population
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 DRAWS = 2000
 """Draws of the coefficients behind intervals; chosen: the ends of a 90 % interval are accurate to about 0.01."""
@@ -146,7 +144,7 @@ def predict_twin(table: OutcomeTable) -> TwinPrediction:
     """Predict a simulator that was never driven from a table's siblings; the twin's outcomes are not looked at.
 
     Raises:
-        ds_analysis.prediction.outcome_table.OutcomeTableError: too few tests.
+        ds_analysis.common.outcome_table.OutcomeTableError: too few tests.
     """
     margins = margins_of(table)
     population = fit_population(margins)
@@ -176,3 +174,87 @@ def _observation(drive: MarginDrive, mean: Array, variance: Array) -> tuple[Arra
     log_probability = log_ndtr(standard)
     hazard = np.exp(-0.5 * standard**2 - 0.5 * np.log(2.0 * np.pi) - log_probability)
     return np.asarray(log_probability), sign * deviation * hazard, 1.0 - hazard * (hazard + standard)
+
+
+ODDS = 20.0
+"""Ratio of the probabilities of the drives from which a car is said to be outside. If it is inside, this happens with a
+probability of 1 / 20 at most, however many drives are looked at (Ville's inequality for likelihood ratios)."""
+_BLENDS = 256
+"""Blends of siblings; chosen: with three siblings, weights a twentieth apart."""
+_BLEND_SEED = 21
+"""Seed of the blends; any number does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """How the drives compare with what the siblings span.
+
+    Attributes:
+        drives: number of drives.
+        odds: probability of the drives if the car is one more draw from the population, over that if it is a blend of
+            the siblings.
+        shift: mean margin of all tests as predicted after the drives, minus that of the most extreme sibling on the
+            same side: how much further out the car drives than any of them (negative: further in), as a logarithm of
+            lateral positions; 0 if it lies between them.
+    """
+
+    drives: int
+    odds: float
+    shift: float
+
+    @property
+    def outside(self) -> bool:
+        """Whether the car is outside of what the siblings span."""
+        return self.odds > ODDS
+
+    @property
+    def warning(self) -> str:
+        """One line if the car is outside, or ""."""
+        if not self.outside:
+            return ""
+        side = {1: ", further from its lane's centre than any of them", -1: ", closer to its lane's centre than any"}
+        return (
+            f"the car is outside of what the siblings span{side.get(int(np.sign(self.shift)), '')} "
+            f"({self.odds:.0f} : 1 after {self.drives} drives): trust the drives more than the simulators"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {
+            "drives": self.drives, "odds": self.odds, "shift": self.shift, "outside": self.outside,
+            "warning": self.warning,
+        }  # fmt: skip
+
+
+def span_of(prediction: TwinPrediction) -> Span:
+    """Compare the drives of a prediction with the siblings."""
+    if not prediction.drives:
+        return Span(drives=0, odds=1.0, shift=0.0)
+    blended = replace(prediction, coefficients=_blends(prediction), drives=(), log_evidence=0.0)
+    inside = blended.updated(prediction.drives).log_evidence
+    predictors = prediction.margins.predictors.mean(axis=0)
+    mixture = prediction.coefficients
+    car = float(mixture.weights @ (mixture.means @ predictors))
+    siblings = prediction.population.sibling_means @ predictors
+    beyond = max(car - float(siblings.max()), 0.0) + min(car - float(siblings.min()), 0.0)
+    log_odds = min(prediction.log_evidence - inside, 100.0)
+    return Span(drives=len(prediction.drives), odds=float(np.exp(log_odds)), shift=beyond)
+
+
+def _blends(prediction: TwinPrediction) -> CoefficientMixture:
+    """Coefficients that are weighted means of the siblings', all weights equally likely."""
+    population = prediction.population
+    p = len(population.mean)
+    siblings = population.siblings.shape[1] // p
+    mean = population.grid_weights @ population.siblings
+    off = population.siblings - mean
+    covariance = np.einsum("k,kij->ij", population.grid_weights, population.sibling_covariances)
+    covariance += np.einsum("k,ki,kj->ij", population.grid_weights, off, off)
+    weights = np.random.default_rng(_BLEND_SEED).dirichlet(np.ones(siblings), _BLENDS)
+    blocks = covariance.reshape(siblings, p, siblings, p)
+    return CoefficientMixture(
+        log_weights=np.full(_BLENDS, -np.log(_BLENDS)),
+        means=weights @ mean.reshape(siblings, p),
+        covariances=np.einsum("ms,spzq,mz->mpq", weights, blocks, weights, optimize=True),
+        sigmas=np.full(_BLENDS, population.sigma),
+    )

@@ -10,14 +10,13 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc
 
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import Array, Bools
 from ds_analysis.common.table import Column, Table
-from ds_analysis.prediction.outcome_table import OutcomeTable
 from ds_analysis.prediction.twin_prediction import TwinPrediction
 
-Array = NDArray[np.float64]
 Verdict = Literal["fails", "safe", "disputed", "untested"]
 
 ERROR_RATE = 0.05
@@ -75,10 +74,10 @@ class CellVerdict:
     cell: tuple[int, ...]
     tests: int
     driven: int
-    rate: float | None
-    interval: tuple[float, float] | None
+    rate: float | None = None
+    interval: tuple[float, float] | None = None
     verdict: Verdict
-    drives_needed: int | None
+    drives_needed: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,15 +122,12 @@ class Verdicts:
         }
 
 
-def judge(
-    table: OutcomeTable, prediction: TwinPrediction, features: Sequence[str], *, tolerated: float = TOLERATED_RATE
-) -> Verdicts:
+def judge(table: OutcomeTable, prediction: TwinPrediction, *, tolerated: float = TOLERATED_RATE) -> Verdicts:
     """Judge every test and every cell.
 
     Args:
         table: outcomes of the siblings.
         prediction: of the table's tests.
-        features: names of the map's axes.
         tolerated: failure rate up to which a cell counts as safe.
     """
     used = [int(k) for k in np.flatnonzero(np.any([table.known(name) for name in table.siblings], axis=0))]
@@ -162,7 +158,7 @@ def judge(
         columns = members.get(cell, [])
         outcomes = draws[:, [k for k in columns if used[k] in driven]]
         cells.append(_judge_cell(cell, alike[:, columns], outcomes, tolerated, rng))
-    return Verdicts(tests=tests, cells=cells, features=tuple(features), tolerated=tolerated)
+    return Verdicts(tests=tests, cells=cells, features=table.axes, tolerated=tolerated)
 
 
 def verdict_of(probability: float) -> Verdict:
@@ -172,7 +168,7 @@ def verdict_of(probability: float) -> Verdict:
     return "safe" if probability <= ERROR_RATE else "disputed"
 
 
-def called(probabilities: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def called(probabilities: Array) -> tuple[Bools, Bools]:
     """(tests,) which tests are called safe, and which failing; the others are disputed."""
     return probabilities <= ERROR_RATE, probabilities >= 1.0 - ERROR_RATE
 
@@ -195,25 +191,22 @@ def _judge_cell(
     """
     tests = draws.shape[1]
     if not tests:
-        return CellVerdict(
-            cell=cell, tests=0, driven=0, rate=None, interval=None, verdict="untested", drives_needed=None
-        )
+        return CellVerdict(cell=cell, tests=0, driven=0, verdict="untested")
     known = np.hstack((draws, outcomes))
     weights = rng.standard_exponential(known.shape)
     rates = (weights * known).sum(axis=1) / weights.sum(axis=1)
     above = float((rates > tolerated).mean())
     verdict = verdict_of(above)
     low, high = np.quantile(rates, (0.05, 0.95))
+    mean = float(rates.mean())
     return CellVerdict(
         cell=cell,
         tests=tests,
         driven=outcomes.shape[1],
-        rate=float(rates.mean()),
+        rate=mean,
         interval=(float(low), float(high)),
         verdict=verdict,
-        drives_needed=drives_needed(float(rates.mean()), float(rates.var()), tolerated)
-        if verdict == "disputed"
-        else None,
+        drives_needed=drives_needed(mean, float(rates.var()), tolerated) if verdict == "disputed" else None,
     )
 
 

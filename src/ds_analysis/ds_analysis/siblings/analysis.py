@@ -8,12 +8,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ds_analysis.common.cross_validation import REPEATS
+from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.table import Column, Table
-from ds_analysis.siblings.baseline import Baseline, Score, baseline_of
-from ds_analysis.siblings.departures import KINDS, Departures, departures_of
-from ds_analysis.siblings.information import AddedInformation, information_about
-from ds_analysis.siblings.nesting import Nesting, nestings
-from ds_analysis.siblings.outcomes import Outcomes
+from ds_analysis.siblings.added_information import AddedInformation, Baseline, Score, baseline_of, information_about
+from ds_analysis.siblings.failure_patterns import KINDS, Departures, Nesting, departures_of, nestings
 from ds_analysis.siblings.residuals import ResidualCorrelation, residual_correlations
 
 
@@ -61,24 +59,24 @@ class SiblingAnalysis:
         return [one.sentence for one in self.information]
 
 
-def analyse(outcomes: Outcomes, about: Sequence[str], *, repeats: int = REPEATS) -> SiblingAnalysis:
+def analyse(table: OutcomeTable, about: Sequence[str], *, repeats: int = REPEATS) -> SiblingAnalysis:
     """Analyse outcomes on the same roads.
 
     Args:
-        outcomes: outcomes of one driver on all simulators.
+        table: tests with a verdict on every simulator.
         about: simulators whose failures the others are to predict, such as the twin.
         repeats: divisions into folds over which cross-validated losses are averaged.
     """
     return SiblingAnalysis(
-        departures=departures_of(outcomes),
-        nesting=nestings(outcomes),
-        baselines=[baseline_of(outcomes, name, repeats=repeats) for name in outcomes.simulators],
-        residuals=residual_correlations(outcomes, repeats=repeats),
+        departures=departures_of(table),
+        nesting=nestings(table),
+        baselines=[baseline_of(table, name, repeats=repeats) for name in table.simulators],
+        residuals=residual_correlations(table, repeats=repeats),
         information=[
             one
             for name in about
             for one in information_about(
-                outcomes, name, [other for other in outcomes.simulators if other != name], repeats=repeats
+                table, name, [other for other in table.simulators if other != name], repeats=repeats
             )
         ],
     )
@@ -95,17 +93,17 @@ def analysis_tables(found: SiblingAnalysis) -> list[Table]:
     ]
 
 
-def outcome_rows(outcomes: Outcomes) -> list[dict[str, Any]]:
+def outcome_rows(table: OutcomeTable) -> list[dict[str, Any]]:
     """Every road with its features and its outcomes, as JSON values."""
     return [
         {
             "road_id": road.road_id,
             "lane": road.lane,
-            **dict(zip(outcomes.feature_names, map(float, outcomes.features[k]), strict=True)),
-            "failed": dict(zip(outcomes.simulators, map(bool, outcomes.failed[k]), strict=True)),
-            "max_lateral_position": dict(zip(outcomes.simulators, map(float, outcomes.lateral[k]), strict=True)),
+            **dict(zip(table.feature_names, map(float, table.features[k]), strict=True)),
+            "failed": {name: bool(table.failed(name)[k]) for name in table.simulators},
+            "max_lateral_position": dict(zip(table.simulators, map(float, table.lateral[k]), strict=True)),
         }
-        for k, road in enumerate(outcomes.roads)
+        for k, road in enumerate(table.roads)
     ]
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.chart import COLOURS, LEFT, WIDTH, Chart, Picture, write
-from ds_analysis.siblings.outcomes import ROAD_FEATURES, Outcomes
+from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable
+from ds_analysis.common.statistics import Array
 from ds_sim.conditions.text import three_digits
 
 _PANEL, _ROW, _HEAD, _FOOT = 230, 30, 64, 40
@@ -15,23 +16,23 @@ _FAILS, _DRIVES = COLOURS[1], (205, 222, 235)
 _NAME_COLUMN = 150
 
 
-def draw_failures(outcomes: Outcomes, feature: str) -> Picture:
+def draw_failures(table: OutcomeTable, feature: str) -> Picture:
     """Draw the largest lateral position over a feature: failures as discs, completed roads as rings.
 
     Args:
-        outcomes: of at least one road.
+        table: at least one test, with a verdict on every simulator.
         feature: name of one of its features; the same axis for every simulator.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    values = outcomes.feature(feature)
+    values = table.feature(feature)
     low, high = float(values.min()), float(values.max())
     margin = 0.03 * (high - low) or 1.0
-    most = max(road.lane_width / 2 for road in outcomes.roads)
+    most = max(road.lane_width / 2 for road in table.roads)
     panels = []
-    for name in outcomes.simulators:
-        failed, lateral = outcomes.failures(name), outcomes.largest_lateral(name)
+    for name in table.simulators:
+        failed, lateral = table.failed(name), table.largest_lateral(name)
         title = f"{name}: fails on {int(failed.sum())} of {len(failed)} roads (discs)"
         axis = f"{_with_unit(feature)}; upwards: largest lateral position, m"
         chart = Chart(title, axis, (low - margin, high + margin), (0.0, 1.08 * most), _PANEL)
@@ -41,29 +42,29 @@ def draw_failures(outcomes: Outcomes, feature: str) -> Picture:
     return np.vstack(panels)
 
 
-def draw_matrix(outcomes: Outcomes, feature: str) -> Picture:
+def draw_matrix(table: OutcomeTable, feature: str) -> Picture:
     """Draw who fails where: a row per simulator, a column per road, by growing feature.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    values = outcomes.feature(feature)
+    values = table.feature(feature)
     order = np.argsort(values, kind="stable")
-    image = np.full((_HEAD + _ROW * len(outcomes.simulators) + _FOOT, WIDTH, 3), 255, np.uint8)
+    image = np.full((_HEAD + _ROW * len(table.simulators) + _FOOT, WIDTH, 3), 255, np.uint8)
     write(image, "Who fails where: a column for each road, dark where the driver fails", (LEFT, 24), 0.55)
     edges = np.round(np.linspace(_NAME_COLUMN, WIDTH - 24, len(order) + 1)).astype(int)
-    for row, name in enumerate(outcomes.simulators):
+    for row, name in enumerate(table.simulators):
         top = _HEAD + _ROW * row
         shown = name if len(name) <= 16 else f"{name[:7]}..{name[-7:]}"
         write(image, shown, (8, top + 20), 0.45)
         for column, road in enumerate(order):
-            colour = _FAILS if outcomes.failures(name)[road] else _DRIVES
+            colour = _FAILS if table.failed(name)[road] else _DRIVES
             image[top : top + _ROW - 4, edges[column] : max(edges[column + 1] - 1, edges[column] + 1)] = colour
     _axis(image, values[order], feature, edges)
     return image
 
 
-def _axis(image: Picture, values: NDArray[np.float64], feature: str, edges: NDArray[np.int_]) -> None:
+def _axis(image: Picture, values: Array, feature: str, edges: NDArray[np.int_]) -> None:
     """Write the feature's values below some of the columns."""
     bottom = image.shape[0] - _FOOT
     for column in np.unique(np.round(np.linspace(0, len(values) - 1, 9)).astype(int)):

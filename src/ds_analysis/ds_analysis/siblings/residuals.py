@@ -12,12 +12,19 @@ from itertools import combinations
 
 import numpy as np
 
-from ds_analysis.common.cross_validation import FOLDS, REPEATS, SEED, Array, best_feature, folds_of
-from ds_analysis.common.families import Indices, are_alone, interval_over_families, parts_of
-from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND
-from ds_analysis.paper.simulator_agreement import GRID
-from ds_analysis.siblings.baseline import Interval, caution_of_failures
-from ds_analysis.siblings.outcomes import Outcomes
+from ds_analysis.common.cross_validation import FOLDS, REPEATS, SEED, best_feature, folds_of
+from ds_analysis.common.driven_road import GRID
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import (
+    FEWEST_OF_EACH_KIND,
+    Array,
+    Indices,
+    Interval,
+    are_alone,
+    interval_over_families,
+    splits_of,
+)
+from ds_analysis.siblings.added_information import caution_of_failures
 from ds_road.geometry import lane_curvature
 
 FEWEST_ROADS = 2 * FEWEST_OF_EACH_KIND
@@ -53,23 +60,21 @@ class ResidualCorrelation:
     caution: str
 
 
-def residual_correlations(outcomes: Outcomes, *, repeats: int = REPEATS) -> list[ResidualCorrelation]:
+def residual_correlations(table: OutcomeTable, *, repeats: int = REPEATS) -> list[ResidualCorrelation]:
     """Compute the residual correlations of every pair of simulators, in their order."""
-    lateral = {name: outcomes.largest_lateral(name) for name in outcomes.simulators}
-    cautions = {name: caution_of_failures(outcomes, name) for name in outcomes.simulators}
-    by_road = {
-        name: None if cautions[name] else _road_residuals(outcomes, name, repeats) for name in outcomes.simulators
-    }
-    by_place = _place_residuals(outcomes)
+    lateral = {name: table.largest_lateral(name) for name in table.simulators}
+    cautions = {name: caution_of_failures(table, name) for name in table.simulators}
+    by_road = {name: None if cautions[name] else _road_residuals(table, name, repeats) for name in table.simulators}
+    by_place = _place_residuals(table)
     found = []
-    for first, second in combinations(outcomes.simulators, 2):
-        plain, plain_interval = _correlation(lateral[first], lateral[second], outcomes.families)
+    for first, second in combinations(table.simulators, 2):
+        plain, plain_interval = _correlation(lateral[first], lateral[second], table.families)
         one, other = by_road[first], by_road[second]
         roads, roads_interval = (
-            (None, None) if one is None or other is None else _correlation(one, other, outcomes.families)
+            (None, None) if one is None or other is None else _correlation(one, other, table.families)
         )
-        places, places_interval = _clustered_correlation(by_place[first], by_place[second], outcomes.families)
-        few = f"{len(outcomes.roads)} roads, expected {FEWEST_ROADS}" if len(outcomes.roads) < FEWEST_ROADS else ""
+        places, places_interval = _clustered_correlation(by_place[first], by_place[second], table.families)
+        few = f"{len(table.roads)} roads, expected {FEWEST_ROADS}" if len(table.roads) < FEWEST_ROADS else ""
         found.append(
             ResidualCorrelation(
                 first=first,
@@ -86,30 +91,30 @@ def residual_correlations(outcomes: Outcomes, *, repeats: int = REPEATS) -> list
     return found
 
 
-def _road_residuals(outcomes: Outcomes, simulator: str, repeats: int) -> Array:
+def _road_residuals(table: OutcomeTable, simulator: str, repeats: int) -> Array:
     """Largest lateral positions minus what the best single feature predicts, (roads,), m; mean over the repeats."""
-    failed, lateral, features = outcomes.failures(simulator), outcomes.largest_lateral(simulator), outcomes.features
+    failed, lateral, features = table.failed(simulator), table.largest_lateral(simulator), table.features
     residuals = np.empty((repeats, len(lateral)))
     for repeat in range(repeats):
-        for train, test in folds_of(failed, outcomes.families, SEED + repeat):
+        for train, test in folds_of(failed, table.families, SEED + repeat):
             used = features[:, best_feature(features[train], failed[train])]
             residuals[repeat, test] = lateral[test] - _isotonic(used[train], lateral[train], used[test])
     return np.asarray(residuals.mean(axis=0))
 
 
-def _place_residuals(outcomes: Outcomes) -> dict[str, list[Array]]:
+def _place_residuals(table: OutcomeTable) -> dict[str, list[Array]]:
     """Per simulator and road the lateral positions minus what the curvature at the place predicts, m."""
-    longest = [max((len(outcomes.profiles[name][k]) for name in outcomes.simulators), default=0)
-               for k in range(len(outcomes.roads))]  # fmt: skip
+    longest = [max((len(table.profiles[name][k]) for name in table.simulators), default=0)
+               for k in range(len(table.roads))]  # fmt: skip
     curvatures = [
         lane_curvature(road.lane_centre, np.arange(1.0, count + 1.0) * GRID)
-        for road, count in zip(outcomes.roads, longest, strict=True)
+        for road, count in zip(table.roads, longest, strict=True)
     ]
     found: dict[str, list[Array]] = {}
-    for name in outcomes.simulators:
-        profiles = outcomes.profiles[name]
+    for name in table.simulators:
+        profiles = table.profiles[name]
         residuals = [np.empty(0)] * len(profiles)
-        for train, test in _parts(outcomes.families):
+        for train, test in _parts(table.families):
             x, at = (
                 np.concatenate([np.empty(0), *(curvatures[k][: len(profiles[k])] for k in part)])
                 for part in (train, test)
@@ -127,8 +132,7 @@ def _place_residuals(outcomes: Outcomes) -> dict[str, list[Array]]:
 def _parts(families: Indices) -> list[tuple[Indices, Indices]]:
     """Divide roads into `FOLDS` parts, in no order, each family in one of them; training and test indices."""
     if not are_alone(families):
-        parts = parts_of(families, FOLDS, SEED)
-        return [(np.flatnonzero(parts != part), np.flatnonzero(parts == part)) for part in np.unique(parts)]
+        return list(splits_of(families, FOLDS, SEED))
     order = np.random.default_rng(SEED).permutation(len(families))
     return [(np.setdiff1d(order, part), np.sort(part)) for part in np.array_split(order, FOLDS)]
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_analysis.prediction.outcome_table import OutcomeTable, State
+from ds_analysis.common.outcome_table import OutcomeTable, State
 from ds_road import Road, generate
-from ds_sim.conditions.model import DEFAULT
 
 Array = NDArray[np.float64]
 ROAD: Road = generate(np.random.default_rng(3), max_angle=200)
@@ -57,16 +56,15 @@ def table_of_margins(margins: Array, features: Array, *, family: int = 5) -> Out
     tests, simulators = margins.shape
     bins = np.digitize(features[:, : min(2, features.shape[1])], (-1.0, 0.0, 1.0))
     bins = np.column_stack((bins, np.zeros((tests, 2 - bins.shape[1]), int)))
-    return OutcomeTable(
+    states = np.where(margins > 0, State.FAILED, State.COMPLETED).astype(np.int8)
+    table = OutcomeTable.of(
+        (ROAD,) * tests,
+        states,
+        2.0 * np.exp(margins),
         test_ids=tuple(f"a-0-{k:04d}" for k in range(tests)),
         siblings=tuple("abcdefg"[: simulators - 1]),
         twin="twin",
-        roads=(ROAD,) * tests,
-        conditions=(DEFAULT,) * tests,
         cells=tuple((int(a), int(b)) for a, b in bins),
-        feature_names=tuple(f"feature_{k}" for k in range(features.shape[1])),
-        features=features,
-        states=np.where(margins > 0, State.FAILED, State.COMPLETED).astype(np.int8),
-        lateral=np.minimum(2.0 * np.exp(margins), 2.0),
-        families=np.arange(tests) // family,
     )
+    names = tuple(f"feature_{k}" for k in range(features.shape[1]))
+    return replace(table, feature_names=names, features=features, families=np.arange(tests) // family)

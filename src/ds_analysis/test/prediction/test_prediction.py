@@ -14,12 +14,12 @@ from scipy.stats import norm
 from sklearn.metrics import average_precision_score
 
 from ds_analysis.common import weighted_scores as scores
-from ds_analysis.prediction.coverage import forecast_cells
+from ds_analysis.common.outcome_table import OutcomeTableError
+from ds_analysis.prediction.calibration import forecast_cells
 from ds_analysis.prediction.margins import INSIDE, curvature_of, margins_of
-from ds_analysis.prediction.outcome_table import OutcomeTableError
 from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
+from ds_analysis.prediction.predictors import undriven_probabilities
 from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
-from ds_analysis.prediction.undriven import undriven_probabilities
 from ds_analysis.prediction.verdicts import TOLERATED_RATE, drives_needed, judge
 
 Array = NDArray[np.float64]
@@ -267,7 +267,7 @@ def test_verdicts_keep_their_error_rates() -> None:
     calls, wrong = 0, 0
     for seed in range(12):
         table, truth = made_up(300 + seed, tests=120)
-        found = judge(table, predict_twin(table), ("turns_count", "curvature"))
+        found = judge(table, predict_twin(table))
         for one, margin in zip(found.tests, truth.margins[:, 3], strict=True):
             if one.verdict in ("fails", "safe"):
                 calls += 1
@@ -279,7 +279,7 @@ def test_cells_without_tests_are_untested_and_disputed_ones_say_what_they_need()
     table, _ = made_up(15, tests=60)
     cells = tuple((0, 0) if cell == (1, 1) else cell for cell in table.cells)
     table = replace(table, cells=cells)
-    found = judge(table, predict_twin(table), ("turns_count", "curvature"))
+    found = judge(table, predict_twin(table))
     by_cell = {one.cell: one for one in found.cells}
     assert by_cell[(1, 1)].verdict == "untested" and by_cell[(1, 1)].rate is None
     disputed = [one for one in found.cells if one.verdict == "disputed"]

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from report_campaigns import make_campaign
 
-from ds_analysis.common.families import families_of
-from ds_analysis.prediction.outcome_table import OutcomeTableError, State, table_of_campaign
-from ds_analysis.siblings.outcomes import ROAD_FEATURES
+from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTableError, State, table_of_campaign
+from ds_analysis.common.statistics import families_of
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.search.algorithms import DeepHyperion, SearchSettings

@@ -12,12 +12,11 @@ import pytest
 from prediction_tables import made_up
 from test_prediction_verbs import ROADS, write_comparison
 
+from ds_analysis.prediction.real.drive_choice import BudgetError, choose
 from ds_analysis.prediction.real.proposal import ProposedDrive, read_proposed, write_proposal
 from ds_analysis.prediction.real.records import RecordError, added, read_csv, read_drives
 from ds_analysis.prediction.real.road_sheet import draw_sheet, sheet_of
-from ds_analysis.prediction.real.selection import BudgetError, choose
-from ds_analysis.prediction.span import span_of
-from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
+from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin, span_of
 from ds_cli.application import run
 from ds_sim.conditions.text import parse_conditions
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from prediction_tables import made_up, table_of_margins
 
-from ds_analysis.prediction.outcome_table import State
-from ds_analysis.prediction.self_check import check_in_turn
+from ds_analysis.common.outcome_table import State
+from ds_analysis.prediction.calibration import check_in_turn
 from ds_analysis.prediction.twin_prediction import predict_twin
 
 

@@ -9,8 +9,14 @@ import pytest
 from prediction_tables import made_up
 from test_real_drives import drive_of
 
-from ds_analysis.prediction.real.selection import choose, expected_error
-from ds_analysis.prediction.real.worth import LEAST_GAIN, _simulated, random_drives, worth_of
+from ds_analysis.prediction.real.drive_choice import (
+    LEAST_GAIN,
+    _simulated,
+    choose,
+    expected_error,
+    random_drives,
+    worth_of,
+)
 from ds_analysis.prediction.twin_prediction import predict_twin
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_analysis.paper.simulator_agreement import DrivenRoad
+from ds_analysis.common.driven_road import DrivenRoad
+from ds_analysis.common.outcome_table import table_of_runs
 from ds_analysis.siblings.analysis import analyse, analysis_tables
-from ds_analysis.siblings.departures import KINDS, Departure, departure, departures_of
-from ds_analysis.siblings.outcomes import outcomes_of_runs
+from ds_analysis.siblings.failure_patterns import KINDS, Departure, departure, departures_of
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import Road
 from ds_sim.registry import make_simulator
@@ -53,7 +53,7 @@ def test_a_drive_that_is_steered_out_of_its_lane_leaves_it_there(
     runs = [leave(RIGHT_BEND, steering, after), leave(RIGHT_BEND.mirrored(), -steering, after)]
     assert [run.outcome for run in runs] == [Outcome.OUT_OF_BOUNDS] * 2
     for run, expected in zip(runs, (kind, MIRRORED[kind]), strict=True):
-        (found,) = departures_of(outcomes_of_runs({"softbody": [run]}))
+        (found,) = departures_of(table_of_runs({"softbody": [run]}))
         assert found.failures == 1 and [name for name in KINDS if found.counts[name]] == [expected]
         assert found.sentence == f"softbody most often: {expected}, 1 of 1 failures."
 
@@ -63,7 +63,7 @@ def test_failures_in_the_lane_stay_in_it_and_the_table_counts_each_failure_once(
     assert departure(RIGHT_BEND, np.empty(0), 2.0) == "stays in the lane"
     out, kept = leave(RIGHT_BEND, 0.8, IN_BEND), leave(RIGHT_BEND, 0.0, IN_BEND)
     assert kept.outcome is Outcome.COMPLETED
-    found = analyse(outcomes_of_runs({"a": [out, kept], "b": [kept, kept]}), ["b"], repeats=1)
+    found = analyse(table_of_runs({"a": [out, kept], "b": [kept, kept]}), ["b"], repeats=1)
     table = analysis_tables(found)[0]
     assert table.name == "sibling_departures" and [row[0] for row in table.rows] == ["a", "b"]
     assert [sum(row[2:]) for row in table.rows] == [row[1] for row in table.rows] == [1, 0]  # type: ignore[arg-type]

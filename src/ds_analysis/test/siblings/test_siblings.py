@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,12 +15,11 @@ from scipy.stats import beta, spearmanr
 from sklearn.metrics import roc_auc_score
 
 from ds_analysis.common.cross_validation import auc_roc, best_feature, predict_failures
-from ds_analysis.paper.simulator_agreement import GRID, DrivenRoad, lateral_profile
+from ds_analysis.common.driven_road import GRID, DrivenRoad, lateral_profile, recorded_profile
+from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable, State, table_of_runs
+from ds_analysis.siblings.added_information import AddedInformation, baseline_of, information_about
 from ds_analysis.siblings.analysis import analyse, analysis_tables
-from ds_analysis.siblings.baseline import baseline_of
-from ds_analysis.siblings.information import AddedInformation, information_about
-from ds_analysis.siblings.nesting import nestings
-from ds_analysis.siblings.outcomes import ROAD_FEATURES, Outcomes, outcomes_of_runs, recorded_profile
+from ds_analysis.siblings.failure_patterns import nestings
 from ds_analysis.siblings.pictures import draw_failures, draw_matrix
 from ds_analysis.siblings.residuals import residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
@@ -38,16 +38,26 @@ RIGHT = np.array([road.lane_curvature_max_right for road in ROADS])
 HARD = np.quantile(RIGHT, 0.7)
 
 
-def made_up(lateral: dict[str, Array], *, profiles: dict[str, Sequence[Array]] | None = None) -> Outcomes:
+def made_up(
+    lateral: dict[str, Array],
+    *,
+    profiles: dict[str, Sequence[Array]] | None = None,
+    roads: Sequence[Road] = ROADS,
+    conditions: Sequence[Conditions] | None = None,
+) -> OutcomeTable:
     """Outcomes of runs that fail where the largest lateral position is 2 m or more."""
     together = np.column_stack(list(lateral.values()))
-    return Outcomes(
-        simulators=tuple(lateral),
-        roads=ROADS[: len(together)],
-        failed=together >= 2.0,
-        lateral=np.minimum(together, 2.0),
-        profiles=profiles or {name: [np.empty(0)] * len(together) for name in lateral},
-    )
+    decoders = None
+    if profiles is not None:
+        decoders = np.array([[partial(np.asarray, one) for one in of] for of in profiles.values()], object).T
+    return OutcomeTable.of(
+        roads[: len(together)], states_of(together >= 2.0), together, siblings=tuple(lateral), decoders=decoders,
+        conditions=conditions,
+    )  # fmt: skip
+
+
+def states_of(failed: NDArray[np.bool_]) -> NDArray[np.int8]:
+    return np.where(failed, State.FAILED, State.COMPLETED).astype(np.int8)
 
 
 def noise(seed: int) -> Array:
@@ -97,7 +107,8 @@ def test_a_condition_that_decides_is_a_feature() -> None:
     contrasts = np.random.default_rng(6).uniform(0.05, 1.0, len(ROADS))
     lateral = 2 * 0.4 / contrasts
     plain = made_up({"a": lateral, "twin": 1.1 * lateral})
-    outcomes = replace(plain, conditions=tuple(Conditions(line_contrast=one) for one in contrasts.tolist()))
+    conditions = [Conditions(line_contrast=one) for one in contrasts.tolist()]
+    outcomes = made_up({"a": lateral, "twin": 1.1 * lateral}, conditions=conditions)
     assert outcomes.feature_names == (*ROAD_FEATURES, "line_contrast")
     blind, seeing = baseline_of(plain, "twin", repeats=1), baseline_of(outcomes, "twin", repeats=1)
     assert blind.best is not None and seeing.best is not None
@@ -118,11 +129,7 @@ def test_roads_are_predicted_from_other_families_than_their_own() -> None:
                 roads.append(mutate(root, rng))
     fails = np.repeat(np.arange(12) % 2 == 0, 8)
     lateral = np.where(fails, 2.5, 0.5)[:, None] + 0.01 * rng.normal(size=(96, 2))
-    outcomes = replace(
-        made_up({"a": lateral[:0, 0], "twin": lateral[:0, 1]}),
-        roads=tuple(roads), failed=lateral >= 2.0, lateral=np.minimum(lateral, 2.0),
-        profiles={name: [np.empty(0)] * 96 for name in ("a", "twin")},
-    )  # fmt: skip
+    outcomes = made_up({"a": lateral[:, 0], "twin": lateral[:, 1]}, roads=roads)
     assert sorted(np.bincount(outcomes.families)) == [8] * 12
     leaking = predict_failures(outcomes.features, fails, repeats=1).probability[0]
     honest = baseline_of(outcomes, "twin", repeats=1)
@@ -131,7 +138,7 @@ def test_roads_are_predicted_from_other_families_than_their_own() -> None:
     # A dozen coins: the interval is that of 12 families, far wider than that of 96 roads.
     low, high = honest.all.auc_interval
     assert high - low > 0.3
-    few = replace(outcomes, failed=np.column_stack([np.arange(96) // 8 < 4] * 2))
+    few = replace(outcomes, states=states_of(np.column_stack([np.arange(96) // 8 < 4] * 2)))
     assert "roads of 4 families of mutants fail on twin, of 8 do not" in baseline_of(few, "twin").caution
 
 
@@ -246,9 +253,9 @@ def test_nesting_of_near_copies_is_that_of_their_families() -> None:
     copies = tuple(ROADS[k // 4] for k in range(40))
     alike = np.full((40, 2), True)
     apart = alike & np.column_stack((np.arange(40) >= 0, np.arange(40) // 4 > 1))
-    made = made_up({"a": np.full(40, 2.5), "b": np.full(40, 2.5)})
+    made = made_up({"a": np.full(40, 2.5), "b": np.full(40, 2.5)}, roads=copies)
     for failed, ends in ((alike, (beta(10, 1).ppf(0.025), 1.0)), (apart, (0.5, 1.0))):
-        (found,) = nestings(replace(made, roads=copies, failed=failed))
+        (found,) = nestings(replace(made, states=states_of(failed)))
         assert found.second_given_first == failed[:, 1].mean()
         assert found.second_given_first_interval == pytest.approx(ends, abs=0.05)
 
@@ -276,9 +283,9 @@ def test_outcomes_of_runs_leave_out_errors_and_what_lies_beyond_the_lane() -> No
         "a": [record(road, outcome) for road, outcome in zip(ROADS, (drive, fail, drive), strict=False)],
         "b": [record(road, outcome, offset=-9.0) for road, outcome in zip(ROADS, (error, fail, drive), strict=False)],
     }
-    found = outcomes_of_runs({name: [DrivenRoad.of_run(run) for run in of] for name, of in runs.items()})
-    assert found.roads == ROADS[1:3] and found.left_out == 1
-    assert found.failed.tolist() == [[True, True], [False, False]]
+    found = table_of_runs({name: [DrivenRoad.of_run(run) for run in of] for name, of in runs.items()}).judged()
+    assert found.roads == ROADS[1:3]
+    assert [found.failed(name).tolist() for name in "ab"] == [[True, False], [True, False]]
     assert found.lateral.tolist() == [[0.25, 2.0], [0.25, 2.0]]
     np.testing.assert_array_equal(found.profiles["b"][0], np.full(59, -2.0))
     assert found.features.shape == (2, len(ROAD_FEATURES))

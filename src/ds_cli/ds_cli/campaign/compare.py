@@ -35,7 +35,7 @@ from ds_cli.output import end, say, stopped_in
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Origin
-    from ds_analysis.comparison.drives import Network
+    from ds_analysis.comparison.paired_drives import Network
     from ds_studies.comparison.compare import GivenTests
 
 ROADS, SEED = 40, 40
@@ -77,7 +77,7 @@ def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan
     """Compare a campaign's network with another campaign's, or with a network.
 
     Raises:
-        ds_analysis.comparison.drives.ComparisonError: the campaigns do not compare.
+        ds_analysis.comparison.paired_drives.ComparisonError: the campaigns do not compare.
         ds_orchestrator.store.sqlite_file.StoreError: a folder holds no campaign.
     """
     from ds_orchestrator.campaign.folder import open_store, read_campaign
@@ -131,7 +131,7 @@ def plan_of_networks(first: str, second: str, simulators: list[str], roads: int,
 
 def network_named(driver: str, simulators: Sequence[str]) -> Network:
     """A network with its digest, checked before anything starts."""
-    from ds_analysis.comparison.drives import Network
+    from ds_analysis.comparison.paired_drives import Network
     from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.networks.network_driver import driver_sha256
     from ds_orchestrator.engines.preflight import check_driver
@@ -179,7 +179,7 @@ def campaign_compare_command(
     What one of them has not driven is driven, without ROS unless --engine says otherwise. Writes comparison.html,
     comparison.md and comparison.json under --out.
     """
-    from ds_analysis.comparison.drives import ComparisonError
+    from ds_analysis.comparison.paired_drives import ComparisonError
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.store.folder_files import make_folder

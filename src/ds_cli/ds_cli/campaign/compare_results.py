@@ -27,15 +27,15 @@ def write_comparison(
 ) -> Result:
     """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows."""
     from ds_analysis.common.table import write_tables
-    from ds_analysis.comparison.junit import cases_of, junit_of
-    from ds_analysis.comparison.markdown import markdown_of
-    from ds_analysis.comparison.summary import answer_of, cautions_of, sentences_of
+    from ds_analysis.comparison.analysis import answer_of, cautions_of, sentences_of
+    from ds_analysis.comparison.ci_results import cases_of, junit_of
     from ds_analysis.comparison.tables import (
         MOST_ROWS,
         cell_table,
         command_of,
         document_of,
         drive_table,
+        markdown_of,
         simulator_table,
     )
     from ds_report.comparison_page import write_comparison_page

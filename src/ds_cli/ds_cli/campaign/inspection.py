@@ -22,7 +22,7 @@ campaign_app = typer.Typer()
 
 def status(folder: Path) -> Result:
     """Report how far a campaign is, stage by stage."""
-    from ds_analysis.paper.exclusions import exclusion_counts, exclusion_lines
+    from ds_analysis.paper.campaign_evaluation import exclusion_counts, exclusion_lines
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.campaign.selection import missing_bags, missing_line
     from ds_orchestrator.campaign.status import stages_of
@@ -128,7 +128,7 @@ def campaign_export_command(
     executions.parquet has a row for each test on each simulator; with --frames, frames.parquet one for each frame.
     Every column carries its unit and description. The campaign may still be running.
     """
-    from ds_analysis.interchange.parquet import write_tables
+    from ds_analysis.common.parquet import write_tables
     from ds_orchestrator.campaign.folder import open_store, read_campaign
 
     with closing(open_store(folder)) as store:

@@ -9,7 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison
-    from ds_analysis.comparison.criteria import Criteria
+    from ds_analysis.comparison.ci_results import Criteria
     from ds_orchestrator.campaign.folder import CampaignData
 
 FailOn = Annotated[
@@ -36,8 +36,8 @@ def criteria_of(fail_on: str | None, max_failures: str | None, *, has_reference:
     Raises:
         ds_orchestrator.campaign.config.ConfigError: a threshold makes no sense.
     """
-    from ds_analysis.comparison.criteria import Criteria
-    from ds_analysis.comparison.criteria import MaxFailures as Limit
+    from ds_analysis.comparison.ci_results import Criteria
+    from ds_analysis.comparison.ci_results import MaxFailures as Limit
 
     limit = None if max_failures is None else Limit.parse(max_failures)
     criteria = Criteria(fail_on=fail_on, max_failures=limit)  # type: ignore[arg-type]

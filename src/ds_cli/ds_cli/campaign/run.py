@@ -39,7 +39,7 @@ from ds_cli.options import (
 from ds_cli.output import Interrupted, Result, duration, end, say
 
 if TYPE_CHECKING:
-    from ds_analysis.comparison.criteria import Criteria
+    from ds_analysis.comparison.ci_results import Criteria
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.engines.cluster import ClusterOptions
 
@@ -101,7 +101,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None)
     """Hold a finished campaign against pass criteria, and write its outcomes as JUnit XML."""
     if criteria == type(criteria)() and junit is None:
         return result
-    from ds_analysis.comparison.junit import cases_of_campaign, junit_of
+    from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
     from ds_orchestrator.campaign.folder import open_store, read_campaign
 
     with closing(open_store(folder)) as store:

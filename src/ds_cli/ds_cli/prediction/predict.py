@@ -50,12 +50,10 @@ def predict_command(
     Each cell fails, is safe, disputed or untested; the siblings' outcomes are all that is used. Where the campaign has
     a twin, every predictor is scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
     """
+    from ds_analysis.common.outcome_table import OutcomeTableError, read_table
     from ds_analysis.common.table import write_tables
-    from ds_analysis.prediction.coverage import forecast_cells
-    from ds_analysis.prediction.outcome_table import OutcomeTableError
+    from ds_analysis.prediction.calibration import check_in_turn, forecast_cells
     from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
-    from ds_analysis.prediction.self_check import check_in_turn
-    from ds_analysis.prediction.sources import read_source
     from ds_analysis.prediction.twin_prediction import predict_twin
     from ds_analysis.prediction.verdict_picture import draw_verdicts
     from ds_analysis.prediction.verdicts import cell_table, judge
@@ -64,11 +62,10 @@ def predict_command(
 
     if out is not None:
         make_folder(out)
-    source = read_source(folder, twin=twin)
-    table = source.table
+    table = read_table(folder, twin=twin)
     say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
     prediction = predict_twin(table)
-    verdicts = judge(table, prediction, source.features, tolerated=tolerated)
+    verdicts = judge(table, prediction, tolerated=tolerated)
     check = check_in_turn(table)
     tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts)), *([check.table()] if check.siblings else [])]
     document: dict[str, Any] = {

@@ -14,10 +14,10 @@ from ds_cli.output import Result, answer, say
 from ds_cli.prediction.predict import TestsFolder, cell_labels
 
 if TYPE_CHECKING:
+    from ds_analysis.common.outcome_table import OutcomeTable
     from ds_analysis.prediction.real.proposal import Proposed
     from ds_analysis.prediction.real.records import RealDrive
     from ds_analysis.prediction.real.update import Update
-    from ds_analysis.prediction.sources import Source
     from ds_analysis.prediction.twin_prediction import TwinPrediction
 
 app = typer.Typer()
@@ -72,8 +72,8 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
     drives = read_drives(folder)
     if not drives:
         raise RecordError(f"{folder} has no real drives: record some with `ds real record {folder} FILE.csv`")
-    source, prediction = _fitted(folder)
-    found = update(source.table, prediction, drives, source.features, tolerated=tolerated)
+    table, prediction = _fitted(folder)
+    found = update(table, prediction, drives, tolerated=tolerated)
     document: dict[str, Any] = found.document()
     path = (folder / FOLDER if out is None else out) / "update.json"
     write_json(path, document)
@@ -84,13 +84,14 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
     return Result(document=document, show=lambda: _show(found, path))
 
 
-def _fitted(folder: Path) -> tuple[Source, TwinPrediction]:
-    from ds_analysis.prediction.sources import read_population
+def _fitted(folder: Path) -> tuple[OutcomeTable, TwinPrediction]:
+    """Tests of a folder, a driven digital twin among the siblings, and the prediction of a car."""
+    from ds_analysis.common.outcome_table import read_table
     from ds_analysis.prediction.twin_prediction import predict_twin
 
-    source = read_population(folder)
-    say(f"{len(source.table)} tests on {', '.join(source.table.siblings)}: fitting the population of simulators")
-    return source, predict_twin(source.table)
+    table = read_table(folder).as_population()
+    say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
+    return table, predict_twin(table)
 
 
 def _show(found: Update, path: Path) -> None:
@@ -140,21 +141,20 @@ def propose_command(
     Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
     """
     from ds_analysis.common.table import Column, Table
+    from ds_analysis.prediction.real.drive_choice import LEAST_GAIN, expected_error
     from ds_analysis.prediction.real.proposal import SCALE, propose, read_proposed, write_proposal
     from ds_analysis.prediction.real.records import read_drives
-    from ds_analysis.prediction.real.selection import expected_error
     from ds_analysis.prediction.real.update import margin_drives
-    from ds_analysis.prediction.real.worth import LEAST_GAIN
     from ds_orchestrator.store.folder_files import locked
 
     with locked(folder):
-        source, prediction = _fitted(folder)
+        outcomes, prediction = _fitted(folder)
         known = read_drives(folder)
         chosen_scale = scale or read_proposed(folder).scale or SCALE
-        updated = prediction.updated(margin_drives(source.table, known))
-        found = propose(source.table, updated, drives, scale=chosen_scale)
+        updated = prediction.updated(margin_drives(outcomes, known))
+        found = propose(outcomes, updated, drives, scale=chosen_scale)
         paths = write_proposal(folder, found)
-    expected = expected_error(source.table, updated)
+    expected = expected_error(outcomes, updated)
     table = Table(
         name="proposal",
         title=f"Drives on the car that tell most, after {len(known)} real drives",

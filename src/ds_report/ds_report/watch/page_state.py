@@ -16,6 +16,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_report.camera_pictures import SPACINGS, render_drive, replay_frames
 from ds_report.page_data import in_words, simulator_rows
 from ds_report.watch.campaign_reader import Snapshot
+from ds_road.geometry import arc_lengths
 from ds_sim.registry import make_simulator, received_simulator
 from ds_sim.simulator import Simulator
 
@@ -167,7 +168,7 @@ def _under_way(drive: LiveDrive, by_road: dict[tuple[str, int], list[Test]], now
     said["road"] = [np.round(line, 1).tolist() for line in (*road.left_edge[few].T, *road.right_edge[few].T)]
     if drive.progress is not None and drive.lateral_position is not None:
         lane = road.lane_centre
-        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(lane, axis=0).T))))
+        along = arc_lengths(lane)
         at = drive.progress * road.length
         x, y = (float(np.interp(at, along, lane[:, k])) for k in (0, 1))
         ahead = [float(np.interp(min(at + 1.0, along[-1]), along, lane[:, k])) for k in (0, 1)]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_road.geometry import arc_lengths
 from ds_sim.camera.atlas import TILE, AtlasMemory, Box, Ground
 from ds_sim.camera.look import Look
 from ds_sim.camera.surface import SURFACE_CONDITIONS, Surface
@@ -105,8 +106,7 @@ def _with_leads(road: Road) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def _touched_tiles(ground: Ground, line: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
     """Tiles of the finest level within `reach` of a line, and perhaps some more; both in pixels of that level."""
-    lengths = np.hypot(*np.diff(line, axis=0).T)
-    along = np.concatenate(([0.0], np.cumsum(lengths)))
+    along = arc_lengths(line)
     stations = np.linspace(0.0, along[-1], math.ceil(along[-1] / TILE) * 2 + 1)
     points = np.stack([np.interp(stations, along, line[:, i]) for i in (0, 1)], axis=1)
     # Stations are at most half a tile apart, so that every point of the line is within a quarter of a tile of one.

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_road.geometry import arc_lengths
 from ds_sim.camera.atlas import Box
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.optics import decode, encode, light_of
@@ -185,7 +186,7 @@ class _Line:
 
     def __init__(self, centre: _Points, across: _Points, resolution: float, leads: tuple[float, float]) -> None:
         self._centre, self._across, self._resolution = centre, across, resolution
-        self._arc = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(centre, axis=0).T))))
+        self._arc = arc_lengths(centre)
         self.length = float(self._arc[-1])
         self.regions = ((0.0, leads[0]), (leads[0], self.length - leads[1]), (self.length - leads[1], self.length))
 

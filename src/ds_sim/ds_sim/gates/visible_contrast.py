@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_road.geometry import arc_lengths
 from ds_sim.camera.lens import project
 from ds_sim.camera.optics import decode, mounted
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -53,7 +54,7 @@ class VisibleContrast:
         self._camera = mounted(spec.camera, conditions)
         middle, lane = np.asarray(road.points), np.asarray(road.lane_centre)
         across = (lane - middle) * (2.0 / road.lane_width)  # unit vectors from the centre line to the driven edge
-        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(lane, axis=0).T))))
+        along = arc_lengths(lane)
         ahead = (middle[-1] - middle[-2]) / np.hypot(*(middle[-1] - middle[-2]))
         middle = np.vstack((middle, middle[-1] + _LEAD_OUT * ahead))
         across, along = np.vstack((across, across[-1:])), np.append(along, along[-1] + _LEAD_OUT)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_road.geometry import arc_lengths
 from ds_sim_panda.scene.graphics import panda
 from ds_sim_panda.scene.parameters import GROUND_RADIUS, LEAD_IN, LEAD_OUT
 
@@ -85,7 +86,7 @@ def course_of(road: Road) -> Course:
     ahead = np.stack((-right[:, 1], right[:, 0]), axis=1)
     origin = np.floor(road.points.min(axis=0))
     points = np.vstack((road.points[0] - LEAD_IN * ahead[0], road.points, road.points[-1] + LEAD_OUT * ahead[-1]))
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T)))) - LEAD_IN
+    along = arc_lengths(points) - LEAD_IN
     return Course(
         origin=origin,
         points=points - origin,

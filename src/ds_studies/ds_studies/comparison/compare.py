@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from ds_analysis.comparison.analysis import Comparison, Origin, compare_networks
-from ds_analysis.comparison.drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
+from ds_analysis.comparison.paired_drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings

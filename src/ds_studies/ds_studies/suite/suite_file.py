@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
-from ds_analysis.comparison.drives import ComparedTest, DriveOutcome, Network, PairedDrive
+from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError
 from ds_orchestrator.campaign.config_errors import problems
 from ds_orchestrator.campaign.engine import DriveSettings

@@ -15,10 +15,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, Field
 
-from ds_analysis.prediction.outcome_table import OutcomeTable, State
+from ds_analysis.common.outcome_table import OutcomeTable, State
+from ds_analysis.prediction.real.drive_choice import Choice, choose
 from ds_analysis.prediction.real.records import COLUMNS, FOLDER, MOST_ROWS, OPTIONAL, RecordError, Text
 from ds_analysis.prediction.real.road_sheet import draw_sheet, sheet_of
-from ds_analysis.prediction.real.selection import Choice, choose
 from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction
 from ds_analysis.prediction.verdicts import called
 from ds_driver.whole_files import write_json, write_whole
@@ -102,7 +102,7 @@ def propose(
     """Choose drives, and compute what each would decide.
 
     Raises:
-        ds_analysis.prediction.real.selection.BudgetError: there are not so many tests to choose from.
+        ds_analysis.prediction.real.drive_choice.BudgetError: there are not so many tests to choose from.
     """
     now = prediction.probabilities()
     return [_proposed(table, prediction, choice, now, scale) for choice in choose(table, prediction, drives)]

@@ -10,8 +10,8 @@ from functools import reduce
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ds_analysis.common.statistics import Array
 from ds_analysis.prediction.real.records import RecordError
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.reader import BagReader
@@ -104,7 +104,7 @@ def _values(bag: BagReader, topic: str) -> Iterator[float]:
         raise RecordError(f"{bag.path}: {topic} has no finite value")
 
 
-def _poses(bag: BagReader, topic: str | None) -> NDArray[np.float64]:
+def _poses(bag: BagReader, topic: str | None) -> Array:
     """(n, 3) x, y and yaw of the odometry."""
     found = [one for one in bag.of_type(ODOMETRY) if topic in (None, one.topic)]
     if len({one.topic for one in found}) != 1:
@@ -122,7 +122,7 @@ def _poses(bag: BagReader, topic: str | None) -> NDArray[np.float64]:
     return np.array(poses, np.float64)
 
 
-def _along(road: Road, poses: NDArray[np.float64], scale: float, path: Path) -> tuple[float, float]:
+def _along(road: Road, poses: Array, scale: float, path: Path) -> tuple[float, float]:
     """Largest absolute lateral position until the car leaves the lane, m, and the share of the lane driven."""
     lane = road.lane_centre
     ahead = lane[1] - lane[0]

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_analysis.common.chart import write
+from ds_analysis.common.statistics import Array
 from ds_road import Road
-
-Array = NDArray[np.float64]
+from ds_road.geometry import arc_lengths
 
 SPACING = 0.1
 """Distance between the points to tape out, m at the car's size; chosen: on bends with a radius of 0.25 m, the
@@ -22,8 +23,7 @@ _MARGIN = 0.25
 """m at the car's size around the road, so that the grid's origin lies beside it."""
 _PIXELS = 900
 _LEFT, _TOP, _BOTTOM, _RIGHT = 60, 56, 46, 24
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
-_INK, _FAINT, _FAINTER = (30, 30, 30), (190, 190, 190), (228, 228, 228)
+_FAINT, _FAINTER = (190, 190, 190), (228, 228, 228)
 _EDGE, _CENTRE, _LANE = (20, 20, 20), (205, 150, 0), (0, 114, 178)
 
 
@@ -72,7 +72,7 @@ def sheet_of(road: Road, scale: float) -> RoadSheet:
     """
     lines = [road.points, road.left_edge, road.right_edge, road.lane_centre]
     # All lines have a point for each sample of the centre line, abreast of it.
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(road.points, axis=0).T)))) / scale
+    along = arc_lengths(road.points) / scale
     stations = np.append(np.arange(0.0, along[-1] - 0.5 * SPACING, SPACING), along[-1])
     corner = np.vstack(lines[1:3]).min(axis=0) / scale - _MARGIN
     scaled = [
@@ -113,7 +113,7 @@ def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
             line(ends[:, ::-1] if axis else ends, _FAINTER if half % 2 else _FAINT, 1)
             if half % 2 == 0:
                 x, y = (at(ends[:1, ::-1] if axis else ends[:1]) // 16)[0]
-                _write(image, f"{half // 2}", (int(x) - 22, int(y) + 4) if axis else (int(x) - 4, int(y) + 18), 0.42)
+                write(image, f"{half // 2}", (int(x) - 22, int(y) + 4) if axis else (int(x) - 4, int(y) + 18), 0.42)
     for edge in (sheet.left, sheet.right):
         line(edge, _EDGE, 3)
     line(sheet.centre, _CENTRE, 3)
@@ -128,14 +128,10 @@ def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
     half_lane = 0.35 * sheet.lane_width
     arrow = sheet.lane[0] + np.array([1.6 * ahead * half_lane, side * half_lane, -side * half_lane])
     cv2.fillPoly(image, [at(arrow)], _LANE, cv2.LINE_AA, 4)
-    _write(image, title, (12, 22), 0.52)
-    _write(image, "grid 0.5 m; black: white edge lines; amber: yellow centre line; arrow: start", (12, 42), 0.42)
+    write(image, title, (12, 22), 0.52)
+    write(image, "grid 0.5 m; black: white edge lines; amber: yellow centre line; arrow: start", (12, 42), 0.42)
     size = (
         f"{sheet.width:.1f} x {sheet.height:.1f} m, length {sheet.stations[-1]:.1f} m, lanes {sheet.lane_width:.3f} m"
     )
-    _write(image, size, (12, image.shape[0] - 10), 0.45)
+    write(image, size, (12, image.shape[0] - 10), 0.45)
     return image
-
-
-def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int], size: float) -> None:
-    cv2.putText(image, text, at, _FONT, size, _INK, 1, cv2.LINE_AA)

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.prediction.margins import margin
-from ds_analysis.prediction.outcome_table import OutcomeTable
+from ds_analysis.prediction.real.drive_choice import Worth, worth_of
 from ds_analysis.prediction.real.records import RealDrive, RecordError
-from ds_analysis.prediction.real.worth import Worth, worth_of
-from ds_analysis.prediction.span import Span, span_of
-from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction
+from ds_analysis.prediction.twin_prediction import MarginDrive, Span, TwinPrediction, span_of
 from ds_analysis.prediction.verdicts import CellVerdict, Verdicts, judge
 
 
@@ -114,7 +113,6 @@ def update(
     table: OutcomeTable,
     prediction: TwinPrediction,
     drives: Sequence[RealDrive],
-    features: Sequence[str],
     *,
     tolerated: float,
 ) -> Update:
@@ -124,14 +122,13 @@ def update(
         table: outcomes of the siblings.
         prediction: without the drives.
         drives: the real drives.
-        features: names of the map's axes.
         tolerated: failure rate up to which a cell counts as safe.
 
     Raises:
         RecordError: a drive is of no test of the table.
     """
     known = prediction.updated(margin_drives(table, drives))
-    before, after = (judge(table, one, features, tolerated=tolerated) for one in (prediction, known))
+    before, after = (judge(table, one, tolerated=tolerated) for one in (prediction, known))
     return Update(
         drives=tuple(drives),
         before=before,

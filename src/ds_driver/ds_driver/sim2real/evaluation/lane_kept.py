@@ -14,6 +14,7 @@ from ds_driver.sim2real.generator import Window
 from ds_driver.sim2real.lane_pairs import FIRST_ROW, HEIGHTS, lane_shape
 from ds_driver.sim2real.lane_view import find_lines, lane_borders
 from ds_road import Road
+from ds_road.geometry import arc_lengths
 from ds_sim.camera.lens import NEAREST, project
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
@@ -44,7 +45,7 @@ class LineProjector:
         ahead = np.stack((-right[:, 1], right[:, 0]), axis=1)
         points = np.vstack((points[0] - LEAD_IN * ahead[0], points, points[-1] + LEAD_OUT * ahead[-1]))
         right = np.vstack((right[:1], right, right[-1:]))
-        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+        along = arc_lengths(points)
         stations = np.linspace(0.0, along[-1], math.ceil(along[-1] / STEP) + 1)
         points, right = (np.stack([np.interp(stations, along, p[:, i]) for i in (0, 1)], 1) for p in (points, right))
         inset = road.lane_width - line_width / 2

@@ -1,4 +1,4 @@
-"""Whether calls hold on the siblings themselves: each in turn plays the car, predicted from the others.
+"""Forecasts of cells' failure rates, and whether calls hold on the siblings themselves: each plays the car in turn.
 
 A campaign without a twin cannot tell how well its prediction of a car does, but it can tell how well the same model
 would have predicted each of its simulators. Where these fail in ways of their own, it is wrong more often than it says.
@@ -11,23 +11,104 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ds_analysis.common.statistics import RESAMPLES
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import RESAMPLES, Array, Bools
 from ds_analysis.common.table import Column, Table
 from ds_analysis.common.weighted_scores import family_weights, interval_of, mean_of
-from ds_analysis.prediction.coverage import COVERAGE, forecast_cells, share_held
 from ds_analysis.prediction.margins import FEWEST_TESTS
-from ds_analysis.prediction.outcome_table import OutcomeTable
-from ds_analysis.prediction.twin_prediction import predict_twin
+from ds_analysis.prediction.twin_prediction import TwinPrediction, predict_twin
 from ds_analysis.prediction.verdicts import ERROR_RATE, called
+
+COVERAGE = 0.9
+"""Nominal coverage of the intervals of a cell's failure rate."""
+SEED = 19
+"""Seed of the drawn outcomes; any number does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellForecast:
+    """Failure rate that is predicted for a cell's tests, and the one that was found.
+
+    Attributes:
+        cell: cell of the feature map.
+        tests: number of its tests.
+        mean: mean of the predicted rate.
+        interval: 90 % interval of the rate that these tests will have; a rate of few tests takes few values, so that it
+            usually holds more than 90 %.
+        observed: share of the tests that failed; None if they were not driven.
+        rank: share of the drawn rates below the observed one, equal ones split at random: uniform on [0, 1] if the
+            prediction is calibrated, however few tests a cell has (randomised probability integral transform).
+    """
+
+    cell: tuple[int, ...]
+    tests: int
+    mean: float
+    interval: tuple[float, float]
+    observed: float | None
+    rank: float | None
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the interval holds the observed rate; None if there is none."""
+        return None if self.observed is None else self.interval[0] <= self.observed <= self.interval[1]
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {**asdict(self), "holds": self.holds}
+
+
+def share_held(ranks: Sequence[float]) -> float | None:
+    """Share of randomised ranks, one a cell, that lie inside of the interval's; None without any."""
+    if not ranks:
+        return None
+    inside = np.array(ranks)
+    return float(((inside >= (1 - COVERAGE) / 2) & (inside <= (1 + COVERAGE) / 2)).mean())
+
+
+def forecast_cells(
+    table: OutcomeTable, prediction: TwinPrediction, *, fewest: int = 1, seed: int = SEED
+) -> list[CellForecast]:
+    """Forecast the failure rate of the tests of every cell.
+
+    Args:
+        table: outcomes.
+        prediction: of the table's tests.
+        fewest: tests that a cell must have.
+        seed: seed of the drawn outcomes.
+    """
+    known = None if table.twin is None else table.known(table.twin)
+    members: dict[tuple[int, ...], list[int]] = {}
+    for k, cell in enumerate(table.cells):
+        if cell is not None and table.on_siblings[k] and (known is None or known[k]):
+            members.setdefault(cell, []).append(k)
+    rng = np.random.default_rng(seed)
+    found = []
+    for cell in sorted(cell for cell, rows in members.items() if len(rows) >= fewest):
+        rows = np.array(members[cell])
+        probabilities = prediction.draws(rows=rows)
+        failures = (rng.random(probabilities.shape) < probabilities).sum(axis=1)
+        low, high = np.quantile(failures, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], method="inverted_cdf")
+        observed = None if table.twin is None else int(table.failed(table.twin)[rows].sum())
+        found.append(
+            CellForecast(
+                cell=cell,
+                tests=len(rows),
+                mean=float(probabilities.mean()),
+                interval=(float(low / len(rows)), float(high / len(rows))),
+                observed=None if observed is None else observed / len(rows),
+                rank=None
+                if observed is None
+                else float((failures < observed).mean() + rng.random() * (failures == observed).mean()),
+            )
+        )
+    return found
+
 
 FEWEST_SIBLINGS = 3
 """Siblings that a check takes; chosen: two that predict the third, as one has no spread."""
-SEED = 23
+_RESAMPLING_SEED = 23
 """Seed of the resamples; any number does."""
-
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +236,7 @@ def check_in_turn(table: OutcomeTable) -> SelfCheck:
         safe.append(low)
         failing.append(high)
         failed.append(fails)
-    weights = family_weights(np.tile(known.families, len(known.siblings)), RESAMPLES, SEED)
+    weights = family_weights(np.tile(known.families, len(known.siblings)), RESAMPLES, _RESAMPLING_SEED)
     wrong = np.concatenate(failed)
     return SelfCheck(
         siblings=tuple(found),
@@ -164,7 +245,7 @@ def check_in_turn(table: OutcomeTable) -> SelfCheck:
     )
 
 
-def _calls(rows: Bools, wrong: Bools, weights: NDArray[np.float64]) -> Calls:
+def _calls(rows: Bools, wrong: Bools, weights: Array) -> Calls:
     return Calls(
         count=int(rows.sum()),
         wrong=int((rows & wrong).sum()),

@@ -1,0 +1,373 @@
+"""Tests and how they ended on several simulators, as one table: undriven features, families, outcomes, profiles."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ds_road
+from ds_analysis.common.driven_road import DrivenRoad, recorded_profile
+from ds_analysis.common.statistics import Array, Bools, Indices, families_of
+from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
+from ds_orchestrator.store.folder_files import read_file
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_road import Road
+from ds_road.geometry import direction_coverage
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
+from ds_sim.conditions.scales import share_of
+
+if TYPE_CHECKING:
+    from ds_orchestrator.campaign.folder import CampaignData
+    from ds_orchestrator.store.model import Execution
+
+MOST_TESTS = 20_000
+"""Tests of a comparison; chosen: far more than a fit of the population can take in minutes."""
+ROAD_FEATURES: Mapping[str, Callable[[Road], float]] = {
+    "length": lambda road: road.length,
+    "turns_count": lambda road: float(road.turns_count),
+    "curvature": lambda road: road.curvature,
+    "direction_coverage": lambda road: direction_coverage(road.points),
+    "lane_curvature_max_right": lambda road: road.lane_curvature_max_right,
+    "lane_curvature_max_left": lambda road: road.lane_curvature_max_left,
+}
+"""Features of a road alone that predict failures; those of the maps that repeat one of them are left out
+(`segment_count` is the turns count, `minimum_radius` the inverse of the curvature)."""
+
+
+class State(IntEnum):
+    """What is known of a test on a simulator."""
+
+    MISSING = 0
+    COMPLETED = 1
+    FAILED = 2
+    EXCLUDED = 3
+    ERROR = 4
+
+
+class OutcomeTableError(ValueError):
+    """Outcomes that allow no prediction."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OutcomeTable:
+    """Tests of one driver, one row each; a column per simulator, the siblings in order, then the twin if there is one.
+
+    Attributes:
+        test_ids: (tests,) ids.
+        siblings: names of the siblings.
+        twin: name of the simulator whose failures are predicted; None if no such simulator was driven.
+        roads: (tests,) roads.
+        conditions: (tests,) operating conditions.
+        axes: names of the feature map's axes.
+        cells: (tests,) cell of that map; None for a test without one.
+        states: (tests, simulators) values of `State`.
+        lateral: (tests, simulators) largest absolute lateral position, m, at most half a lane: how far a car goes after
+            leaving its lane does not tell how it drove; 0 without a verdict.
+        decoders: (tests, simulators) functions that decode the lateral positions along the lane; see `profiles`.
+        feature_names: names of the features' columns.
+        features: (tests, features) what is known of a test before anything is driven: `ROAD_FEATURES` of the road, then
+            the conditions that differ between tests, each as a share of its range on its scale.
+        families: (tests,) number of the family: the root of mutation from which a test descends.
+    """
+
+    test_ids: tuple[str, ...]
+    siblings: tuple[str, ...]
+    twin: str | None
+    roads: tuple[Road, ...]
+    conditions: tuple[Conditions, ...]
+    axes: tuple[str, ...]
+    cells: tuple[Cell | None, ...]
+    states: NDArray[np.int8]
+    lateral: Array
+    decoders: NDArray[np.object_]
+    feature_names: tuple[str, ...]
+    features: Array
+    families: Indices
+
+    @classmethod
+    def of(
+        cls,
+        roads: Sequence[Road],
+        states: NDArray[np.int8],
+        lateral: Array,
+        *,
+        siblings: Sequence[str],
+        twin: str | None = None,
+        test_ids: Sequence[str] | None = None,
+        conditions: Sequence[Conditions] | None = None,
+        axes: Sequence[str] = DEFAULT_FEATURES,
+        cells: Sequence[Cell | None] | None = None,
+        decoders: NDArray[np.object_] | None = None,
+    ) -> OutcomeTable:
+        """Make a table, with the features and families of its tests.
+
+        Args:
+            roads: (tests,) roads.
+            states: (tests, simulators) values of `State`.
+            lateral: (tests, simulators) largest absolute lateral position, m.
+            siblings: names of the siblings.
+            twin: name of the last simulator, if it is the twin.
+            test_ids: ids; those of the roads if None.
+            conditions: operating conditions; the default ones if None.
+            axes: names of the feature map's axes; those of the paper's maps if left out.
+            cells: cells of that map; those of the paper's maps if None.
+            decoders: functions that decode lateral positions; there are none if None.
+        """
+        conditions = [DEFAULT] * len(roads) if conditions is None else conditions
+        return cls(
+            test_ids=tuple(road.road_id for road in roads) if test_ids is None else tuple(test_ids),
+            siblings=tuple(siblings),
+            twin=twin,
+            roads=tuple(roads),
+            conditions=tuple(conditions),
+            axes=tuple(axes),
+            cells=tuple(map(cell_of, roads)) if cells is None else tuple(cells),
+            states=states,
+            lateral=np.minimum(lateral, np.array([road.lane_width / 2 for road in roads])[:, None]),
+            decoders=np.full(states.shape, _no_profile) if decoders is None else decoders,
+            **_known_undriven(roads, conditions),
+        )
+
+    def __len__(self) -> int:
+        return len(self.test_ids)
+
+    @property
+    def simulators(self) -> tuple[str, ...]:
+        """Siblings, then the twin if there is one."""
+        return (*self.siblings, *([self.twin] if self.twin else []))
+
+    @cached_property
+    def half_lanes(self) -> Array:
+        """(tests,) half the width of a lane, m."""
+        return np.array([road.lane_width / 2 for road in self.roads])
+
+    @cached_property
+    def profiles(self) -> Mapping[str, Sequence[Array]]:
+        """Simulator -> lateral positions every `GRID` m along the lane, m, of every test; decoded when first asked."""
+        return {name: [one() for one in self.decoders[:, k]] for k, name in enumerate(self.simulators)}
+
+    def column(self, simulator: str) -> int:
+        """Index of a simulator's column."""
+        return self.simulators.index(simulator)
+
+    def known(self, simulator: str) -> Bools:
+        """(tests,) whether a test ended in a verdict on a simulator; excluded tests and errors never do."""
+        return np.isin(self.states[:, self.column(simulator)], (State.COMPLETED, State.FAILED))
+
+    def failed(self, simulator: str) -> Bools:
+        """(tests,) whether a test failed on a simulator."""
+        return np.asarray(self.states[:, self.column(simulator)] == State.FAILED)
+
+    def largest_lateral(self, simulator: str) -> Array:
+        """(tests,) largest absolute lateral position on a simulator, m."""
+        return self.lateral[:, self.column(simulator)]
+
+    def feature(self, name: str) -> Array:
+        """(tests,) values of one feature."""
+        return self.features[:, self.feature_names.index(name)]
+
+    @property
+    def on_siblings(self) -> Bools:
+        """(tests,) whether a test has a verdict on every sibling."""
+        return np.all([self.known(name) for name in self.siblings], axis=0)
+
+    def select(self, rows: Bools | Indices) -> OutcomeTable:
+        """Keep some tests, with the features and families that they have among all."""
+        kept = np.arange(len(self))[rows]
+        lists = "test_ids", "roads", "conditions", "cells"
+        arrays = "states", "lateral", "decoders", "features", "families"
+        found: dict[str, Any] = {name: tuple(getattr(self, name)[k] for k in kept) for name in lists}
+        return replace(self, **found, **{name: getattr(self, name)[kept] for name in arrays})
+
+    def judged(self) -> OutcomeTable:
+        """Keep the tests with a verdict on every simulator; features and families are those among these alone."""
+        kept = self.select(np.all([self.known(name) for name in self.simulators], axis=0))
+        return replace(kept, **_known_undriven(kept.roads, kept.conditions))
+
+    def as_population(self) -> OutcomeTable:
+        """Let a twin that was driven be one more sibling, to predict a car; one that was not is left out."""
+        if self.twin is None or not self.known(self.twin).any():
+            return self.with_twin(None)
+        return replace(self, siblings=self.simulators, twin=None)
+
+    def with_twin(self, name: str | None) -> OutcomeTable:
+        """Let another simulator play the twin, and all others the siblings; None leaves the twin out.
+
+        Raises:
+            OutcomeTableError: there is no such simulator, or it leaves no sibling.
+        """
+        if name is not None and name not in self.simulators:
+            raise OutcomeTableError(f"no simulator {name!r:.60}, expected one of {', '.join(self.simulators)}")
+        siblings = self.siblings if name is None else tuple(s for s in self.simulators if s != name)
+        if not siblings:
+            raise OutcomeTableError(f"{name} is the only simulator: expected a sibling beside it")
+        order = [self.column(s) for s in (*siblings, *([name] if name else []))]
+        columns = {key: getattr(self, key)[:, order] for key in ("states", "lateral", "decoders")}
+        return replace(self, siblings=siblings, twin=name, **columns)
+
+
+def table_of_runs(
+    runs: Mapping[str, Sequence[DrivenRoad]], *, conditions: Sequence[Conditions] | None = None
+) -> OutcomeTable:
+    """Collect runs; all simulators are siblings.
+
+    Args:
+        runs: simulator -> its runs, the same roads in the same order for all.
+        conditions: operating conditions of each test; the default ones if None.
+    """
+    rows = list(zip(*runs.values(), strict=True))
+    shape = len(rows), len(runs)
+    lateral = [[run.max_lateral_position if run.outcome.is_verdict else 0.0 for run in row] for row in rows]
+    return OutcomeTable.of(
+        [row[0].road for row in rows],
+        np.array([[_state(run) for run in row] for row in rows], np.int8).reshape(shape),
+        np.array(lateral, np.float64).reshape(shape),
+        siblings=tuple(runs),
+        conditions=conditions,
+        decoders=np.array([[partial(_profile, run) for run in row] for row in rows], object).reshape(shape),
+    )
+
+
+def table_of_campaign(data: CampaignData) -> OutcomeTable:
+    """Collect the tests of a campaign, finished or not.
+
+    Raises:
+        OutcomeTableError: no test has a verdict yet.
+    """
+    names = tuple(data.config.simulators)
+    column = {name: k for k, name in enumerate(names)}
+    row = {test.test_id: k for k, test in enumerate(data.tests)}
+    states = np.zeros((len(row), len(names)), np.int8)
+    lateral = np.zeros((len(row), len(names)))
+    decoders = np.full(states.shape, _no_profile)
+    for test_id, simulator, *_ in data.errors:
+        if test_id in row and simulator in column:
+            states[row[test_id], column[simulator]] = State.ERROR
+    for test_id, simulator in data.excluded:
+        states[row[test_id], column[simulator]] = State.EXCLUDED
+    for one in data.executions:
+        at = row[one.test_id], column[one.simulator]
+        states[at] = _state(one)
+        if one.outcome.is_verdict:
+            lateral[at] = one.max_lateral_position
+            decoders[at] = partial(_recorded_profile_of, data.tests[at[0]].road, one)
+    return _with_verdicts(
+        OutcomeTable.of(
+            [test.road for test in data.tests],
+            states,
+            lateral,
+            siblings=data.config.siblings,
+            twin=data.config.twin,
+            test_ids=[test.test_id for test in data.tests],
+            conditions=[test.conditions for test in data.tests],
+            axes=data.config.features,
+            cells=[data.cells.get(test.test_id) for test in data.tests],
+            decoders=decoders,
+        )
+    )
+
+
+def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTable:
+    """Read what `ds siblings compare --out` wrote, without profiles.
+
+    Args:
+        folder: the folder.
+        twin: simulator that plays the twin; None if all are siblings.
+
+    Raises:
+        OutcomeTableError: the folder holds no comparison, or one without a verdict.
+    """
+    try:
+        document = json.loads(read_file(folder, "comparison.json"))
+        rows, names = document["outcomes"], tuple(document["simulators"])
+        roads = {road.road_id: road for road in ds_road.read_roads(read_file(folder, "roads.json").decode())}
+        shape = len(rows), len(names)
+        if shape[0] > MOST_TESTS or not all(isinstance(name, str) for name in names):
+            raise ValueError
+        failed = np.array([[row["failed"][name] for name in names] for row in rows], np.bool_).reshape(shape)
+        lateral = np.array([[row["max_lateral_position"][n] for n in names] for row in rows], float).reshape(shape)
+        if not (np.isfinite(lateral).all() and (lateral >= 0.0).all()):
+            raise ValueError
+        states = np.where(failed, State.FAILED, State.COMPLETED).astype(np.int8)
+        table = OutcomeTable.of([roads[row["road_id"]] for row in rows], states, lateral, siblings=names)
+    except StoreError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError):
+        raise OutcomeTableError(f"{folder} holds no comparison: expected the --out of `ds siblings compare`") from None
+    return _with_verdicts(table).with_twin(twin)
+
+
+def read_table(folder: Path, *, twin: str | None = None) -> OutcomeTable:
+    """Read a folder of `ds campaign run`, finished or running, or of `ds siblings compare --out`.
+
+    Args:
+        folder: the folder.
+        twin: simulator that plays the twin; the campaign's own twin if None.
+
+    Raises:
+        OutcomeTableError: the folder holds neither, or has no such simulator, or no verdict yet.
+        ds_orchestrator.store.sqlite_file.StoreError: the campaign's file is damaged.
+        ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
+    """
+    if (folder / "campaign.sqlite").exists():
+        from ds_orchestrator.campaign.folder import open_store, read_campaign
+
+        with closing(open_store(folder)) as store:
+            table = table_of_campaign(read_campaign(store))
+        return table.with_twin(twin) if twin else table
+    if (folder / "comparison.json").exists():
+        return table_of_comparison(folder, twin=twin)
+    raise OutcomeTableError(
+        f"{folder} holds no campaign.sqlite and no comparison.json: expected a folder of `ds campaign run` or of "
+        "`ds siblings compare --out`"
+    )
+
+
+def _with_verdicts(table: OutcomeTable) -> OutcomeTable:
+    if not np.isin(table.states, (State.COMPLETED, State.FAILED)).any():
+        raise OutcomeTableError("no test has a verdict yet: drive some tests first")
+    return table
+
+
+def _state(one: DrivenRoad | Execution) -> State:
+    if not one.outcome.is_verdict:
+        return State.ERROR
+    return State.FAILED if one.outcome.is_failure else State.COMPLETED
+
+
+def _known_undriven(roads: Sequence[Road], conditions: Sequence[Conditions]) -> dict[str, Any]:
+    """Features and families of tests; features of a road that several tests drive are computed once."""
+    of_road = {road.road_id: [of(road) for of in ROAD_FEATURES.values()] for road in roads}
+    features = np.array([of_road[road.road_id] for road in roads], np.float64).reshape(len(roads), len(ROAD_FEATURES))
+    of_conditions = {}
+    for name, field in FIELDS.items():
+        values = [getattr(one, name) for one in conditions]
+        # A condition that a simulator chooses itself cannot be compared, and is left out.
+        if len(set(values)) > 1 and None not in values:
+            of_conditions[name] = np.array([share_of(name, field.low, field.high, value) for value in values])
+    return {
+        "feature_names": (*ROAD_FEATURES, *of_conditions),
+        "features": np.column_stack((features, *of_conditions.values())),
+        "families": families_of(roads),
+    }
+
+
+def _profile(run: DrivenRoad) -> Array:
+    return run.profile
+
+
+def _recorded_profile_of(road: Road, execution: Execution) -> Array:
+    return recorded_profile(road, execution.trajectory)
+
+
+def _no_profile() -> Array:
+    return np.empty(0)

@@ -1,0 +1,221 @@
+"""Pass criteria of a CI job, and outcomes as JUnit XML, which GitHub, GitLab, Jenkins and others show as tests."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import groupby
+from typing import Literal
+
+from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
+
+from ds_analysis.comparison.analysis import Comparison
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.folder import CampaignData
+
+FailOn = Literal["failure", "regression", "worse"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaxFailures:
+    """Largest number or share of tests that may fail on each simulator.
+
+    Attributes:
+        count: number of tests, or None.
+        share: share in [0, 1], or None.
+
+    Examples:
+        >>> from ds_analysis import MaxFailures
+        >>> [MaxFailures.parse(text).allows(failures=1, tests=10) for text in ("5%", "10%", "3")]
+        [False, True, True]
+    """
+
+    count: int | None = None
+    share: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> MaxFailures:
+        """Parse `5%` or `3`.
+
+        Raises:
+            ConfigError: it is neither a share from 0 to 100 % nor a number of tests.
+        """
+        if re.fullmatch(r"\d{1,3}(\.\d{1,6})?%", text) and float(text[:-1]) <= 100.0:
+            return cls(share=float(text[:-1]) / 100.0)
+        if re.fullmatch(r"\d{1,9}", text):
+            return cls(count=int(text))
+        raise ConfigError(f"--max-failures {text!r:.40}: expected a share from 0% to 100%, or a number of tests, as 3")
+
+    def allows(self, failures: int, tests: int) -> bool:
+        """Whether so many failures are within the limit."""
+        return failures <= (self.count if self.count is not None else (self.share or 0.0) * tests)
+
+    def __str__(self) -> str:
+        return str(self.count) if self.count is not None else f"{100 * (self.share or 0.0):g} %"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Criteria:
+    """Pass criteria.
+
+    Attributes:
+        fail_on: `failure`, any test fails; `regression`, any test newly fails; `worse`, the candidate is significantly
+            worse on some simulator. None: nothing of these.
+        max_failures: limit for each simulator, or None.
+    """
+
+    fail_on: FailOn | None = None
+    max_failures: MaxFailures | None = None
+
+    def unmet(
+        self,
+        tally: Mapping[str, tuple[int, int]],
+        *,
+        newly_failing: int | None = None,
+        worse: Sequence[str] = (),
+    ) -> list[str]:
+        """Say which criteria are not met, one sentence each.
+
+        Args:
+            tally: simulator -> failures and tests.
+            newly_failing: number of drives that newly fail; None if there is nothing to compare with.
+            worse: simulators on which the candidate is significantly worse.
+
+        Raises:
+            ConfigError: the criterion needs a comparison, and there is none.
+        """
+        self.check(has_reference=newly_failing is not None)
+        found = []
+        failing = {name: failures for name, (failures, _) in tally.items() if failures}
+        if self.fail_on == "failure" and failing:
+            found.append("tests fail: " + ", ".join(f"{n} on {name}" for name, n in failing.items()))
+        if self.fail_on == "regression" and newly_failing:
+            found.append(f"{newly_failing} {'drive newly fails' if newly_failing == 1 else 'drives newly fail'}")
+        if self.fail_on == "worse" and worse:
+            found.append(f"significantly worse on {', '.join(worse)}")
+        if self.max_failures is not None:
+            found += [
+                f"{failures} of {tests} tests fail on {name}, expected {self.max_failures} at most"
+                for name, (failures, tests) in tally.items()
+                if not self.max_failures.allows(failures, tests)
+            ]
+        return found
+
+    def check(self, *, has_reference: bool) -> None:
+        """Refuse a criterion that needs a comparison where there is none.
+
+        Raises:
+            ConfigError: it does.
+        """
+        if self.fail_on in ("regression", "worse") and not has_reference:
+            raise ConfigError(
+                f"--fail-on {self.fail_on} needs outcomes to compare with: use it with `ds campaign compare` or "
+                "`ds suite run`, or choose --fail-on failure"
+            )
+
+
+State = Literal["passed", "failed", "known failure", "error"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One test on one simulator.
+
+    Attributes:
+        test: name of the test.
+        simulator: name of the simulator.
+        state: `known failure` where the reference fails, too; it is reported as skipped.
+        seconds: simulated time driven, s.
+        message: what happened, in one line.
+    """
+
+    test: str
+    simulator: str
+    state: State
+    seconds: float = 0.0
+    message: str = ""
+
+
+def cases_of(comparison: Comparison) -> list[Case]:
+    """Cases of a comparison, by simulator and test: a test that newly fails has failed."""
+    states: dict[str, State] = {"newly fails": "failed", "fails in both": "known failure"}
+    found = [
+        Case(
+            test=drive.test.name,
+            simulator=drive.simulator,
+            state=states.get(drive.change, "passed"),
+            seconds=drive.candidate.simulated_seconds,
+            message=f"{_words(drive.candidate.outcome.name)}, {_margin(drive.candidate.fitness)}; "
+            f"{comparison.reference.driver}: {_words(drive.reference.outcome.name)}",
+        )
+        for drive in comparison.drives
+    ]
+    found += [
+        Case(test=test, simulator=simulator, state="error", message=reason)
+        for test, simulator, reason in comparison.left_out
+    ]
+    return sorted(found, key=lambda case: (case.simulator, case.test))
+
+
+def cases_of_campaign(data: CampaignData) -> list[Case]:
+    """Cases of a campaign, by simulator and test: a failure of the driver has failed."""
+    found = [
+        Case(
+            test=one.test_id,
+            simulator=one.simulator,
+            state="failed" if one.outcome.is_failure else "passed",
+            seconds=one.simulated_seconds,
+            message=f"{_words(one.outcome.name)}, {_margin(one.fitness)}",
+        )
+        for one in data.verdicts
+    ]
+    done = {(one.test_id, one.simulator) for one in data.executions}
+    errors = {(test, sim): f"{_words(outcome)}: {text}" for test, sim, _, outcome, text in data.errors}
+    found += [
+        Case(test=test, simulator=sim, state="error", message=text)
+        for (test, sim), text in errors.items()
+        if (test, sim) not in done
+    ]
+    return sorted(found, key=lambda case: (case.simulator, case.test))
+
+
+def junit_of(name: str, cases: Sequence[Case]) -> str:
+    """Format cases as JUnit XML, one test suite for each simulator.
+
+    Times are simulated, so that the same outcomes give the same bytes.
+
+    Args:
+        name: name of the whole.
+        cases: sorted by simulator.
+    """
+    document = JUnitXml(_clean(name))
+    for simulator, group in groupby(cases, key=lambda case: case.simulator):
+        suite = TestSuite(_clean(simulator))
+        suite.add_testcases([_entry(case) for case in group])
+        document.add_testsuite(suite)
+    document.update_statistics()
+    file = BytesIO()
+    document.write(file, pretty=True)
+    return file.getvalue().decode()
+
+
+def _entry(case: Case) -> TestCase:
+    entry = TestCase(_clean(case.test), _clean(case.simulator), round(case.seconds, 3))
+    kind = {"failed": Failure, "error": Error, "known failure": Skipped}.get(case.state)
+    entry.result = [kind(_clean(f"{case.state}: {case.message}"))] if kind else []
+    return entry
+
+
+def _clean(text: str) -> str:
+    """Text without the control characters that XML 1.0 does not allow."""
+    return "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))
+
+
+def _margin(fitness: float) -> str:
+    return f"{fitness:.2f} m inside its lane" if fitness >= 0.0 else f"{-fitness:.2f} m out of its lane"
+
+
+def _words(outcome: str) -> str:
+    return outcome.lower().replace("_", " ")

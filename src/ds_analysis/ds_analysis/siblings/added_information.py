@@ -1,0 +1,207 @@
+"""How well road features and conditions predict failures, and what each sibling adds to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ds_analysis.common.cross_validation import FOLDS, REPEATS, Columns, auc_roc, bits, predict_failures, predict_with
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND, Array, Bools, Interval, interval_over_families
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Quality of cross-validated predictions; intervals are 95 % bootstrap intervals over families of roads.
+
+    Attributes:
+        auc: area under the ROC curve of the mean predicted probability: probability that a failing road is ranked
+            above one that does not fail.
+        auc_interval: its interval; None where all resamples have an area of 1.
+        brier: Brier score, the mean squared error of the probabilities; the share of failures p alone scores p (1 - p).
+        brier_interval: its interval.
+        bits: mean logarithmic loss, bits a road: what the outcomes still surprise by.
+    """
+
+    auc: float
+    auc_interval: Interval | None
+    brier: float
+    brier_interval: Interval | None
+    bits: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """How well road features and conditions predict the failures on one simulator.
+
+    Attributes:
+        simulator: name of the simulator.
+        roads: number of roads.
+        failures: number of them on which the driver fails.
+        entropy: entropy of the outcomes, bits a road: what they surprise by if only the share of failures is known.
+        best: the best single feature, chosen on other roads; None where failures are too few.
+        chosen: name of the chosen feature -> share of the cross-validation's models in which it was chosen.
+        all: a logistic model of all features; None where failures are too few.
+        caution: why there are no scores, or "".
+    """
+
+    simulator: str
+    roads: int
+    failures: int
+    entropy: float
+    best: Score | None
+    chosen: Mapping[str, float]
+    all: Score | None
+    caution: str
+
+    @property
+    def feature(self) -> str:
+        """Name of the feature that was chosen most often; "" if none was."""
+        return max(self.chosen, key=lambda name: self.chosen[name], default="")
+
+
+def caution_of_failures(table: OutcomeTable, simulator: str) -> str:
+    """Explain why failures are too few for a prediction; "" if they are not.
+
+    See `FEWEST_OF_EACH_KIND`; each part of the cross-validation needs a family of each kind.
+    """
+    failed = table.failed(simulator)
+    failures, roads = int(failed.sum()), len(failed)
+    if min(failures, roads - failures) < FEWEST_OF_EACH_KIND:
+        return (
+            f"too few failures to say: {failures} of {roads} roads fail on {simulator}, expected {FEWEST_OF_EACH_KIND} "
+            f"that fail and {FEWEST_OF_EACH_KIND} that do not"
+        )
+    kinds = [len(np.unique(table.families[failed == one])) for one in (True, False)]
+    if min(kinds) < FOLDS:
+        return (
+            f"too few families to say: roads of {kinds[0]} families of mutants fail on {simulator}, of {kinds[1]} do "
+            f"not, expected {FOLDS} of each kind"
+        )
+    return ""
+
+
+def baseline_of(table: OutcomeTable, simulator: str, *, repeats: int = REPEATS) -> Baseline:
+    """Predict the failures on one simulator from road features and conditions alone."""
+    failed = table.failed(simulator)
+    share = float(failed.mean()) if len(failed) else 0.0
+    entropy = -sum(p * float(np.log2(p)) for p in (share, 1.0 - share) if p > 0.0)
+    caution = caution_of_failures(table, simulator)
+    best = everything = None
+    chosen: dict[str, float] = {}
+    if not caution:
+        best, counts = _score(table, failed, "best", repeats)
+        everything, _ = _score(table, failed, "all", repeats)
+        names = table.feature_names
+        chosen = {names[k]: n / sum(counts.values()) for k, n in sorted(counts.items(), key=lambda kn: (-kn[1], kn[0]))}
+    return Baseline(
+        simulator=simulator,
+        roads=len(failed),
+        failures=int(failed.sum()),
+        entropy=entropy,
+        best=best,
+        chosen=chosen,
+        all=everything,
+        caution=caution,
+    )
+
+
+def _score(table: OutcomeTable, failed: Bools, columns: Columns, repeats: int) -> tuple[Score, Mapping[int, int]]:
+    found = predict_failures(table.features, failed, families=table.families, columns=(columns,), repeats=repeats)
+    probability, truth = found.probability.mean(axis=0), failed.astype(np.float64)
+    squared = np.asarray(((found.probability - failed) ** 2).mean(axis=0), np.float64)
+    score = Score(
+        auc=_auc(probability, truth),
+        auc_interval=interval_over_families((probability, truth), _auc, table.families),
+        brier=float(squared.mean()),
+        brier_interval=interval_over_families((squared,), np.mean, table.families),
+        bits=float(bits(found.probability, failed).mean()),
+    )
+    return score, found.chosen
+
+
+def _auc(probability: Array, truth: Array) -> float:
+    """AUC-ROC; NaN where all outcomes are the same, as in some resamples."""
+    return float(auc_roc(probability, truth > 0.0)) if 0 < truth.sum() < len(truth) else float("nan")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddedInformation:
+    """What one sibling adds about the failures on another simulator.
+
+    Attributes:
+        about: simulator whose failures are predicted.
+        sibling: sibling whose outcome and largest lateral position are added to the predictors.
+        beyond: siblings whose outcomes are among the predictors already, besides road features and conditions.
+        left: bits a road that these predictors leave: mean logarithmic loss on roads that the model has not seen.
+        bits: reduction of that loss, bits a road; None where failures are too few.
+        interval: 95 % interval of the reduction, by a bootstrap over families (paired: every road keeps both losses).
+        caution: why there is no number, or "".
+    """
+
+    about: str
+    sibling: str
+    beyond: tuple[str, ...]
+    left: float | None = None
+    bits: float | None = None
+    interval: Interval | None = None
+    caution: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """`adds information` if the interval lies above 0, `nothing shown`, or `too few`."""
+        if self.bits is None:
+            return "too few"
+        return "adds information" if self.interval is not None and self.interval[0] > 0.0 else "nothing shown"
+
+    @property
+    def sentence(self) -> str:
+        """What was found, in one line."""
+        known = ["features", *self.beyond]
+        beyond = known[0] if len(known) == 1 else f"{', '.join(known[:-1])} and {known[-1]}"
+        if self.bits is None:
+            return f"what {self.sibling} adds about {self.about} beyond {beyond}: {self.caution}"
+        ends = f" ({self.interval[0]:z.3f} to {self.interval[1]:z.3f})" if self.interval else ""
+        return f"{self.sibling} adds {self.bits:z.3f} bits{ends} about {self.about} beyond {beyond}: {self.verdict}"
+
+
+def information_about(
+    table: OutcomeTable, about: str, siblings: Sequence[str], *, repeats: int = REPEATS
+) -> list[AddedInformation]:
+    """Compute what each sibling adds about one simulator's failures, one after the other.
+
+    Args:
+        table: tests with a verdict on every simulator.
+        about: simulator whose failures are predicted.
+        siblings: the others, in the order in which they are added.
+        repeats: divisions into folds over which losses are averaged.
+    """
+    failed = table.failed(about)
+    if caution := caution_of_failures(table, about):
+        return [
+            AddedInformation(about=about, sibling=name, beyond=tuple(siblings[:k]), caution=caution)
+            for k, name in enumerate(siblings)
+        ]
+    predictions = predict_failures(table.features, failed, families=table.families, repeats=repeats)
+    losses = bits(predictions.probability, failed)
+    driven: list[Array] = []
+    found = []
+    for k, name in enumerate(siblings):
+        # The largest lateral position is half a lane minus the fitness.
+        driven += [table.failed(name).astype(np.float64), table.largest_lateral(name)]
+        reduced = bits(predict_with(predictions, failed, np.column_stack(driven)), failed)
+        gained = losses - reduced
+        found.append(
+            AddedInformation(
+                about=about,
+                sibling=name,
+                beyond=tuple(siblings[:k]),
+                left=float(losses.mean()),
+                bits=float(gained.mean()),
+                interval=interval_over_families((gained,), np.mean, table.families),
+            )
+        )
+        losses = reduced
+    return found

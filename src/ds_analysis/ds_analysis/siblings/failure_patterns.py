@@ -1,0 +1,164 @@
+"""How failures on several simulators lie inside each other, and how vehicles leave their lane."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal, get_args
+
+import numpy as np
+from statsmodels.stats.proportion import proportion_confint
+
+from ds_analysis.common.driven_road import GRID
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.statistics import Array, Bools, Indices, Interval, are_alone, interval_over_families
+from ds_road import Road
+from ds_road.geometry import lane_curvature
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nesting:
+    """Failures of two simulators on the same roads.
+
+    Attributes:
+        first: name of the first simulator.
+        second: name of the second simulator.
+        both: number of roads on which both fail.
+        only_first: number of roads on which only the first fails.
+        only_second: number of roads on which only the second fails.
+        neither: number of roads on which none fails.
+        second_given_first: share of the first's failures on which the second fails too; None if the first never fails.
+        second_given_first_interval: its 95 % interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over
+            families where roads descend from each other.
+        first_given_second: the same the other way round.
+        first_given_second_interval: its interval.
+    """
+
+    first: str
+    second: str
+    both: int
+    only_first: int
+    only_second: int
+    neither: int
+    second_given_first: float | None
+    second_given_first_interval: Interval | None
+    first_given_second: float | None
+    first_given_second_interval: Interval | None
+
+
+def nestings(table: OutcomeTable) -> list[Nesting]:
+    """Count on which roads each pair of simulators fails, in their order."""
+    found = []
+    for first, second in combinations(table.simulators, 2):
+        one, other = table.failed(first), table.failed(second)
+        forward, forward_interval = _share(other[one], table.families[one])
+        backward, backward_interval = _share(one[other], table.families[other])
+        found.append(
+            Nesting(
+                first=first,
+                second=second,
+                both=int((one & other).sum()),
+                only_first=int((one & ~other).sum()),
+                only_second=int((~one & other).sum()),
+                neither=int((~one & ~other).sum()),
+                second_given_first=forward,
+                second_given_first_interval=forward_interval,
+                first_given_second=backward,
+                first_given_second_interval=backward_interval,
+            )
+        )
+    return found
+
+
+def _share(failed: Bools, families: Indices) -> tuple[float | None, Interval | None]:
+    """Share of failures among roads, and its interval."""
+    if not len(failed):
+        return None, None
+    share = float(failed.mean())
+    if 0.0 < share < 1.0 and not are_alone(families):
+        return share, interval_over_families((failed.astype(np.float64),), np.mean, families)
+    # Where all are alike, a bootstrap has no width, and a family counts as one observation.
+    alone = len(np.unique(families))
+    low, high = proportion_confint(round(share * alone), alone, alpha=0.05, method="beta")
+    return share, (float(low), float(high))
+
+
+Departure = Literal[
+    "wide in a right bend",
+    "wide in a left bend",
+    "cuts a right bend",
+    "cuts a left bend",
+    "right, straight on",
+    "left, straight on",
+    "stays in the lane",
+]
+KINDS: tuple[Departure, ...] = get_args(Departure)
+
+LOOK_BACK = 5.0
+"""Arc length before the end of a drive at which the bend is taken, m; chosen: 0.7 s at 25 km/h, about what it takes to
+cross half a lane."""
+STRAIGHT_BELOW = 0.02
+"""Curvature below which a lane counts as straight there, 1/m; chosen: a radius of 50 m, ten times a tight bend's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Departures:
+    """Failures of one simulator by how the vehicle left its lane: out of a bend, into it, or on a straight.
+
+    Two simulators that fail equally often may fail in different ways, and only such are worth asking both.
+
+    Attributes:
+        simulator: name of the simulator.
+        failures: number of its failures.
+        counts: kind -> number; a failure without leaving the lane, such as being stuck, stays in it.
+    """
+
+    simulator: str
+    failures: int
+    counts: Mapping[Departure, int]
+
+    @property
+    def sentence(self) -> str:
+        """The most frequent kind, or "" without failures."""
+        if not self.failures:
+            return ""
+        kind = max(KINDS, key=lambda name: self.counts[name])
+        return f"{self.simulator} most often: {kind}, {self.counts[kind]} of {self.failures} failures."
+
+
+def departures_of(table: OutcomeTable) -> list[Departures]:
+    """Classify the failures of every simulator, in their order."""
+    found = []
+    for name in table.simulators:
+        failed, lateral = table.failed(name), table.largest_lateral(name)
+        counts: Counter[Departure] = Counter(
+            departure(road, profile, float(largest))
+            for road, profile, largest, out in zip(table.roads, table.profiles[name], lateral, failed, strict=True)
+            if out
+        )
+        found.append(
+            Departures(simulator=name, failures=int(failed.sum()), counts={kind: counts[kind] for kind in KINDS})
+        )
+    return found
+
+
+def departure(road: Road, profile: Array, largest: float) -> Departure:
+    """Classify a failure.
+
+    Args:
+        road: the road.
+        profile: lateral positions every `GRID` m up to the end of the drive, m, right positive.
+        largest: largest absolute lateral position, m, at most half a lane.
+    """
+    if largest < road.lane_width / 2 or not len(profile):
+        return "stays in the lane"
+    to_right = profile[-1] > 0.0
+    place = max(len(profile) * GRID - LOOK_BACK, 0.0)
+    curvature = float(lane_curvature(road.lane_centre, np.array([place]))[0])
+    if abs(curvature) < STRAIGHT_BELOW:
+        return "right, straight on" if to_right else "left, straight on"
+    if curvature > 0.0:
+        return "cuts a right bend" if to_right else "wide in a right bend"
+    return "wide in a left bend" if to_right else "cuts a left bend"
