@@ -1,39 +1,217 @@
-"""`ds drive` and `ds sensitivity`: a drive under conditions, and the strength at which they make a driver fail."""
+"""`ds drive`: runs one drive through the graph, and writes its bag and video."""
 
 from __future__ import annotations
 
-import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ds_bags.layout import Level
-from ds_cli.one_drive import START_WAIT, DriveRequest, FailOn, drive
 from ds_cli.options import (
-    ALL,
     AttachFlag,
     Backend,
-    Cluster,
     Device,
     DriverName,
-    EngineName,
     JsonFlag,
     Lane,
     MaxAngle,
-    Seed,
     Simulator,
-    Simulators,
     Wait,
-    Workers,
     driver_named,
-    every_or_named,
-    with_engine_without_ros,
 )
-from ds_cli.output import Result, countdown, end, say, stopped_in
-from ds_sim.conditions.model import Conditions, ConditionsError
+from ds_cli.output import Interrupted, Result, duration, end, say
+from ds_sim.conditions.model import DEFAULT, Conditions, ConditionsError
+
+if TYPE_CHECKING:
+    from ds_bags.ros.image_recorder import ImageRecorder
+    from ds_driver.networks.network_driver import Translation
+    from ds_orchestrator.graph.client import GraphClient
+    from ds_road import Road
+    from ds_sim.session import RunRecord
+
+FailOn = Literal["error", "failure"]
+Level = Literal["telemetry", "compressed", "raw"]
+"""That of `ds_bags.layout`, whose import would delay every help text."""
+COMMAND_TIMEOUT = 10.0
+"""Seconds that a simulator waits for the driver's command; chosen: a network's first answer may load libraries."""
+START_WAIT = 90.0
+"""Seconds that nodes get to come up, importing their libraries on a busy machine included."""
 
 app = typer.Typer()
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveRequest:
+    """What `ds drive` was asked to do.
+
+    Attributes:
+        sim: simulator name.
+        driver: driver name, with its backend.
+        road: to drive.
+        seed: of the run.
+        conditions: operating conditions of the run; the default leaves them to a running node.
+        bag: rosbag2 folder to write, or None.
+        level: what the bag holds.
+        video: .mp4 to write, or None.
+        attach: use running nodes; whatever driver runs there drives.
+        wait: s to wait for the nodes.
+        namespace: of the simulator.
+    """
+
+    sim: str
+    driver: str
+    road: Road
+    seed: int
+    bag: Path | None
+    level: Level
+    video: Path | None
+    attach: bool
+    wait: float
+    namespace: str
+    conditions: Conditions = DEFAULT
+
+
+def in_words(document: dict[str, Any], road: Road) -> list[str]:
+    """What a drive's result says, in the words and units of `ds bag info`."""
+    outcome = document["outcome"].replace("_", " ").lower()
+    why = f" ({document['message']})" if document["message"] else ""
+    driven = f"{document['steps']} frames, {document['simulated_seconds']:.2f} s simulated"
+    who = "The running driver" if document["driver"] == "attached" else document["driver"]
+    lines = [f"{who} drove on {document['simulator']}: {outcome} after {driven}{why}."]
+    if document["fitness"] is not None:
+        inside, side = document["fitness"], document["max_lateral_position"]
+        edge = f"{inside:.2f} m inside its lane" if inside >= 0.0 else f"{-inside:.2f} m out of its lane"
+        lines.append(f"At worst the vehicle was {side:.2f} m off the lane's centre, {edge}.")
+    radius = f", tightest bend {1.0 / road.curvature:.0f} m" if road.curvature else ""
+    lines.append(
+        f"Road {document['road_id']}: {road.length:.0f} m, {road.turns_count} turns{radius}; seed {document['seed']}; "
+        f"took {duration(document['wall_seconds'])}."
+    )
+    if document["conditions"]:
+        lines.append(f"Conditions {', '.join(f'{name}={value:g}' for name, value in document['conditions'].items())}.")
+    lines += [f"{name}: {document[name]}" for name in ("video", "bag") if document[name]]
+    return lines
+
+
+def _check(request: DriveRequest) -> None:
+    """Refuse what cannot work before anything starts."""
+    import ds_road
+    from ds_bags.layout import BagError
+    from ds_orchestrator.engines.preflight import check_driver
+    from ds_sim.conditions.loading import check_applicable
+    from ds_sim.registry import make_simulator
+    from ds_sim.video import check_path
+
+    simulator = make_simulator(request.sim)
+    try:
+        check_applicable(request.conditions, simulator.spec)
+    finally:
+        simulator.close()
+    if not request.attach:
+        check_driver(request.driver, [request.sim])
+    road = request.road
+    if not road.validity.valid:
+        raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
+    if request.bag is not None and request.bag.exists():
+        raise BagError(f"{request.bag} exists already: choose another folder")
+    if request.video is not None:
+        check_path(request.video)
+
+
+def _run(request: DriveRequest) -> tuple[RunRecord, bool]:
+    """The run, and whether its images were recorded from the graph."""
+    from ds_cli.progress import DriveProgress
+    from ds_orchestrator.graph.session import running_graph
+
+    sim, namespace = request.sim, request.namespace
+    if request.attach:
+        say(f"waiting up to {duration(request.wait)} for the nodes in namespace {namespace}, ROS domain {_domain()}")
+    else:
+        say(f"starting {sim} and {request.driver}")
+    with (
+        tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
+        running_graph(
+            {sim: namespace}, request.driver, command_timeout=COMMAND_TIMEOUT, logs=Path(logs), attach=request.attach,
+            wait=request.wait if request.attach else START_WAIT, report=say,
+        ) as executor,
+        _recorder(executor, request) as recorder,
+        DriveProgress(f"{sim} drives") as progress,
+    ):  # fmt: skip
+        own = request.attach and request.conditions.is_default  # those of the running node
+        conditions = None if own else request.conditions
+        run = executor.execute(sim, request.road, request.seed, conditions, watch=progress.update)
+        if recorder is not None:
+            recorder.wait_for_images(len(run.observations))
+        return run, recorder is not None
+
+
+def _domain() -> str:
+    return os.environ.get("ROS_DOMAIN_ID", "0")
+
+
+@contextmanager
+def _recorder(executor: GraphClient, request: DriveRequest) -> Iterator[ImageRecorder | None]:
+    """Record the images of a simulator that cannot be re-simulated here; None where none are needed.
+
+    A node that runs elsewhere may be another version with another look, and a simulator of the user's own may not
+    repeat itself: there the driver's images are taken from the graph.
+    """
+    from ds_bags.layout import image_spool_path
+    from ds_bags.run_writer import facts_of
+    from ds_orchestrator.graph.client import GraphError
+    from ds_sim.registry import SimulatorName
+    from ds_sim.session import RunRecord
+
+    bag, sim = request.bag, request.sim
+    foreign = request.attach or not SimulatorName.parse(sim).is_shipped
+    if bag is None or request.level == "telemetry" or not foreign:
+        yield None
+        return
+    from ds_bags.ros.image_recorder import ImageRecorder
+
+    folder = image_spool_path(bag)
+    shutil.rmtree(folder.parent, ignore_errors=True)
+    facts = facts_of(sim, RunRecord(road=request.road, seed=request.seed, conditions=request.conditions), request.level)
+    with ImageRecorder(folder, request.namespace, facts, executor.context) as recorder:
+        if not recorder.wait_for_simulator():
+            raise GraphError(
+                f"{request.namespace} publishes no camera/image_raw to record, or does not answer get_info: choose "
+                "--level telemetry"
+            )
+        yield recorder
+
+
+def _translation(request: DriveRequest) -> Translation | None:
+    """How the driver saw the images; None if as they are, or if an unknown driver drove."""
+    from ds_driver.networks.network_driver import translation_of
+
+    return None if request.attach else translation_of(request.driver, request.sim)
+
+
+def _keep_bag(request: DriveRequest, run: RunRecord, whose: str, *, seen: bool) -> None:
+    """Write the bag, with the recorded images or those of a re-simulation."""
+    from ds_bags.layout import image_spool_path
+    from ds_bags.run_writer import write_bag
+
+    bag, about, translate = request.bag, {"driver": whose}, _translation(request)
+    assert bag is not None
+    if not seen:
+        write_bag(bag, request.namespace, request.sim, run, about, request.level, translate=translate)
+        return
+    from ds_bags.ros.image_recorder import with_images
+
+    images = with_images(run, image_spool_path(bag))
+    arrived = write_bag(bag, request.namespace, request.sim, run, about, request.level, images, translate)
+    if arrived < len(run.observations):
+        say(f"only {arrived} of {len(run.observations)} images arrived: the bag lacks the others")
+    shutil.rmtree(image_spool_path(bag).parent)
 
 
 def seed_of(road: Path | None) -> int:
@@ -105,89 +283,60 @@ def drive_command(
     2 bad input, 3 the driver failed (only with --fail-on failure).
     """
     from ds_cli.roads import one_road
-    from ds_sim.conditions.text import parse_conditions
+    from ds_orchestrator.campaign.executor import trajectory_sha256
+    from ds_orchestrator.graph.supervisor import check_ros
+    from ds_sim.conditions.text import parse_conditions, to_json
+    from ds_sim.resimulation import resimulate
+    from ds_sim.video import write_video
 
     chosen = seed if seed is not None else seed_of(road)
+    driver = driver_named(driver, backend, device)
     request = DriveRequest(
-        sim=sim, driver=driver_named(driver, backend, device), road=one_road(road, chosen, max_angle, lane),
-        seed=chosen, bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace, fail_on=fail_on,
+        sim=sim, driver=driver, road=one_road(road, chosen, max_angle, lane),
+        seed=chosen, bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace,
         conditions=conditions_in(road) if conditions is None else parse_conditions(conditions),
     )  # fmt: skip
-    end(drive(request), as_json)
-
-
-@app.command("sensitivity")
-def sensitivity_command(
-    driver: DriverName = "dave2",
-    backend: Backend = "auto",
-    sims: Simulators = ALL,
-    conditions: Annotated[
-        str | None,
-        typer.Option(help="Names of conditions, separated by commas; all of docs/conditions.md if left out."),
-    ] = None,
-    roads: Annotated[
-        int, typer.Option(min=1, max=100, help="Short roads on each simulator that the driver completes by default.")
-    ] = 3,
-    levels: Annotated[
-        int, typer.Option(help="Levels of strength that may be driven up to the hardest value: 4, 8 or 16.")
-    ] = 8,
-    segments: Annotated[
-        int, typer.Option(min=2, max=6, help="Length of the roads in segments of 25 m; 6 are the roads of a campaign.")
-    ] = 4,
-    seed: Seed = 1,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis goes on there.")
-    ] = None,
-    gates: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the autopilot's drives, which other networks' analyses may use; in --out if left out."
-        ),
-    ] = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Find how strong each operating condition must be for a driver to fail.
-
-    One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
-    as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
-    """
-    from rich.console import Console
-
-    from ds_analysis.common.table import write_tables
-    from ds_orchestrator.campaign.engine import DriveSettings
-    from ds_orchestrator.store.folder_files import make_folder
-    from ds_sim.camera.encodings import png
-    from ds_studies.sensitivity.analysis import analyse_sensitivity
-    from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
-    from ds_studies.sensitivity.picture import draw_sensitivity
-
-    driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)
-    if levels not in RESOLUTIONS:
-        raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
-    factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
-    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster)
-    if out is not None:
-        make_folder(out)
-    folder = None if out is None else out / "drives"
-    with stopped_in(folder):
-        found = analyse_sensitivity(
-            settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
-            progress=countdown(), say=say,
-        )  # fmt: skip
-    document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
-    if out is not None:
-        (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-        write_tables([found.table(), found.long_table()], out)
-        (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
+    _check(request)
+    check_ros()
+    started = time.monotonic()
+    try:
+        run, seen = _run(request)
+        whose = "attached" if attach else driver
+        if bag is not None:
+            _keep_bag(request, run, whose, seen=seen)
+        if video is not None:
+            say(f"rendering {video}")
+            # The images went to the driver alone; the same commands show them again.
+            write_video(
+                video, f"{sim}, {Path(whose).name}", request.road, resimulate(sim, run), run.commands, run.conditions,
+                _translation(request),
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        if bag is not None and bag.exists():
+            raise Interrupted(f"the bag is in {bag}") from None
+        raise Interrupted from None
+    wall = time.monotonic() - started
+    document: dict[str, Any] = {
+        "simulator": sim,
+        "driver": whose,
+        "road_id": request.road.road_id,
+        "seed": request.seed,
+        "conditions": to_json(run.conditions),
+        "outcome": run.outcome.name,
+        "message": run.message,
+        "fitness": run.fitness if run.observations else None,
+        "max_lateral_position": run.max_lateral_position if run.observations else None,
+        "steps": run.steps,
+        "simulated_seconds": run.simulated_seconds,
+        "wall_seconds": round(wall, 3),
+        "trajectory_sha256": trajectory_sha256(run),
+        "bag": None if bag is None else str(bag),
+        "video": None if video is None else str(video),
+    }
 
     def show() -> None:
-        found.table().show(Console())
-        for line in found.errors:
-            print(f"error: {line}")
-        if out is not None:
-            print(out / "sensitivity.png")
+        for line in in_words(document, request.road):
+            print(line)
 
-    end(Result(document=document, show=show, error=bool(found.errors)), as_json)
+    unmet = [f"{whose} fails on the road"] if fail_on == "failure" and run.outcome.is_failure else []
+    end(Result(document=document, show=show, error=run.outcome.is_error, unmet=unmet), as_json)

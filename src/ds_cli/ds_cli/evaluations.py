@@ -66,27 +66,6 @@ def evaluation(
     return tables_result(tables, out or folder / "evaluation", everything=everything)
 
 
-def open_loop_evaluation(
-    data: Path,
-    driver: str,
-    *,
-    siblings: list[str] | None,
-    twin: str,
-    images: int | None,
-    out: Path | None,
-    everything: bool,
-    trusted: Collection[str] = (),
-) -> Result:
-    """RQ1 of any network on any data set."""
-    from ds_analysis.paper.open_loop import architecture_of, kind_of
-    from ds_analysis.paper.paper_tables import NETWORKS
-
-    architecture = architecture_of(driver)
-    network: Network | None = (architecture, kind_of(driver)) if architecture in NETWORKS else None
-    tables = _offline_tables(data, driver, siblings, twin, images, network, trusted)
-    return tables_result(tables, out, everything=everything)
-
-
 def _offline_tables(
     data: Path,
     driver: str,
@@ -182,14 +161,13 @@ def evaluate_command(
     elif data is None:
         raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
     else:
-        found = open_loop_evaluation(
-            data,
-            driver or "dave2",
-            siblings=None if siblings is None else siblings.split(","),
-            twin=twin or "donkey",
-            images=images,
-            out=out,
-            everything=everything,
-            trusted=trust or [],
-        )
+        from ds_analysis.paper.open_loop import architecture_of, kind_of
+        from ds_analysis.paper.paper_tables import NETWORKS
+
+        driver = driver or "dave2"
+        architecture = architecture_of(driver)
+        network: Network | None = (architecture, kind_of(driver)) if architecture in NETWORKS else None
+        names = None if siblings is None else siblings.split(",")
+        tables = _offline_tables(data, driver, names, twin or "donkey", images, network, trust or [])
+        found = tables_result(tables, out, everything=everything)
     answer(found, as_json)

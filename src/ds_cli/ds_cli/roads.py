@@ -23,6 +23,27 @@ road_app = typer.Typer(help="Generate, mirror, check, draw, export and import ro
 app.add_typer(road_app, name="road")
 
 
+def roads_of(
+    file: Path | None, lane: Side | None, *, count: int = 1, seed: int = 0, max_angle: int = 270
+) -> list[Road]:
+    """The roads of a file, or random ones, in a lane if one is given.
+
+    Raises:
+        ds_road.RoadError: there are none, or one cannot be driven.
+    """
+    import ds_road
+    from ds_driver.closed_loop.success_rate import unseen_roads
+
+    roads = unseen_roads(count, seed, max_angle=max_angle) if file is None else ds_road.read_roads(file)
+    if not roads:
+        raise ds_road.RoadError(f"{file}: no roads, expected at least one")
+    roads = [road if lane is None else road.in_lane(lane) for road in roads]
+    for index, road in enumerate(roads):
+        if not road.validity.valid:
+            raise ds_road.RoadError(f"road {index} is not valid: {road.validity.reason}: leave it out")
+    return roads
+
+
 def one_road(file: Path | None, seed: int, max_angle: int, lane: Side | None = None) -> Road:
     """The road of a file that holds one, or a random one.
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ds_analysis.common.outcome_table import OutcomeTable
     from ds_analysis.paper.simulator_agreement import PairComparison
     from ds_analysis.siblings.analysis import SiblingAnalysis
-    from ds_road import Road, Side
+    from ds_road import Road
 
 PICTURED = 6
 """Roads that a comparison draws; chosen: a minute's look."""
@@ -87,6 +87,7 @@ def siblings_compare_command(
     from ds_analysis.paper.simulator_agreement import compare, summary
     from ds_analysis.siblings.analysis import analyse, outcome_rows
     from ds_cli.progress import ScreenListener
+    from ds_cli.roads import roads_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.drive_tests import Progress
@@ -99,7 +100,7 @@ def siblings_compare_command(
     if twin is not None and twin not in names:
         raise ConfigError(f"twin {twin} is not among the simulators {', '.join(names)}: add it to --sims")
     settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster)
-    chosen = _roads(file, roads, seed, max_angle, lane)
+    chosen = roads_of(file, lane, count=roads, seed=seed, max_angle=max_angle)
     if out is not None:
         make_folder(out)
     folder = None if out is None else out / "drives"
@@ -136,21 +137,6 @@ def siblings_compare_command(
 
     in_error = any(row["errors"] for row in document["simulators"].values())
     end(Result(document=document, show=show, error=in_error), as_json)
-
-
-def _roads(file: Path | None, count: int, seed: int, max_angle: int, lane: Side | None) -> list[Road]:
-    """Roads of a file, or random ones, in the lane; each can be driven."""
-    import ds_road
-    from ds_driver.closed_loop.success_rate import unseen_roads
-
-    roads = unseen_roads(count, seed, max_angle=max_angle) if file is None else ds_road.read_roads(file)
-    if not roads:
-        raise ds_road.RoadError(f"{file}: no roads, expected at least one")
-    roads = [road if lane is None else road.in_lane(lane) for road in roads]
-    for index, road in enumerate(roads):
-        if not road.validity.valid:
-            raise ds_road.RoadError(f"road {index} is not valid: {road.validity.reason}: leave it out")
-    return roads
 
 
 def _write(

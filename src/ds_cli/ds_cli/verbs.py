@@ -38,7 +38,9 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
         "Drive",
         (
             Verb("drive", "drives", "Drive one road with one driver on one simulator."),
-            Verb("sensitivity", "drives", "Find how strong each operating condition must be for a driver to fail."),
+            Verb(
+                "sensitivity", "sensitivity", "Find how strong each operating condition must be for a driver to fail."
+            ),
             Verb("serve", "serving", "Serve a simulator to clients of another one's protocol.", ("donkey",)),
             Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
         ),

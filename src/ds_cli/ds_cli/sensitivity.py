@@ -1,0 +1,105 @@
+"""`ds sensitivity`: the strength at which operating conditions make a driver fail."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ds_cli.options import (
+    ALL,
+    Backend,
+    Cluster,
+    DriverName,
+    EngineName,
+    JsonFlag,
+    Seed,
+    Simulators,
+    Workers,
+    driver_named,
+    every_or_named,
+    with_engine_without_ros,
+)
+from ds_cli.output import Result, countdown, end, say, stopped_in
+from ds_sim.conditions.model import ConditionsError
+
+app = typer.Typer()
+
+
+@app.command("sensitivity")
+def sensitivity_command(
+    driver: DriverName = "dave2",
+    backend: Backend = "auto",
+    sims: Simulators = ALL,
+    conditions: Annotated[
+        str | None,
+        typer.Option(help="Names of conditions, separated by commas; all of docs/conditions.md if left out."),
+    ] = None,
+    roads: Annotated[
+        int, typer.Option(min=1, max=100, help="Short roads on each simulator that the driver completes by default.")
+    ] = 3,
+    levels: Annotated[
+        int, typer.Option(help="Levels of strength that may be driven up to the hardest value: 4, 8 or 16.")
+    ] = 8,
+    segments: Annotated[
+        int, typer.Option(min=2, max=6, help="Length of the roads in segments of 25 m; 6 are the roads of a campaign.")
+    ] = 4,
+    seed: Seed = 1,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis goes on there.")
+    ] = None,
+    gates: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the autopilot's drives, which other networks' analyses may use; in --out if left out."
+        ),
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = None,
+    cluster: Cluster = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Find how strong each operating condition must be for a driver to fail.
+
+    One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
+    as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
+    """
+    from rich.console import Console
+
+    from ds_analysis.common.table import write_tables
+    from ds_orchestrator.campaign.engine import DriveSettings
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.camera.encodings import png
+    from ds_studies.sensitivity.analysis import analyse_sensitivity
+    from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
+    from ds_studies.sensitivity.picture import draw_sensitivity
+
+    driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)
+    if levels not in RESOLUTIONS:
+        raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
+    factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
+    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster)
+    if out is not None:
+        make_folder(out)
+    folder = None if out is None else out / "drives"
+    with stopped_in(folder):
+        found = analyse_sensitivity(
+            settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
+            progress=countdown(), say=say,
+        )  # fmt: skip
+    document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
+    if out is not None:
+        (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_tables([found.table(), found.long_table()], out)
+        (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
+
+    def show() -> None:
+        found.table().show(Console())
+        for line in found.errors:
+            print(f"error: {line}")
+        if out is not None:
+            print(out / "sensitivity.png")
+
+    end(Result(document=document, show=show, error=bool(found.errors)), as_json)
