@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.collection import CollectionPlan, roads_both_ways
 from ds_road import Road, generate
-from ds_sim.lane_tracker import LaneTracker
-from ds_sim.oracle import Oracle
+from ds_sim.oracle import LaneTracker, Oracle
 from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_RATE, FRAME_TIME, AutopilotGains, Command, Outcome
 from ds_sim_bullet import simulator as bullet

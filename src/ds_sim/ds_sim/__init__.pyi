@@ -11,8 +11,7 @@ from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, Conditions
 from .conditions.text import format_conditions, parse_conditions
 from .gates.gate import Gate, GateState, gate_of
 from .gates.visible_contrast import ContrastProbe, VisibleContrast
-from .lane_tracker import LaneTracker
-from .oracle import Oracle, OracleLimits
+from .oracle import LaneTracker, Oracle, OracleLimits
 from .parts import Scene, Vehicle
 from .registry import (
     SIMULATORS,

@@ -13,8 +13,7 @@ from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.actuation import COMMAND_CONDITIONS, Actuation, actuation_of
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
-from ds_sim.lane_tracker import LaneTracker
-from ds_sim.oracle import Oracle, OracleLimits
+from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
 from ds_sim.parts import VEHICLE_CONDITIONS, AdjustableVehicle, Scene, Vehicle, conditions_of
 from ds_sim.simulator import (
     FRAME_TIME,

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ds_sim.lane_tracker import LaneTracker
-from ds_sim.oracle import Oracle, OracleLimits
+from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
 from ds_sim.simulator import Outcome
 
 

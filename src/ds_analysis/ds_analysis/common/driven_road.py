@@ -10,7 +10,7 @@ import shapely
 from ds_analysis.common.statistics import Array
 from ds_orchestrator.store.model import Execution
 from ds_road import Road
-from ds_sim.lane_tracker import LaneTracker
+from ds_sim.oracle import LaneTracker
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 

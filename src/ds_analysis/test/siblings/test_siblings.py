@@ -27,7 +27,7 @@ from ds_orchestrator.campaign.executor import execution_of
 from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
-from ds_sim.lane_tracker import LaneTracker
+from ds_sim.oracle import LaneTracker
 from ds_sim.registry import make_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState

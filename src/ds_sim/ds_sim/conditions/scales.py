@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable
 from typing import Literal
 
-from ds_sim.conditions.model import FIELDS
-
 Scale = Literal["linear", "log", "reciprocal"]
 
 _LOG = frozenset({"illuminance", "exposure", "camera_height", "friction", "line_cover_length"})
@@ -51,8 +49,3 @@ def share_of(name: str, start: float, end: float, value: float) -> float:
     """Return the share of the way at which a value lies, in [0, 1]; the inverse of `between`."""
     there, _ = _TRANSFORMS[scale_of(name)]
     return min(max((there(value) - there(start)) / (there(end) - there(start)), 0.0), 1.0)
-
-
-def whole_range(name: str) -> tuple[float, float]:
-    """Smallest and largest value of a condition; the largest visibility is infinite."""
-    return FIELDS[name].low, FIELDS[name].high

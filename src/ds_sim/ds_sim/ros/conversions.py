@@ -106,11 +106,6 @@ def conditions_to_messages(conditions: Conditions, *, explicit: bool = False) ->
     return [ConditionMsg(name=name, value=value) for name, value in named.items()]
 
 
-def command_to_message(command: Command, header: Header) -> DriveCommand:
-    """Convert a command to the answer to the image with this header."""
-    return DriveCommand(header=header, steering=command.steering, throttle=command.throttle)
-
-
 def command_from_message(message: DriveCommand) -> Command:
     """Convert a message to a command.
 

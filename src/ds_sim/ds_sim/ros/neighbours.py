@@ -12,7 +12,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Empty
 
-from ds_sim.ros.loaded_road import RequestRefused
+from ds_sim.ros.requests import RequestRefused
 from ds_sim.simulator import Reason
 
 PRESENCE_QOS = QoSProfile(depth=1, liveliness=LivelinessPolicy.AUTOMATIC, liveliness_lease_duration=Duration(seconds=2))

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.ros.loaded_road import RequestRefused
+from ds_sim.ros.requests import RequestRefused
 from ds_sim.simulator import Reason
 
 _TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}

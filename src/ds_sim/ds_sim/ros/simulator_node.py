@@ -18,12 +18,11 @@ from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog
-from ds_sim.ros.drive_road_server import DriveRoadServer
 from ds_sim.ros.frame_publisher import DrawnRows, FramePublisher
-from ds_sim.ros.loaded_road import LoadedRoad, RequestRefused, no_road
 from ds_sim.ros.neighbours import Neighbours, two_drivers
 from ds_sim.ros.parameters import check_goal, declare_parameters
 from ds_sim.ros.real_time_loop import RealTimeLoop
+from ds_sim.ros.requests import DriveRoadServer, LoadedRoad, RequestRefused, no_road
 from ds_sim.ros.runtime import run_node, with_info
 from ds_sim.session import Session
 from ds_sim.simulator import FRAME_TIME, Command, CommandError, Observation, Outcome, Reason

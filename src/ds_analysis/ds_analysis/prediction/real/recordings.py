@@ -16,7 +16,7 @@ from ds_analysis.prediction.real.records import RecordError
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.reader import BagReader
 from ds_road import Road
-from ds_sim.lane_tracker import LaneTracker
+from ds_sim.oracle import LaneTracker
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 WHOLE = 0.95
