@@ -11,9 +11,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +21,6 @@ from rich.table import Table
 
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
-from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road, generate
 from ds_sim.registry import make_simulator
@@ -32,18 +29,6 @@ from ds_sim.simulator import Outcome
 
 Total = tuple[int, float, float]
 """Frames, processor time in s, and wall time in s."""
-
-
-def timed(drive: Callable[[], int]) -> Total:
-    """Frames that a function drives, and what they cost."""
-    wall, cpu = time.perf_counter(), processor_time()
-    frames = drive()
-    return frames, processor_time() - cpu, time.perf_counter() - wall
-
-
-def drive_through(graph: GraphClient, name: str, road: Road) -> int:
-    """Drive a road through a graph; returns the number of frames."""
-    return graph.execute(name, road, 0).steps
 
 
 def parts(name: str, driver: NetworkDriver, road: Road) -> dict[str, Total]:
@@ -99,7 +84,9 @@ def main() -> None:
                 graph.execute(name, roads[0], 0)  # warm caches
             for road in roads:
                 for title, graph in graphs.items():
-                    total = timed(partial(drive_through, graph, name, road))
+                    wall, cpu = time.perf_counter(), processor_time()
+                    steps = graph.execute(name, road, 0).steps
+                    total = (steps, processor_time() - cpu, time.perf_counter() - wall)
                     totals.setdefault(title, []).append(total)
                 for part, total in parts(name, network, road).items():
                     totals.setdefault(f"{name}, no ROS: {part}", []).append(total)

@@ -94,7 +94,7 @@ def cars() -> dict[str, Car]:
             substep=FRAME_TIME / MultiBodyParameters().substeps,
         ),
         "donkey": Car(
-            make=_donkey,
+            make=_FinerDonkey,
             gains=donkey.GAINS,
             preview=donkey.PREVIEW_DISTANCE,
             substep=FRAME_TIME / dynamics.SUBSTEPS,
@@ -138,10 +138,6 @@ def _softbody(finer: int) -> Vehicle:
 def _panda(finer: int) -> Vehicle:
     p = MultiBodyParameters()
     return MultiBodyVehicle(dataclasses.replace(p, substeps=finer * p.substeps, stable_step=p.stable_step / finer))
-
-
-def _donkey(finer: int) -> Vehicle:
-    return _FinerDonkey(finer)
 
 
 class _FinerDonkey(DonkeyVehicle):

@@ -94,10 +94,6 @@ class GraphOutput:
         message.clock.sec, message.clock.nanosec = nanoseconds // 10**9, nanoseconds % 10**9
         self._clock.publish(message)
 
-    def _wait_for_acknowledgements(self) -> None:
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=ARRIVAL))
-
     def __enter__(self) -> GraphOutput:
         return self
 
@@ -105,7 +101,8 @@ class GraphOutput:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is None:
-            self._wait_for_acknowledgements()
+            for publisher in self._publishers.values():
+                publisher.wait_for_all_acked(Duration(seconds=ARRIVAL))
         self._node.destroy_node()
         rclpy.try_shutdown()
 
@@ -117,7 +114,8 @@ def _message_class(connection: Connection) -> tuple[Any, str]:
     are imported.
     """
     package, _, kind = connection.msgtype.partition("/msg/")
-    if not (package.isidentifier() and kind.isidentifier() and _is_interface(package, kind)):
+    plain = package.isidentifier() and kind.isidentifier()
+    if not (plain and any((share / "msg" / f"{kind}.msg").is_file() for share in share_folders(package))):
         return None, f"{printable(connection.msgtype)} is not installed here"
     try:
         found = getattr(import_module(f"{package}.msg"), kind)
@@ -127,11 +125,6 @@ def _message_class(connection: Connection) -> tuple[Any, str]:
     if installed and connection.digest and installed != connection.digest:
         return None, f"{connection.msgtype} is installed in another version than the bag has"
     return found, ""
-
-
-def _is_interface(package: str, kind: str) -> bool:
-    """Check that a prefix of the workspace defines a message."""
-    return any((share / "msg" / f"{kind}.msg").is_file() for share in share_folders(package))
 
 
 def _installed_digest(package: str, kind: str) -> str:

@@ -101,22 +101,18 @@ def config_of(store: Store) -> CampaignConfig:
         ConfigError: the stored configuration is not valid.
         StoreError: the store has tests or executions that this campaign cannot have.
     """
-    config = _parsed(store.config)
+    text, source = store.config, "the configuration in campaign.sqlite"
+    try:
+        raw = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ConfigError(f"{source} is not JSON: restore the file from a copy") from None
+    config = parse_config(raw, source, received=True)
     _check(store, config)
     return config
 
 
 def _check(store: Store, config: CampaignConfig) -> None:
     store.check(config.siblings, config.simulators, runs=config.search.runs, budget=config.settings.budget)
-
-
-def _parsed(text: str) -> CampaignConfig:
-    source = "the configuration in campaign.sqlite"
-    try:
-        raw = json.loads(text)
-    except (ValueError, RecursionError):
-        raise ConfigError(f"{source} is not JSON: restore the file from a copy") from None
-    return parse_config(raw, source, received=True)
 
 
 DRIVER_SHA256 = "sha256 of the driver's weights"

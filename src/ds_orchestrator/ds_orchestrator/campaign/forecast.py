@@ -80,11 +80,6 @@ class Forecast:
         return round(self.drives * sum(drive.disk for drive in self.measured) / len(self.measured))
 
 
-def gate_drives_of(config: CampaignConfig) -> int:
-    """Largest number of drives of the autopilot for the gates."""
-    return config.executions_at_most if config.has_gates else 0
-
-
 def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_seconds: float) -> Forecast:
     """Drive one random road on every simulator at the same time, and estimate the campaign from it.
 
@@ -119,7 +114,7 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
         drives=config.executions_at_most,
         search_drives=tests,
         searches=config.search.runs * len(config.siblings),
-        gate_drives=gate_drives_of(config),
+        gate_drives=config.executions_at_most if config.has_gates else 0,
         start_seconds=start_seconds,
         measured=tuple(
             MeasuredDrive(simulator=name, outcome=run.outcome.name, seconds=took, disk=_disk(config, name, run))

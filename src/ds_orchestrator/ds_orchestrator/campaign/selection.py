@@ -48,9 +48,8 @@ def roads_of(
     if simulator is not None and simulator not in config.simulators:
         raise ConfigError(f"{folder} has no simulator {simulator!r}: expected one of {', '.join(config.simulators)}")
     if test is not None and test not in {t.test_id for t in tests}:
-        raise ConfigError(
-            f"{folder} has no test {test!r}: expected an id such as {_examples(t.test_id for t in tests)}"
-        )
+        known = ", ".join(t.test_id for t in tests[:2]) or "(it has no tests yet)"
+        raise ConfigError(f"{folder} has no test {test!r}: expected an id such as {known}")
     wanted = None if cell is None else _cell_named(cell, [feature_of(name) for name in config.features], cells)
     outcomes: dict[str, dict[str, Any]] = {t.test_id: {} for t in tests}
     failures: set[tuple[str, str]] = set()
@@ -86,11 +85,6 @@ def roads_of(
             }
         )
     return found
-
-
-def _examples(names: Any) -> str:
-    known = list(names)
-    return ", ".join(known[:2]) if known else "(it has no tests yet)"
 
 
 def _cell_named(text: str, features: Sequence[Feature], cells: Mapping[str, Cell]) -> Cell:

@@ -109,7 +109,9 @@ class SqliteFile:
                     "use that version, or choose another --out"
                 )
             elif begin is not None:
-                self._check_whole()
+                pages = self.ask("PRAGMA quick_check(1)")[0][0]  # before anything is written
+                if pages != "ok":
+                    raise self._refusal(sqlite3.DatabaseError(pages))
             if read_only:
                 self.ask("BEGIN")  # whatever is read from now on is of one moment
         except BaseException:
@@ -160,12 +162,6 @@ class SqliteFile:
         statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMA.split(";") if s.strip()]
         statements.append((f"PRAGMA user_version={SCHEMA_VERSION}", ()))
         self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
-
-    def _check_whole(self) -> None:
-        """Check the pages of the file before anything is written."""
-        found = self.ask("PRAGMA quick_check(1)")[0][0]
-        if found != "ok":
-            raise self._refusal(sqlite3.DatabaseError(found))
 
     def ask(self, statement: str, values: Sequence[object] = ()) -> list[Row]:
         """Run one statement, which may write, and return its rows.
