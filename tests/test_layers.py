@@ -113,7 +113,7 @@ class Forbid:
         if name.partition('.')[0] in {ROS_MODULES!r}:
             raise ImportError('ROS is forbidden here: ' + name)
 sys.meta_path.insert(0, Forbid())
-import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.closed_loop.success_rate
+import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.closed_loop.simulation
 import ds_orchestrator.campaign.runner, ds_studies.whole_campaign
 import ds_report.html_report, ds_report.build, ds_cli.application
 from ds_sim.registry import SIMULATORS, make_simulator

@@ -12,9 +12,9 @@ pytest.importorskip("rclpy")
 DRIVES = """
 import sys
 import ds_driver
-from ds_driver import Autopilot, DriverError, Frame, NetworkDriver, drive_road, load_pilot, make_driver, success_rates
+from ds_driver import Autopilot, DriverError, Frame, NetworkDriver, drive_road, load_pilot, make_driver
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import drive_all
+from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.engines.preflight import check_driver
 import ds_driver.ros.autopilot_node, ds_driver.ros.camera_driver_node, ds_driver.ros.driver_node
 import ds_driver.ros.closed_loop_node

@@ -18,13 +18,17 @@ from pathlib import Path
 import numpy as np
 
 from ds_analysis.paper.open_loop import Answers, predict
-from ds_driver.closed_loop.success_rate import success_rates
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
 from ds_driver.networks.weights import SHIPPED, compress, generators_in, load_weights
 from ds_driver.sim2real.stage import FOLDER, shipped_set_of
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.engines.drive_tests import Progress
+from ds_road import Road
 from ds_sim.registry import SIMULATORS
+from ds_sim.simulator import Outcome
+from ds_studies.same_roads import drive_same_roads
 
 PAPER = {
     "dave2": {"mean_squared_error": 0.08, "success": 0.84},
@@ -69,7 +73,7 @@ def main() -> None:
     assessed = f"{weights}@{arguments.backend}"
     found = predict(arguments.offline, assessed, _print_progress)
     errors = {name: answers.absolute_errors for name, answers in found.items()}
-    success = success_rates(assessed, list(SIMULATORS), roads, arguments.seed, _print_progress)
+    success = _success_rates(assessed, roads, arguments.seed)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]
@@ -128,6 +132,19 @@ def main() -> None:
     shutil.copyfile(weights, SHIPPED / f"{name}.safetensors")
     (SHIPPED / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
     print(json.dumps({"success": success, **card["offline"]}))
+
+
+def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[str, float]]:
+    """Share of the roads that a driver completes on each simulator, by direction (paper 4.2.2)."""
+    settings = DriveSettings(siblings=tuple(SIMULATORS), driver=driver, gates="none")
+    rates: dict[str, dict[str, float]] = {name: {} for name in SIMULATORS}
+    for way, driven in (("forward", roads), ("reverse", [road.reversed() for road in roads])):
+        for name, found in drive_same_roads(settings, driven, seed, None, Progress(say=print)).items():
+            completed = [one.outcome is Outcome.COMPLETED for one in found if one.outcome.is_verdict]
+            if len(completed) < len(roads):
+                sys.exit(f"{name}, {way}: {len(roads) - len(completed)} drives ended in errors: fix them and try again")
+            rates[name][way] = sum(completed) / len(roads)
+    return rates
 
 
 def _print_progress(done: int, total: int, line: str) -> None:

@@ -39,7 +39,7 @@ from ds_analysis.common.outcome_table import OutcomeTable, table_of_runs
 from ds_analysis.common.table import write_tables
 from ds_cli.output import say
 from ds_cli.progress import ScreenListener
-from ds_driver.closed_loop.success_rate import unseen_roads
+from ds_driver.data.collection import unseen_roads
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Key, Progress, drive_tests, read_drives
 from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition

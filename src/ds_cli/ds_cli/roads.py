@@ -32,7 +32,7 @@ def roads_of(
         ds_road.RoadError: there are none, or one cannot be driven.
     """
     import ds_road
-    from ds_driver.closed_loop.success_rate import unseen_roads
+    from ds_driver.data.collection import unseen_roads
 
     roads = unseen_roads(count, seed, max_angle=max_angle) if file is None else ds_road.read_roads(file)
     if not roads:

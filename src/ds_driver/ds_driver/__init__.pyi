@@ -1,5 +1,4 @@
 from .closed_loop.simulation import drive_road, make_driver
-from .closed_loop.success_rate import success_rates
 from .control.autopilot import AUTOPILOT, Autopilot, throttle
 from .control.other_stacks import SpeedController, StampMatcher
 from .data.collection import CollectionPlan, collect
@@ -60,7 +59,6 @@ __all__ = [
     "read_samples",
     "read_sources",
     "shipped_networks",
-    "success_rates",
     "throttle",
     "train",
 ]

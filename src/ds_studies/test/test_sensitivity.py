@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import run_drive
+from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
+from ds_sim.registry import make_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 from ds_studies.sensitivity import analysis, measurement
@@ -284,8 +285,9 @@ def test_a_picture_changes_nothing_for_the_autopilot() -> None:
     """Why the autopilot need not drive again where a factor changes pictures alone."""
     road = Road([(125, 25 * i) for i in range(4)])
     (fog,) = factors_named(["visibility"])
+    bullet = make_simulator("bullet")
     clear, foggy = (
-        run_drive(DriveRequest("bullet", AUTOPILOT, road, 1, fog.conditions(level))) for level in (0, LEVELS)
+        drive_road(bullet, make_driver(AUTOPILOT, bullet.spec), road, 1, fog.conditions(level)) for level in (0, LEVELS)
     )
     assert clear.observations == foggy.observations and clear.commands == foggy.commands
 

@@ -8,10 +8,7 @@ import pytest
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import table_of_runs
 from ds_analysis.paper.simulator_agreement import compare, gaps, most_different, summary
-from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import drive_all, drive_road, make_driver
 from ds_road import Road
-from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
 
@@ -82,23 +79,3 @@ def test_lateral_positions_are_compared_at_the_same_places() -> None:
     assert len(gaps(one.profile, run(length=20.0).profile)) == 39
     assert gaps(run(lateral=(9.0, 9.0)).profile, run().profile).max() == 2.0
     assert most_different(table_of_runs({"a": [run(), one, one], "b": [run(), run(), other]}), 2) == [2, 1]
-
-
-@pytest.mark.long
-def test_workers_drive_as_this_process_does() -> None:
-    """In order, whatever their number, and bit for bit."""
-    simulator = make_simulator("donkey")
-    bend = Road([(125.0, 0.0), (125.0, 25.0), (127.0, 50.0), (133.0, 74.0), (143.0, 97.0), (157.0, 118.0)])
-    here = {}
-    for road in (ROAD, bend):
-        here[road.road_id] = drive_road(simulator, make_driver("autopilot", simulator.spec), road, 5)
-    simulator.close()
-    drives = [DriveRequest("donkey", "autopilot", road, 5) for road in (bend, ROAD, bend)]
-    for workers in (1, 2):
-        there = list(drive_all(drives, workers=workers))
-        assert [r.road.road_id for r in there] == [d.road.road_id for d in drives]
-        for record in there:
-            same = here[record.road.road_id]
-            assert record.outcome is Outcome.COMPLETED
-            assert record.commands == same.commands
-            assert [o.vehicle for o in record.observations] == [o.vehicle for o in same.observations]

@@ -114,7 +114,7 @@ def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan
 
 def plan_of_networks(first: str, second: str, simulators: list[str], roads: int, seed: int) -> Plan:
     """Compare two networks on random roads."""
-    from ds_driver.closed_loop.success_rate import unseen_roads
+    from ds_driver.data.collection import unseen_roads
     from ds_studies.comparison.compare import random_tests
 
     twin = TWIN if TWIN in simulators and len(simulators) > 1 else None

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cache
 from typing import TYPE_CHECKING
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT, ROWS_SEEN, Autopilot
 from ds_driver.networks.images import Crop, ImageError
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_driver.processes import map_in_processes
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
@@ -85,20 +83,6 @@ def drive_road(
             break
         observation = session.advance(command)
     return session.run
-
-
-def drive_all(drives: Sequence[DriveRequest], *, workers: int | None = None) -> Iterator[RunRecord]:
-    """Drive all roads in worker processes and yield the records in order; they do not depend on `workers`."""
-    return map_in_processes(run_drive, drives, workers=workers)
-
-
-def run_drive(drive: DriveRequest) -> RunRecord:
-    """Drive in this process, which keeps simulator and network for the next drive; draws what the driver sees."""
-    drives = _drives_of_process(drive.driver)
-    drives.begin(0, drive)
-    while not (ended := drives.step()):
-        pass
-    return ended[0][1]
 
 
 class Phase(IntEnum):
@@ -198,9 +182,6 @@ class InterleavedDrives:
                 assert drive.session.run is not None
                 records.append((key, drive.session.run))
         return records
-
-
-_drives_of_process = cache(InterleavedDrives)
 
 
 def _network(driver: str) -> NetworkDriver:

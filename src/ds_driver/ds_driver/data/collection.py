@@ -41,6 +41,12 @@ class CollectionPlan:
     every: int = 1
 
 
+def unseen_roads(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
+    """Generate random roads as in the paper's test set (4.2.2: 25 roads, maximum angle 270 degrees)."""
+    rng = np.random.default_rng(seed)
+    return [generate(rng, max_angle=max_angle) for _ in range(count)]
+
+
 def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road]:
     """Generate random roads that are valid in both directions; the same seed gives the same roads."""
     rng = np.random.default_rng(seed)
