@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ds_cli.campaign.compare_results import write_comparison
-from ds_cli.campaign.pass_options import (
+from ds_cli.campaign.compare_results import (
     FailOn,
     Junit,
     Markdown,
@@ -19,6 +18,7 @@ from ds_cli.campaign.pass_options import (
     check_writable,
     criteria_of,
     unmet_by,
+    write_comparison,
 )
 from ds_cli.options import (
     Backend,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from ds_cli.campaign.pass_options import (
+from ds_cli.campaign.compare_results import (
     FailOnFailure,
     Junit,
     MaxFailures,

@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_cli.campaign.compare import network_named
-from ds_cli.campaign.compare_results import write_comparison
-from ds_cli.campaign.pass_options import (
+from ds_cli.campaign.compare_results import (
     FailOn,
     Junit,
     Markdown,
@@ -20,6 +19,7 @@ from ds_cli.campaign.pass_options import (
     check_writable,
     criteria_of,
     unmet_by,
+    write_comparison,
 )
 from ds_cli.options import (
     Backend,
