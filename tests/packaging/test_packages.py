@@ -22,6 +22,7 @@ KEYS = {
     "gymnasium": "python3-gymnasium-pip",
     "jinja2": "python3-jinja2",
     "junitparser": "python3-junitparser",
+    "matplotlib": "python3-matplotlib",
     "numpy": "python3-numpy",
     "pandas": "python3-pandas",
     "onnxruntime": "python3-onnxruntime-pip",

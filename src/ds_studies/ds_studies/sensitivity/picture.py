@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import cv2
-import numpy as np
+from typing import TYPE_CHECKING
 
-from ds_analysis.common.chart import COLOURS, WIDTH, Picture, write
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road.figures import COLOURS, WIDTH, draw_figure, short_name
 from ds_studies.sensitivity.analysis import Sensitivity
 from ds_studies.sensitivity.factors import LEVELS
-from ds_studies.sensitivity.measurement import Threshold
 
-_LEFT, _RIGHT, _HEAD, _FOOT, _BAR, _GAP = 250, 150, 92, 46, 13, 10
-_FAINT, _INK = (222, 222, 222), (40, 40, 40)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def draw_sensitivity(found: Sensitivity) -> Picture:
+def draw_sensitivity(found: Sensitivity) -> NDArray[np.uint8]:
     """Draw one group of bars for each factor, one bar for each simulator.
 
     A bar reaches to the strength at which the median road fails; a thin line spans the roads. A hollow bar has no
@@ -23,39 +24,29 @@ def draw_sensitivity(found: Sensitivity) -> Picture:
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    group = _BAR * len(found.simulators) + _GAP
-    image = np.full((_HEAD + group * len(found.factors) + _FOOT, WIDTH, 3), 255, np.uint8)
-    write(image, f"Strength at which {found.driver} first fails; hollow: no failure", (16, 24), 0.55)
-    for index, name in enumerate(found.simulators):
-        x, colour = 16 + 180 * index, COLOURS[index % len(COLOURS)]
-        cv2.rectangle(image, (x, 42), (x + 18, 52), colour, -1)
-        write(image, name if len(name) <= 16 else f"{name[:7]}..{name[-7:]}", (x + 26, 52), 0.45)
-    for tenth in range(0, 11, 2):
-        x = _x(tenth / 10)
-        cv2.line(image, (x, _HEAD - 8), (x, image.shape[0] - _FOOT), _FAINT, 1)
-        write(image, f"{tenth * 10} %", (x - 12, image.shape[0] - _FOOT + 18), 0.42)
-    write(image, "share of the condition's range", (_LEFT, image.shape[0] - 8), 0.45)
-    for row, position in enumerate(found.order):
-        top = _HEAD + group * row
-        write(image, found.factors[position].title, (8, top + (group - _GAP) // 2 + 5), 0.42)
+    share = 0.8 / len(found.simulators)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
         for index, name in enumerate(found.simulators):
             colour = COLOURS[index % len(COLOURS)]
-            _draw_bar(image, found.thresholds[position, name], top + _BAR * index, colour)
-    return image
+            axes.barh(np.nan, np.nan, color=colour, label=short_name(name))
+            for row, position in enumerate(found.order):
+                one, at, end = found.thresholds[position, name], row - 0.4 + (index + 0.5) * share, 0.0
+                if one.withstood is not None:
+                    fails, end = one.verdict == "fails", one.withstood
+                    axes.barh(at, end, 0.8 * share, color=colour if fails else "none", edgecolor=colour)
+                    if fails:
+                        ends = [(level or LEVELS) / LEVELS for level in one.interval]
+                        axes.plot(ends, (at, at), color="black", linewidth=1)
+                        end = max(end, ends[1])
+                text = one.verdict if one.withstood is None else one.text
+                axes.text(end + 0.006, at, text, va="center", fontsize=7)
+        axes.set_yticks(range(len(found.order)), [found.factors[position].title for position in found.order])
+        axes.set(xlim=(0.0, 1.2), ylim=(len(found.order) - 0.5, -0.5), xlabel="share of the condition's range")
+        axes.set_xticks(np.linspace(0.0, 1.0, 6), [f"{10 * tenth} %" for tenth in range(0, 11, 2)])
+        axes.grid(visible=False, axis="y")
+        axes.set_title(f"Strength at which {found.driver} first fails; hollow: no failure")
+        figure.legend(loc="outside lower left", ncols=5)
 
-
-def _draw_bar(image: Picture, one: Threshold, top: int, colour: tuple[int, int, int]) -> None:
-    middle, bottom = top + _BAR // 2, top + _BAR - 3
-    if one.withstood is None:
-        write(image, one.verdict, (_LEFT + 4, bottom), 0.36)
-        return
-    end = _x(one.withstood)
-    cv2.rectangle(image, (_LEFT, top), (end, bottom), colour, -1 if one.verdict == "fails" else 1)
-    first, last = (_x((level or LEVELS) / LEVELS) for level in one.interval)
-    if one.verdict == "fails":
-        cv2.line(image, (first, middle), (last, middle), _INK, 1)
-    write(image, one.text, (max(end, last if one.verdict == "fails" else 0) + 6, bottom), 0.36)
-
-
-def _x(share: float) -> int:
-    return round(_LEFT + share * (WIDTH - _LEFT - _RIGHT))
+    return draw_figure(WIDTH, 150 + (13 * len(found.simulators) + 12) * len(found.order), draw)

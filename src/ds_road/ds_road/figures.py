@@ -1,0 +1,59 @@
+"""Figures drawn by Matplotlib: the same values give the same pixels, whatever a user's settings are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#966e00", "#464646")
+"""Okabe and Ito's palette, safe for red-green colour blindness; repeats for further groups."""
+WIDTH = 1140
+"""Pixels across a page of panels."""
+_DPI = 100
+_STYLE: dict[Any, Any] = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 11,
+    "font.size": 9,
+    "grid.color": "#e1e1e1",
+    "legend.frameon": False,
+    "text.parse_math": False,  # names of files and simulators may hold a $
+}
+
+
+def draw_figure(width: int, height: int, draw: Callable[[Figure], None]) -> NDArray[np.uint8]:
+    """Draw a figure.
+
+    Args:
+        width: pixels.
+        height: pixels.
+        draw: adds everything to an empty figure.
+
+    Returns:
+        (rows, columns, 3) uint8 RGB.
+    """
+    # The import takes half a second, and most commands draw nothing.
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        figure = Figure((width / _DPI, height / _DPI), _DPI, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        draw(figure)
+        canvas.draw()
+    return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+def short_name(name: str) -> str:
+    """Name of at most 24 characters, such as the labels of an axis have room for: the middle of longer ones is cut."""
+    return name if len(name) <= 24 else f"{name[:11]}..{name[-11:]}"
