@@ -224,7 +224,7 @@ def conditions_in(road: Path | None) -> Conditions:
     """The conditions that a road file of `ds campaign roads` names, else the default.
 
     Raises:
-        ds_sim.conditions.ConditionsError: they cannot be.
+        ds_sim.ConditionsError: they cannot be.
     """
     from ds_sim.conditions.text import parse_conditions
 

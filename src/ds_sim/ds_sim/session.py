@@ -101,7 +101,7 @@ class Session:
             First observation; None if the simulator failed, which ends the run as SIM_ERROR.
 
         Raises:
-            ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; no run is made of that.
+            ds_sim.NotApplicableError: the simulator cannot realise a condition; no run is made of that.
         """
         check_applicable(conditions, self.simulator.spec)
         self.run = RunRecord(road=road, seed=seed, conditions=conditions)

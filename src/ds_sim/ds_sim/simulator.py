@@ -246,7 +246,7 @@ class Simulator(Protocol):
 
         Raises:
             ds_road.RoadError: the road is not valid.
-            ds_sim.conditions.NotApplicableError: it cannot realise a condition.
+            ds_sim.NotApplicableError: it cannot realise a condition.
         """
         ...
 

@@ -54,7 +54,7 @@ def drive_road(
     `ds_sim.simulator.TakesStills`.
 
     Raises:
-        ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no run then.
+        ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no run then.
 
     Examples:
         >>> from ds_driver import drive_road, make_driver
@@ -128,7 +128,7 @@ class InterleavedDrives:
 
         Raises:
             ValueError: the request is for another driver.
-            ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
+            ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
         """
         if request.driver not in (AUTOPILOT, self._driver):
             raise ValueError(f"{request.driver} was not started, expected {self._driver}, or {AUTOPILOT}")

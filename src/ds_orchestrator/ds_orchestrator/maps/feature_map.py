@@ -211,7 +211,7 @@ def maps_frame(maps: Mapping[MapId, FeatureMap]) -> pd.DataFrame:
     """Tabulate maps: one row per map and filled cell.
 
     Args:
-        maps: as `ds_orchestrator.maps.build_maps` returns them; all over the same features.
+        maps: as `ds_orchestrator.build_maps` returns them; all over the same features.
 
     Returns:
         Columns `map` (name), `kind`, `simulator`, `origin`, `operator`; one per feature with the cell's bin; `tests`,

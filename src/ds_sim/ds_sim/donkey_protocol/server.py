@@ -81,7 +81,7 @@ class DonkeyServer:
         Raises:
             ServerError: the address cannot be used.
             ds_sim.registry.UnknownSimulatorError: no simulator has this name.
-            ds_sim.conditions.NotApplicableError: the simulator cannot realise a condition.
+            ds_sim.NotApplicableError: the simulator cannot realise a condition.
             ds_sim.simulator.SimulatorError: the simulator cannot load a road.
         """
         self._warm_up()

@@ -90,7 +90,7 @@ def conditions_from_messages(messages: Sequence[ConditionMsg]) -> Conditions:
     """Convert messages to conditions; what they do not name has its default.
 
     Raises:
-        ds_sim.conditions.ConditionsError: one is unknown, named twice or out of range, or they contradict each other.
+        ds_sim.ConditionsError: one is unknown, named twice or out of range, or they contradict each other.
     """
     return from_pairs((message.name, message.value) for message in messages)
 

@@ -44,7 +44,7 @@ class LoadedRoad:
         default: conditions of tests that bring none.
 
     Raises:
-        ds_sim.conditions.NotApplicableError: the simulator cannot realise the default.
+        ds_sim.NotApplicableError: the simulator cannot realise the default.
     """
 
     def __init__(self, spec: SimulatorSpec, default: Conditions) -> None:
