@@ -216,7 +216,7 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
     ("text", "problem"),
     [
         ("", "nothing there, expected keys with values"),
-        ("shceduler: tcp://127.0.0.1:8786", "shceduler: there is no such key (keys: scheduler, listen, tls, unencryp"),
+        ("planner: tcp://127.0.0.1:8786", "planner: there is no such key (keys: scheduler, listen, tls, unencryp"),
         ("scheduler: localhost:8786", "expected tls://HOST:PORT or tcp://HOST:PORT"),
         ("scheduler: tcp://10.0.0.5:8786", "neither encrypted nor on this machine"),
         ("scheduler: tls://10.0.0.5:8786", "needs the files of tls"),
