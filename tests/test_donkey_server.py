@@ -25,7 +25,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ds_driver import drive_road, make_driver
@@ -123,6 +123,7 @@ def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[
 texts = st.text(alphabet='{}"\\ é', max_size=6)
 
 
+@settings(deadline=None)  # a busy machine is slow
 @given(st.lists(texts, max_size=3), st.sampled_from(["", "\n", " \r\n"]), st.lists(st.integers(1, 30), max_size=8))
 def test_messages_come_out_whole_however_they_are_cut(values: list[str], separator: str, lengths: list[int]) -> None:
     sent = [{"msg_type": "control", "value": value, "inner": {value: [value]}} for value in values]

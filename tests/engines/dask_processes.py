@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from ds_driver.processes import python_environment
+
+OWNER = "DS_TEST_CLUSTER"
+"""Variable by which processes of a cluster are told from those of other tests."""
 
 
 def free_port() -> int:
@@ -48,7 +51,7 @@ class DaskProcesses:
                 [sys.executable, "-m", "dask", kind, *arguments, *self._tls],
                 stdout=file,
                 stderr=subprocess.STDOUT,
-                env=python_environment(),
+                env=python_environment() | {OWNER: str(self._folder)},
             )
         self._processes.append(process)
         return process
@@ -56,17 +59,22 @@ class DaskProcesses:
     def logs(self) -> str:
         return "\n".join(path.read_text(errors="replace") for path in sorted(self._folder.glob("*.log")))
 
+    def drive_workers(self) -> set[int]:
+        """Process ids of what drives for this cluster; other tests' processes drive on the same machine."""
+        mine = f"{OWNER}={self._folder}".encode()
+        found = set()
+        for process in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):  # it ended meanwhile
+                drives = b"ds_driver.closed_loop.drive_worker" in (process / "cmdline").read_bytes()
+                if drives and mine in (process / "environ").read_bytes().split(b"\0"):
+                    found.add(int(process.name))
+        return found
+
     def close(self) -> None:
         for process in reversed(self._processes):
             process.send_signal(signal.SIGCONT)
             process.kill()
             process.wait()
-
-
-def drive_workers() -> set[int]:
-    """Process ids of the processes that drive."""
-    found = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
-    return {int(m[1]) for m in re.finditer(r"^ *(\d+) .*ds_driver\.closed_loop\.drive_worker", found, re.MULTILINE)}
 
 
 def wait_until(done: object, limit: float = 60.0) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.engines.dask_processes import DaskProcesses, drive_workers, wait_until
+from tests.engines.dask_processes import DaskProcesses, wait_until
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
@@ -108,13 +108,9 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
         assert drives.encoded() == reference
         assert len(engine.workers) == 1 and late.poll() is None
     assert len([line for line in lines if "refused" in line]) == 1
-    wait_until(lambda: not drive_workers_of(cluster), 20.0)
-
-
-def drive_workers_of(cluster: DaskProcesses) -> set[int]:
-    """Processes that drive for this cluster; none may outlive its worker."""
+    assert cluster.drive_workers()  # of the late worker
     cluster.close()
-    return drive_workers()
+    wait_until(lambda: not cluster.drive_workers(), 20.0)
 
 
 @pytest.mark.long

@@ -66,6 +66,7 @@ def a_run(**fields_of_last_frame: float) -> RunRecord:
     )
 
 
+@settings(deadline=None)  # a busy machine is slow
 @given(runs())
 def test_a_run_arrives_with_every_bit(run: RunRecord) -> None:
     arrived = decode_run(encode_run(run), ROAD, run.seed)
