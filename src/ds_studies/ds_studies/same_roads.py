@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import GivenDrives, Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import GivenDrives, NoVerdict, Progress, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import Road
 from ds_sim.simulator import Outcome
@@ -28,7 +28,7 @@ def drive_same_roads(
         progress: who hears of it.
 
     Returns:
-        Simulator -> what became of the roads, in their order.
+        Simulator -> what became of the roads, in their order; what a simulator cannot realise ends in an error.
     """
     tests = [
         Test(test_id=f"{road.road_id}-{seed + k}", sibling=settings.siblings[0], run=0, number=0, road=road,
@@ -37,8 +37,13 @@ def drive_same_roads(
     ]  # fmt: skip
     with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_roads_") as place:
         found = drive_tests(settings, dict.fromkeys(settings.simulators, tests), Path(place), progress)
-        driven = {name: [driven_road(found, test, name) for test in tests] for name in settings.simulators}
-    return {name: [road for road in of if road is not None] for name, of in driven.items()}
+        return {
+            name: [
+                driven_road(found, test, name) or DrivenRoad(road=test.road, outcome=Outcome.SIM_ERROR)
+                for test in tests
+            ]
+            for name in settings.simulators
+        }
 
 
 def driven_road(found: GivenDrives, test: Test, simulator: str) -> DrivenRoad | None:
@@ -46,5 +51,5 @@ def driven_road(found: GivenDrives, test: Test, simulator: str) -> DrivenRoad | 
     key = test.test_id, simulator
     if key in found.executions:
         return DrivenRoad.of_execution(test.road, found.executions[key])
-    error = Outcome.__members__.get(found.errors.get(key, "").partition(":")[0])
+    error = found.errors.get(key, NoVerdict()).outcome
     return None if error is None else DrivenRoad(road=test.road, outcome=error)

@@ -19,7 +19,7 @@ from ds_orchestrator.engines.drive_tests import Progress
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_road import Road, generate
 from ds_sim.session import NO_IMAGE, RunRecord
-from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
 from ds_studies.same_roads import drive_same_roads
 
 ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(4))
@@ -121,3 +121,22 @@ def test_without_a_folder_nothing_is_kept(
         assert len(drive_same_roads(SETTINGS, ROADS[:1], 7, None, Progress())["donkey"]) == 1
         assert len(engine.driven) == 2
     assert not list(tmp_path.iterdir())
+
+
+class RefusingEngine(MadeUpEngine):
+    """One of whose simulators cannot realise a road."""
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        if (request.simulator, request.road) == ("donkey", ROADS[0]):
+            return request.ended(Outcome.SIM_ERROR, "no such lane here", Reason.NOT_APPLICABLE)
+        return super().drive(request, watch)
+
+
+def test_roads_stay_in_line_where_a_simulator_cannot_realise_one(
+    tmp_path: Path, use: Callable[[MadeUpEngine], MadeUpEngine]
+) -> None:
+    use(RefusingEngine())
+    found = drive_same_roads(SETTINGS, ROADS[:2], 7, tmp_path / "drives", Progress())
+    assert [run.road for run in found["donkey"]] == list(ROADS[:2])
+    assert [run.outcome for run in found["donkey"]] == [Outcome.SIM_ERROR, Outcome.OUT_OF_BOUNDS]
+    assert [run.outcome for run in found["bullet"]] == [Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS]

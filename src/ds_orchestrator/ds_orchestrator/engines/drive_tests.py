@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Executor, Listener, Stopped
@@ -13,10 +14,11 @@ from ds_orchestrator.campaign.folder import record_provenance
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
-from ds_orchestrator.store.folder_files import locked
+from ds_orchestrator.store.folder_files import locked, make_folder
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate
+from ds_sim.simulator import Outcome
 
 DRIVES_FILE = "drives.sqlite"
 """Store of drives of given tests; not a campaign's file, as no search can resume from it."""
@@ -37,6 +39,16 @@ class Progress:
     say: Callable[[str], None] = lambda line: None
 
 
+class NoVerdict(NamedTuple):
+    """A drive without a verdict: how its last attempt ended, None if there was none, and its message."""
+
+    outcome: Outcome | None = None
+    message: str = ""
+
+    def __str__(self) -> str:
+        return "not driven" if self.outcome is None else f"{self.outcome.name}: {self.message}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class GivenDrives:
     """What became of given tests.
@@ -44,12 +56,12 @@ class GivenDrives:
     Attributes:
         executions: drives with a verdict.
         gates: what is known of the tests' validity.
-        errors: name of the outcome of a drive without a verdict, and its message.
+        errors: drives without a verdict.
     """
 
     executions: Mapping[Key, Execution] = field(default_factory=dict)
     gates: Mapping[Key, Gate] = field(default_factory=dict)
-    errors: Mapping[Key, str] = field(default_factory=dict)
+    errors: Mapping[Key, NoVerdict] = field(default_factory=dict)
 
     @property
     def excluded(self) -> set[Key]:
@@ -89,8 +101,10 @@ def drive_tests(
         for (test_id, simulator), gate in (gates or {}).items():
             if test_id in tests and simulator in work:
                 store.add_gate(test_id, simulator, gate)
-        if _read(store, work).errors:
-            _drive(settings, work, folder, store, progress)
+        known = _read(store, work)
+        if not known.errors:
+            return known
+        _drive(settings, work, folder, store, progress)
         return _read(store, work)
 
 
@@ -106,7 +120,7 @@ def open_drives(
         say: called with one line if the code has changed since the folder began.
         tests: those that the store may hold; if empty, any with the run 0 and the number 0.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     with locked(folder), closing(Store(folder / DRIVES_FILE, config=settings.identity())) as store:
         store.check(
             {test.sibling for test in tests} or settings.simulators, settings.simulators,
@@ -138,7 +152,7 @@ def _drive(
 def read_drives(folder: Path, work: Mapping[str, Sequence[Test]]) -> GivenDrives:
     """Read what became of given tests so far, as `drive_tests` does, and drive nothing."""
     if not (folder / DRIVES_FILE).exists():
-        return GivenDrives(errors={(test.test_id, name): "not driven" for name, of in work.items() for test in of})
+        return GivenDrives(errors={(test.test_id, name): NoVerdict() for name, of in work.items() for test in of})
     with closing(Store(folder / DRIVES_FILE, read_only=True)) as store:
         return _read(store, work)
 
@@ -146,10 +160,10 @@ def read_drives(folder: Path, work: Mapping[str, Sequence[Test]]) -> GivenDrives
 def _read(store: Store, work: Mapping[str, Sequence[Test]]) -> GivenDrives:
     wanted = {(test.test_id, name) for name, tests in work.items() for test in tests}
     executions = {(one.test_id, one.simulator): one for one in store.executions()}
-    reasons = {(test, name): f"{outcome}: {message}" for test, name, _, outcome, message in store.errors()}
+    last = {(test, name): NoVerdict(Outcome[outcome], message) for test, name, _, outcome, message in store.errors()}
     found = GivenDrives(
         executions={key: one for key, one in executions.items() if key in wanted and one.outcome.is_verdict},
         gates={key: gate for key, gate in store.gates().items() if key in wanted},
     )
     missing = wanted - set(executions) - found.excluded
-    return replace(found, errors={key: reasons.get(key, "not driven") for key in missing})
+    return replace(found, errors={key: last.get(key, NoVerdict()) for key in missing})

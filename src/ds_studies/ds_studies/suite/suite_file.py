@@ -361,7 +361,7 @@ def run_suite(
                     )
                 )
             elif key in found.errors:
-                left_out.append((one.name, name, found.errors[key]))
+                left_out.append((one.name, name, str(found.errors[key])))
     comparison = compare_networks(
         pairs,
         reference=Network(driver=suite.driver, sha256=suite.driver_sha256),
