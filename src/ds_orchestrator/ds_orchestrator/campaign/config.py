@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from ds_orchestrator.campaign.config_errors import problems
+from ds_orchestrator.campaign.config_errors import problems, read_keys
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.maps.algebra import operator_of
@@ -25,7 +25,6 @@ from ds_orchestrator.maps.campaign_maps import MapPlan
 from ds_orchestrator.search.algorithms import STEP, ConditionSpace, SearchedCondition, SearchSettings, search_of
 from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, VISIBLE_CONTRAST, base_of, feature_of
 from ds_road import Side
-from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.extension import confirm, is_extension
@@ -367,12 +366,7 @@ def read_config(path: Path) -> CampaignConfig:
     Raises:
         ConfigError: one line with the key, what is wrong with it, and what is allowed.
     """
-    try:
-        raw = read_yaml(path, unique_keys=True)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except BoundedYamlError as error:
-        raise ConfigError(f"{path}: not YAML: {error}") from None
+    raw = read_keys(path, ConfigError)
     if raw is None:
         raise ConfigError(
             f"{path}: empty, expected a campaign's keys (such as {', '.join(CampaignConfig.model_fields)})"

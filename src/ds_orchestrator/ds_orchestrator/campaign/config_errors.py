@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
+
+from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 
 _EXPECTED: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "int_type": lambda _: "a whole number",
@@ -30,6 +33,16 @@ MOST = 10
 """Problems in one message; chosen: as many as are fixed in one go."""
 _LONGEST = 60
 """Characters of a value or a key in a message."""
+
+
+def read_keys(path: Path, refusal: type[ValueError]) -> Any:
+    """Read the value of a YAML file; raise `refusal`, with one line, if it cannot be read."""
+    try:
+        return read_yaml(path, unique_keys=True)
+    except OSError as error:
+        raise refusal(f"{path}: cannot be read ({error.strerror}): check the path") from None
+    except BoundedYamlError as error:
+        raise refusal(f"{path}: not YAML: {error}") from None
 
 
 def problems(error: ValidationError, model: type[BaseModel]) -> str:

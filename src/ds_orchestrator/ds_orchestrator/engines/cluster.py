@@ -12,8 +12,7 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, FilePath, ValidationError
 
-from ds_orchestrator.campaign.config_errors import problems
-from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
+from ds_orchestrator.campaign.config_errors import problems, read_keys
 from ds_sim.installation import install_command
 
 CONNECT_TIME = 10.0
@@ -110,11 +109,7 @@ def read_cluster(path: Path) -> ClusterOptions:
         ClusterError: one line with the key, what is wrong with it, and what is allowed.
     """
     try:
-        return ClusterOptions.model_validate(read_yaml(path, unique_keys=True))
-    except OSError as error:
-        raise ClusterError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except BoundedYamlError as error:
-        raise ClusterError(f"{path}: not YAML: {error}") from None
+        return ClusterOptions.model_validate(read_keys(path, ClusterError))
     except ValidationError as error:
         raise ClusterError(f"{path}: {problems(error, ClusterOptions)}") from None
 
