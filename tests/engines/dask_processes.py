@@ -14,7 +14,7 @@ from pathlib import Path
 from ds_driver.processes import python_environment
 
 OWNER = "DS_TEST_CLUSTER"
-"""Variable by which processes of a cluster are told from those of other tests."""
+"""Variable that marks the processes of a cluster as its own; other tests drive beside them."""
 
 
 def free_port() -> int:

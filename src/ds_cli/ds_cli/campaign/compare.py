@@ -176,8 +176,8 @@ def campaign_compare_command(
     """Compare two networks on the same tests: is one better, where, and is anything worse?
 
     A and B are two campaigns of one configuration, a campaign and a network, or two networks, which drive random roads.
-    What one of them has not driven is driven, without ROS unless --engine says otherwise. Writes comparison.html,
-    comparison.md and comparison.json under --out.
+    Tests that one of them has not driven are driven first, without ROS unless --engine says otherwise. Writes
+    comparison.html, comparison.md and comparison.json under --out.
     """
     from ds_analysis.comparison.paired_drives import ComparisonError
     from ds_cli.progress import ScreenListener

@@ -164,7 +164,7 @@ class InterleavedDrives:
             self._note(Phase.DRIVING, ALL_DRIVES)
         frames = [drive.frame() for _, drive in waiting if drive.autopilot is None]
         of_network = iter([] if self._network is None else _answers(self._network, frames))
-        commands = [drive.piloted() or next(of_network) for _, drive in waiting]
+        commands = [next(of_network) if drive.autopilot is None else drive.piloted() for _, drive in waiting]
         for (key, drive), command in zip(waiting, commands, strict=True):
             if isinstance(command, DriverError):
                 # As in the ROS graph, a driver without an answer counts as silent.
@@ -219,9 +219,9 @@ class _Drive:
     seen: Observation | None
     probe: ContrastProbe | None
 
-    def piloted(self) -> Command | None:
-        assert self.seen is not None
-        return None if self.autopilot is None else self.autopilot(self.seen)
+    def piloted(self) -> Command:
+        assert self.autopilot is not None and self.seen is not None
+        return self.autopilot(self.seen)
 
     def frame(self) -> Frame:
         assert self.seen is not None
