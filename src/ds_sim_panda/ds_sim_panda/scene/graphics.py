@@ -101,20 +101,24 @@ class Graphics:
         driver = self._host.get_gsg()
         self.renderer = f"{driver.driver_version.split(') ')[-1]}, {driver.driver_renderer}"
 
-    def draw(self, camera: Any, width: int, height: int, *, samples: int = SAMPLES) -> NDArray[np.uint8]:
+    def draw(self, camera: Any, width: int, height: int, *, top: int = 0, samples: int = SAMPLES) -> NDArray[np.uint8]:
         """Draw what a camera sees.
 
         Args:
             camera: `NodePath` of the camera.
-            width: columns.
-            height: rows.
+            width: columns of its image.
+            height: rows of its image.
+            top: first row that is drawn; the bits of the others do not depend on it.
             samples: samples of a pixel.
 
         Returns:
             (rows, columns, 3) uint8 BGR, bottom row first, read-only; it does not change with the next drawing.
         """
+        drawn = height - top
         with _lock:
-            buffer, region, texture = self._target(width, height, samples)
+            buffer, region, texture = self._target(width, drawn, samples)
+            # The image reaches beyond the buffer: leaving out rows of a larger one would take more time.
+            region.set_dimensions(0.0, 1.0, 0.0, height / drawn)
             region.set_camera(camera)
             buffer.set_active(True)
             try:
@@ -124,9 +128,9 @@ class Graphics:
                 buffer.set_active(False)
                 region.set_camera(panda().NodePath())
                 self._release()
-            if len(image) != width * height * 3:
+            if len(image) != width * drawn * 3:
                 raise SimulatorError(f"the panda simulator cannot draw: {self._last_message()}")
-            return image.reshape(height, width, 3)
+            return image.reshape(drawn, width, 3)
 
     def _target(self, width: int, height: int, samples: int) -> tuple[Any, Any, Any]:
         """Off-screen buffer, its display region, and the texture that receives a copy of each drawing."""

@@ -141,11 +141,10 @@ class PandaScene:
         self._camera.reparent_to(world.root)
         self._camera.set_mat(panda().LMatrix4(*pose.ravel().tolist()))
         world.follow(*pose[3, :3].tolist())
-        world.show_rows(*rows, spec.height_px)
-        drawn = graphics().draw(self._camera, spec.width, spec.height_px)
-        image = cv2.cvtColor(drawn[::-1], cv2.COLOR_BGR2RGB)
-        image[: rows[0]] = 0
-        image[rows[1] :] = 0
+        top, bottom = rows
+        drawn = graphics().draw(self._camera, spec.width, spec.height_px, top=top)[::-1]
+        image = np.zeros((spec.height_px, spec.width, 3), np.uint8)
+        cv2.cvtColor(drawn[: bottom - top], cv2.COLOR_BGR2RGB, image[top:bottom])
         if view.optics is not None:
             image = view.optics(rows).apply(image, pose[:3, :3][[0, 2, 1]] * [[1.0], [-1.0], [1.0]], float(pose[3, 2]))
         image.setflags(write=False)

@@ -142,6 +142,9 @@ POST: Linear = (0.70, 0.70, 0.70)
 # Drawing.
 SAMPLES = 4
 """Samples of a pixel; chosen: what llvmpipe offers."""
+HIDING_WITHIN = 10.0
+"""Distance along the axis within which the road hides the ground below it, which is then not drawn; chosen: a pixel
+there is less than a metre wide, so that none under the road's own width shows the ground beyond the verge."""
 SHADOW_MARGIN = 25.0
 """Margin around the road's bounding box in which there are shadows; chosen: farther ones are less than a pixel high."""
 SHADOW_PIXELS = 2048

@@ -10,6 +10,7 @@ from ds_sim_panda.scene.graphics import panda
 from ds_sim_panda.scene.parameters import (
     ASPHALT,
     HAZE,
+    HIDING_WITHIN,
     HORIZON,
     LINE_WEAR,
     LINE_WIDTH,
@@ -40,6 +41,17 @@ void main() {
     eye_height = p3d_ViewMatrixInverse[3].z;
     arriving = exp(-HAZE * length(seen));
     light = p3d_Color.rgb * p3d_Color.rgb * MOST_LIGHT;
+}
+"""
+
+# A surface that hides what is drawn later and is as far away, within a distance; beyond it, it lies behind.
+_HIDING_VERTEX = """
+#version 130
+in vec4 p3d_Vertex;
+uniform mat4 p3d_ModelViewProjectionMatrix;
+void main() {
+    gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
+    gl_Position.z += 1e-4 * (gl_Position.w - HIDING_WITHIN);
 }
 """
 
@@ -192,6 +204,7 @@ _FRAGMENTS = {
     "solid": _SOLID,
     "sky": _SKY,
     "flat": _FLAT,
+    "hiding": _FLAT,
     "shade": _SHADE,
 }
 
@@ -201,11 +214,12 @@ def shader(name: str, *, setting: bool = False) -> Any:
     """Panda3D's shader of a kind of surface.
 
     Args:
-        name: ground, far ground, verge, road, solid, sky, flat (white) or shade.
+        name: ground, far ground, verge, road, solid, sky, flat (white), hiding (of no colour) or shade.
         setting: whether conditions change the world; `Setting.shader_inputs` are then inputs.
     """
     core = panda()
-    sources = (_filled(source, setting=setting) for source in (_VERTEX, _COMMON + _FRAGMENTS[name]))
+    vertex = _HIDING_VERTEX if name == "hiding" else _VERTEX
+    sources = (_filled(source, setting=setting) for source in (vertex, _COMMON + _FRAGMENTS[name]))
     return core.Shader.make(core.Shader.SL_GLSL, *sources)
 
 
@@ -225,6 +239,7 @@ def _filled(source: str, *, setting: bool) -> str:
         "YELLOW": YELLOW,
         "ASPHALT": ASPHALT,
         "SHADE_FRAYING": SHADE_FRAYING,
+        "HIDING_WITHIN": HIDING_WITHIN,
     }
     lines = [
         f"const float {name} = {value!r};" if isinstance(value, float)

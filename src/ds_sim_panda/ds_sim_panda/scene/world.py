@@ -51,7 +51,13 @@ class World:
         self.origin = course.origin
         self.root = core.NodePath("world")
         self._sky = self._surface(sky_dome(), "sky", 0, sky=sky_texture(setting.sky if setting else daylight))
+        strip = road_strip(course, (-course.half_width, course.half_width))
+        hiding = self._surface(mesh_node("hiding", *strip), "hiding", 0)
+        hiding.set_attrib(core.ColorWriteAttrib.make(core.ColorWriteAttrib.C_off))
+        hiding.set_depth_test(True)
+        hiding.set_depth_write(True)
         self._ground = self._surface(ground_rings(far=False), "ground", 1, grass=textures.grass())
+        self._ground.set_depth_test(True)
         far = self._surface(ground_rings(far=True), "far ground", 1, grass=textures.grass())
         far.set_attrib(_blended())
         far.reparent_to(self._ground)
@@ -76,10 +82,6 @@ class World:
         """Move the sky to the camera and the ground below it; coordinates relative to `origin`, m."""
         self._sky.set_pos(x, y, z)
         self._ground.set_pos(x, y, 0.0)
-
-    def show_rows(self, top: int, bottom: int, height: int) -> None:
-        """Leave out all but some rows of the image."""
-        self.root.set_scissor(0.0, 1.0, 1.0 - bottom / height, 1.0 - top / height)
 
     def _road_surfaces(self, course: Course, along: AlongRoad | None) -> None:
         border = course.half_width
