@@ -19,9 +19,10 @@ from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, write_drive
 from ds_driver.data.recordings import Reading, open_recording
+from ds_driver.networks.backends import cpu_capabilities
 from ds_driver.networks.images import Crop
 from ds_driver.networks.pilot import DriverError
-from ds_driver.sim2real import pictures
+from ds_driver.sim2real import pictures, translator
 from ds_driver.sim2real.evaluation.checkpoints import HeldOut, assess_checkpoints, broken_bounds, choose, flicker, ship
 from ds_driver.sim2real.evaluation.image_distance import kernel_distance
 from ds_driver.sim2real.evaluation.lane_kept import LineProjector, lane_kept, lines_of_photographs
@@ -41,9 +42,10 @@ from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, Ins
 from ds_driver.sim2real.preparation import network_window, prepare_domains, read_card, read_sources, settings_of
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
 from ds_driver.sim2real.simulated_frames import check_roads_are_new, sim2real_roads, simulated_frames
+from ds_driver.sim2real.stage import open_set
 from ds_driver.sim2real.trainer import EPOCHS, Domains, learning_rate_share, train
 from ds_driver.sim2real.translation import translate
-from ds_driver.sim2real.translator import Translator
+from ds_driver.sim2real.translator import Translator, generator_to_onnx
 from ds_driver.training import CHECKPOINT, TrainingError
 from ds_driver.whole_files import write_whole
 from ds_road import generate
@@ -129,6 +131,25 @@ def test_a_stored_generator_computes_in_onnx_what_pytorch_computes(tmp_path: Pat
     found = Translator(stored).small(image)
     assert found.shape == expected.shape and np.abs(found.astype(int) - expected).max() <= 1
     assert np.ptp(found) > 0
+
+
+@pytest.mark.parametrize("backend", ["onnx", "openvino", "openvino-bf16"])
+def test_four_pixels_at_once_have_the_bits_of_a_plain_convolution(
+    backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if backend != "onnx":
+        openvino = pytest.importorskip("openvino")
+        if backend == "openvino-bf16" and "BF16" not in cpu_capabilities(openvino.Core()):
+            pytest.skip("processor without bfloat16")
+    generator = open_set("indoor_track").generator("bullet")
+    images = np.random.default_rng(1).integers(0, 256, (2, *generator.shape.size, 3), dtype=np.uint8)
+    images[0] = cv2.GaussianBlur(images[0], (0, 0), 4)
+    at_once, graph = Translator(generator, backend), generator_to_onnx(generator)
+    monkeypatch.setattr(translator._Graph, "convolution_by_squares", translator._Graph.convolution)
+    plain = Translator(generator, backend)
+    assert b"DepthToSpace" in graph and b"DepthToSpace" not in generator_to_onnx(generator)
+    for image in images:
+        assert np.array_equal(at_once.small(image), plain.small(image)) and np.ptp(plain.small(image)) > 0
 
 
 def test_images_are_translated_alike_alone_and_in_a_batch() -> None:

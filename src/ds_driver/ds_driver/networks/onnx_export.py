@@ -39,6 +39,13 @@ class OnnxGraph:
         self._constants.append(numpy_helper.from_array(np.asarray(value), name))
         return name
 
+    def scaled(self, image: str) -> str:
+        """Convert (n, rows, columns, 3) uint8 to (n, 3, rows, columns) in -1 to 1; OpenVINO needs no transposition."""
+        value = self.node("Cast", [image], to=TensorProto.FLOAT)
+        value = self.node("Div", [value, self.constant(np.float32(127.5))])
+        value = self.node("Sub", [value, self.constant(np.float32(1.0))])
+        return self.node("Transpose", [value], perm=[0, 3, 1, 2])
+
     def file(self, name: str, given: tuple[str, int, Sequence[Any]], result: tuple[str, int, Sequence[Any]]) -> bytes:
         """Return the content of an ONNX file; the last node computes the result.
 
@@ -64,10 +71,7 @@ def to_onnx(weights: Weights) -> bytes:
     `steering`, (1, 1) float32.
     """
     graph = OnnxGraph()
-    value = graph.node("Cast", ["image"], to=TensorProto.FLOAT)
-    value = graph.node("Transpose", [value], perm=[0, 3, 1, 2])
-    value = graph.node("Div", [value, graph.constant(np.float32(127.5))])
-    value = graph.node("Sub", [value, graph.constant(np.float32(1.0))])
+    value = graph.scaled("image")
     for name, layer in weights.architecture.layers():
         value = _layer(graph, layer, name, weights.tensors, value)
     return graph.file(
