@@ -16,7 +16,7 @@ import pytest
 import yaml
 from tests.campaign.engines import EngineHere, MadeUpEngine
 
-from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config

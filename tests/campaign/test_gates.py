@@ -14,7 +14,7 @@ import pytest
 from tests.campaign.engines import MadeUpEngine
 from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
 
-from ds_analysis.paper.campaign_evaluation import excluded_table, maps_of
+from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_cli.campaign.inspection import status
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT

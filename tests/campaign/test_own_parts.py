@@ -13,7 +13,7 @@ from tests.campaign.own_parts import StraightSearch
 from tests.campaign.test_campaign import CONFIG
 from tests.campaign.test_gates import GatedEngine, run
 
-from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.maps.algebra import operator_of

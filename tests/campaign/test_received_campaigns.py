@@ -215,8 +215,8 @@ def test_bags_that_are_gone_are_named(tmp_path: Path, ds: Ds, capsys: pytest.Cap
     folder = make(tmp_path / "campaign")
     change(folder, "UPDATE executions SET bag=? WHERE test_id='donkey-0-0001'", BAG)
     store = Store(folder / "campaign.sqlite")
-    assert missing_bags(folder, store.executions()) == [BAG]
+    assert missing_bags(folder, store.bags()) == [BAG]
     (folder / BAG).mkdir(parents=True)
     (folder / BAG / "metadata.yaml").touch()
-    assert missing_bags(folder, store.executions()) == []
+    assert missing_bags(folder, store.bags()) == []
     store.close()

@@ -10,7 +10,7 @@ import pytest
 from tests.campaign.test_campaign import CONFIG, maps_text
 from tests.campaign.test_gates import GatedEngine, run
 
-from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.folder import read_campaign
 

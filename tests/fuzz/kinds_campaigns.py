@@ -15,7 +15,7 @@ import numpy as np
 from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_json, replace_with_no_file
 from tests.fuzz.harness import Kind
 
-from ds_analysis.paper.campaign_evaluation import excluded_table, exclusion_lines, maps_of
+from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines, maps_of
 from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.user_networks import DescribedNetworkPilot

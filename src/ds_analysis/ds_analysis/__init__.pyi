@@ -33,7 +33,7 @@ from .comparison.paired_drives import (
     difference_interval,
 )
 from .comparison.tables import markdown_of
-from .paper.campaign_evaluation import maps_of
+from .paper.campaign_contents import maps_of
 from .paper.correlation import (
     Correlation,
     PairedDifference,

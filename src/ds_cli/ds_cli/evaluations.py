@@ -35,13 +35,8 @@ def evaluation(
         ds_analysis.paper.open_loop.ErrorsError: the campaign has no twin, or the data set lacks images.
     """
     from ds_analysis.common.table import keep_tables
-    from ds_analysis.paper.campaign_evaluation import (
-        correlations_of,
-        maps_of,
-        network_of,
-        paired_differences_of,
-        tables_of,
-    )
+    from ds_analysis.paper.campaign_contents import maps_of
+    from ds_analysis.paper.campaign_evaluation import correlations_of, network_of, paired_differences_of, tables_of
     from ds_analysis.paper.open_loop import ErrorsError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_report.build import RQ1

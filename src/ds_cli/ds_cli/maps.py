@@ -140,7 +140,7 @@ def maps_command(
     One map at a time: `merged`, unless --map names another one. With --json, all of them.
     """
     named = None if axes is None else axes_named(axes)
-    from ds_analysis.paper.campaign_evaluation import exclusion_lines, maps_of
+    from ds_analysis.paper.campaign_contents import exclusion_lines, maps_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.maps.feature_map import slices_of, to_json

@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from ds_analysis.common.table import read_tables, write_tables
+from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_analysis.paper.campaign_evaluation import (
     correlations_of,
-    excluded_table,
-    maps_of,
     network_of,
     paired_differences_of,
     tables_of,

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ds_analysis.common.table import Table
-from ds_analysis.paper.campaign_evaluation import excluded_table, exclusion_lines
+from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import Network, cautions
 from ds_driver.whole_files import write_whole

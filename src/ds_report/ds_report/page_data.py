@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_analysis.paper.campaign_evaluation import IN_WORDS
+from ds_analysis.paper.campaign_contents import IN_WORDS
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import Correlation, evaluate
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign

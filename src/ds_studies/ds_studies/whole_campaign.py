@@ -13,11 +13,9 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Listener, Stopped
 from ds_orchestrator.campaign.folder import (
-    CampaignData,
     keep_engine,
     open_store,
     prepare_folder,
-    read_campaign,
     record_provenance,
     store_of,
 )
@@ -88,10 +86,7 @@ def run_campaign(
         keep_engine(folder, config)
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
-        data: CampaignData | None = None  # read again after driving
-        if is_driven(known := read_campaign(store)):
-            data = known
-        else:
+        if not is_driven(store, config):
             in_error = _drive(config, settings, folder, store, live, say)
 
         def say_result(line: str) -> None:
@@ -99,7 +94,7 @@ def run_campaign(
             say(line)
 
         # The simulators come from the caller's configuration, so their code is trusted.
-        report = write_all(folder, store, data=data, again=False, say=say_result, trusted=config.simulators)
+        report = write_all(folder, store, again=False, say=say_result, trusted=config.simulators)
         return CampaignOutcome(
             folder=folder,
             report=report,

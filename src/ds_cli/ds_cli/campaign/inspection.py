@@ -22,33 +22,32 @@ campaign_app = typer.Typer()
 
 def status(folder: Path) -> Result:
     """Report how far a campaign is, stage by stage."""
-    from ds_analysis.paper.campaign_evaluation import exclusion_counts, exclusion_lines
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_analysis.paper.campaign_contents import exclusion_counts, exclusion_lines
+    from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
     from ds_orchestrator.campaign.selection import missing_bags, missing_line
-    from ds_orchestrator.campaign.status import stages_of
+    from ds_orchestrator.campaign.status import Tally
 
     with closing(open_store(folder)) as store:
-        data = read_campaign(store)
-    config, executions = data.config, data.executions
+        data = CampaignData(config=config_of(store), gates=store.gates())
+        stages = Tally.of_store(store, data.config).stages()
+        counted, searches, errors = store.outcome_counts(), store.searches(), store.errors()
+        missing = missing_bags(folder, store.bags())
+    config, executions = data.config, sum(counted.values())
     counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
-    for execution in executions:
-        of_simulator = counts.setdefault(execution.simulator, {})
-        of_simulator[execution.outcome.name] = of_simulator.get(execution.outcome.name, 0) + 1
-    stages = stages_of(data)
-    missing = missing_bags(folder, executions)
+    for (simulator, outcome), number in counted.items():
+        counts[simulator][outcome] = number
     driving = [stage.expected for stage in stages if stage.failures is not None]
     known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
     document: dict[str, Any] = {
-        "executions": len(executions),
+        "executions": executions,
         "executions_in_all": known,
         "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
-        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in data.searches],
+        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in searches],
         "outcomes": counts,
         "excluded": exclusion_counts(data),
         "missing_bags": missing,
         "errors": [
-            dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True))
-            for row in data.errors
+            dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True)) for row in errors
         ],
     }
 

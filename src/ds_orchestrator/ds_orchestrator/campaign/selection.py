@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,6 @@ from ds_bags.layout import BagError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.search.features import Cell, Feature, feature_of
-from ds_orchestrator.store.model import Execution
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
 
@@ -112,10 +111,9 @@ NO_CELL = "no_cell"
 """Pack of tests without a cell: a feature needs a run on their own sibling, which is missing."""
 
 
-def missing_bags(campaign: Path, executions: Sequence[Execution]) -> list[str]:
+def missing_bags(campaign: Path, bags: Iterable[str]) -> list[str]:
     """List recorded bags that no longer exist, relative to the campaign folder."""
-    named = (execution.bag for execution in executions if execution.bag)
-    return sorted(bag for bag in named if not (campaign / bag / "metadata.yaml").is_file())
+    return sorted(bag for bag in bags if bag and not (campaign / bag / "metadata.yaml").is_file())
 
 
 def missing_line(missing: Sequence[str]) -> str:
@@ -141,7 +139,7 @@ def groups_of(campaign: Path, by: By, *, say: Callable[[str], None] = lambda lin
     with closing(open_store(campaign)) as store:
         data = read_campaign(store)
     groups: dict[str, list[Path]] = {}
-    missing = missing_bags(campaign, data.executions)
+    missing = missing_bags(campaign, (execution.bag for execution in data.executions))
     for execution in sorted(data.executions, key=lambda e: e.bag):
         folder = campaign / execution.bag
         if not execution.bag or not (folder / "metadata.yaml").is_file():

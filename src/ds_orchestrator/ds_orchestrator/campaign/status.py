@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.campaign.folder import DRIVER_SHA256, STAGES, CampaignData, config_of, open_store
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
+from ds_orchestrator.campaign.folder import DRIVER_SHA256, STAGES, CampaignData, config_of, open_store, read_campaign
 from ds_orchestrator.maps.campaign_maps import elites_of
 from ds_orchestrator.store.folder_files import is_locked
-from ds_orchestrator.store.model import Execution
 from ds_orchestrator.store.sqlite_file import StoreError
+from ds_orchestrator.store.store import Store
 from ds_sim.simulator import Outcome
 
 
@@ -43,55 +44,112 @@ class Stage:
         return "begun" if self.done else "to do"
 
 
+Group = tuple[str, int, str]
+"""Sibling and run of the search that generated tests, and a simulator."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tally:
+    """Numbers of a campaign from which its stages follow.
+
+    Attributes:
+        config: configuration of the campaign.
+        drives: group -> executions with a verdict, and how many of them failed.
+        excluded: group -> tests by which no network can be judged there.
+        migrating: sibling -> its tests that migrate; None while searches are not done.
+        results: result -> number of executions and gates from which it was computed.
+        result_count: their present number.
+    """
+
+    config: CampaignConfig
+    drives: Mapping[Group, tuple[int, int]]
+    excluded: Mapping[Group, int]
+    migrating: Mapping[str, int] | None
+    results: Mapping[str, int]
+    result_count: int
+
+    @classmethod
+    def of(cls, data: CampaignData) -> Tally:
+        """Count what was read of a campaign."""
+        config, of_test = data.config, {test.test_id: test for test in data.tests}
+        drives: dict[Group, tuple[int, int]] = {}
+        for execution in data.verdicts:
+            test = of_test[execution.test_id]
+            key = test.sibling, test.run, execution.simulator
+            done, failures = drives.get(key, (0, 0))
+            drives[key] = done + 1, failures + execution.outcome.is_failure
+        searched, migrated = len(of_test) == _tests_of(config), set(of_test)
+        if config.elites_only:
+            migrated = elites_of(data.tests, data.verdicts, data.cells, ignored=data.given_up)
+            decided = {e.test_id for e in data.verdicts if of_test[e.test_id].sibling == e.simulator}
+            decided |= {test_id for test_id, simulator in data.excluded if of_test[test_id].sibling == simulator}
+            searched = searched and set(of_test) <= decided | data.given_up
+        return cls(
+            config=config,
+            drives=drives,
+            excluded=Counter((of_test[i].sibling, of_test[i].run, simulator) for i, simulator in data.excluded),
+            migrating=Counter(of_test[test_id].sibling for test_id in migrated) if searched else None,
+            results=data.results,
+            result_count=data.result_count,
+        )
+
+    @classmethod
+    def of_store(cls, store: Store, config: CampaignConfig) -> Tally:
+        """Let SQLite count, where no cell of a test is needed: the memory taken does not depend on the campaign."""
+        if config.elites_only:
+            return cls.of(read_campaign(store))
+        drives: dict[Group, tuple[int, int]] = {}
+        for sibling, run, simulator, outcome, count in store.group_counts():
+            done, failures = drives.get((sibling, run, simulator), (0, 0))
+            drives[sibling, run, simulator] = done + count, failures + count * Outcome[outcome].is_failure
+        tests = store.count_tests_by_sibling()
+        return cls(
+            config=config,
+            drives=drives,
+            excluded=store.count_excluded(),
+            migrating=tests if sum(tests.values()) == _tests_of(config) else None,
+            results=store.results(),
+            result_count=store.count_results(),
+        )
+
+    def stages(self) -> list[Stage]:
+        """List every stage in the order in which they run."""
+        config, runs = self.config, range(self.config.search.runs)
+        stages = [
+            self._stage(f"search {sibling}, run {run}", [(sibling, run, sibling)], config.settings.budget)
+            for sibling in config.siblings
+            for run in runs
+        ]
+        for target in config.simulators:
+            role = "twin" if target == config.twin else "migration"
+            for origin in config.siblings:
+                if origin != target:
+                    expected = None if self.migrating is None else self.migrating.get(origin, 0)
+                    groups = [(origin, run, target) for run in runs]
+                    stages.append(self._stage(f"{role}: {origin} to {target}", groups, expected))
+        made = ((name, self.results.get(name) == self.result_count) for name in STAGES)
+        return [*stages, *(Stage(name=name, done=int(done), expected=1) for name, done in made)]
+
+    def _stage(self, name: str, groups: Sequence[Group], expected: int | None) -> Stage:
+        drives = [self.drives.get(group, (0, 0)) for group in groups]
+        excluded = sum(self.excluded.get(group, 0) for group in groups)
+        done, failures = (sum(numbers) for numbers in zip(*drives, strict=True))
+        return Stage(name=name, done=done + excluded, expected=expected, failures=failures, excluded=excluded)
+
+
+def _tests_of(config: CampaignConfig) -> int:
+    """Number of tests that the searches generate."""
+    return config.settings.budget * config.search.runs * len(config.siblings)
+
+
 def stages_of(data: CampaignData) -> list[Stage]:
-    """List every stage in the order in which they run."""
-    config, tests, executions = data.config, data.tests, data.verdicts
-    of_test = {test.test_id: test for test in tests}
-    budget = config.settings.budget
-    groups: dict[tuple[str, int, str], list[Execution]] = {}
-    for execution in executions:
-        test = of_test[execution.test_id]
-        groups.setdefault((test.sibling, test.run, execution.simulator), []).append(execution)
-    excluded: dict[tuple[str, int, str], int] = {}
-    for test_id, simulator in data.excluded:
-        key = (of_test[test_id].sibling, of_test[test_id].run, simulator)
-        excluded[key] = excluded.get(key, 0) + 1
-    stages = []
-    for sibling in config.siblings:
-        for run in range(config.search.runs):
-            found = groups.get((sibling, run, sibling), [])
-            stages.append(
-                _stage(f"search {sibling}, run {run}", found, budget, excluded.get((sibling, run, sibling), 0))
-            )
-    searched = len(tests) == budget * config.search.runs * len(config.siblings)
-    migrated = {test.test_id for test in tests}
-    if config.elites_only:
-        migrated = elites_of(tests, executions, data.cells, ignored=data.given_up)
-        decided = {e.test_id for e in executions if of_test[e.test_id].sibling == e.simulator} | set(data.given_up)
-        decided |= {test_id for test_id, simulator in data.excluded if of_test[test_id].sibling == simulator}
-        searched = searched and set(of_test) <= decided
-    for target in config.simulators:
-        for origin in config.siblings:
-            if origin != target:
-                runs = range(config.search.runs)
-                found = [e for run in runs for e in groups.get((origin, run, target), [])]
-                role = "twin" if target == config.twin else "migration"
-                expected = sum(of_test[test_id].sibling == origin for test_id in migrated) if searched else None
-                left_out = sum(excluded.get((origin, run, target), 0) for run in runs)
-                stages.append(_stage(f"{role}: {origin} to {target}", found, expected, left_out))
-    count = data.result_count
-    return [*stages, *(Stage(name=name, done=int(data.results.get(name) == count), expected=1) for name in STAGES)]
+    """List every stage of a campaign that was read, in the order in which they run."""
+    return Tally.of(data).stages()
 
 
-def is_driven(data: CampaignData) -> bool:
+def is_driven(store: Store, config: CampaignConfig) -> bool:
     """Check whether every driving stage is done, so that resuming the campaign needs no graph."""
-    return all(stage.state == "done" for stage in stages_of(data) if stage.failures is not None)
-
-
-def _stage(name: str, executions: Iterable[Execution], expected: int | None, excluded: int) -> Stage:
-    found = list(executions)
-    failures = sum(e.outcome.is_failure for e in found)
-    return Stage(name=name, done=len(found) + excluded, expected=expected, failures=failures, excluded=excluded)
+    return all(one.state == "done" for one in Tally.of_store(store, config).stages() if one.failures is not None)
 
 
 DEEPEST = 3

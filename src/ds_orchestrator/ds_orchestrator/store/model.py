@@ -12,6 +12,7 @@ from ds_orchestrator.search.features import Drive
 from ds_orchestrator.store import rows as check
 from ds_orchestrator.store.sqlite_file import Row, SqliteFile
 from ds_road import Road, Side
+from ds_road.road import MAX_POINTS
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.simulator import FRAME_TIME, Outcome
@@ -100,11 +101,16 @@ class Execution:
 
 
 VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
-TEST_COLUMNS = "test_id, sibling, run, number, control_points, seed, maxitwo_compatible, road_id, conditions"
+TEST_COLUMNS = (
+    "test_id, sibling, run, number, control_points, seed, maxitwo_compatible, road_id, conditions, turns_count, "
+    "curvature"
+)  # fmt: skip
 EXECUTION_COLUMNS = (
     "test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds, trajectory_sha256, "
     "bag, rowid"
 )
+_LARGEST_CURVATURE = 1e6
+"""1/m; chosen: the inverse of a micrometre, so that no axis has more bins than memory."""
 _TOLERANCE = 1e-6
 """m and s, between a stored value and the value derived from other columns."""
 
@@ -119,7 +125,7 @@ def test_of(row: Row, lane: Side) -> Test:
     Raises:
         RowError: no campaign can have written the row; the message names test and column.
     """
-    test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id, conditions = row
+    test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id, conditions, turns, curvature = row
     try:
         sibling = check.text(sibling, "sibling")
         run, number = check.whole(run, "run"), check.whole(number, "number")
@@ -129,6 +135,11 @@ def test_of(row: Row, lane: Side) -> Test:
         road = Road(check.control_points(points), maxitwo_compatible=quirk, lane=lane)
         if road.road_id != road_id:
             raise check.RowError("road_id does not match the control points")
+        # Computed when the test was stored; again they would take most of the time of reading a campaign.
+        vars(road).update(
+            turns_count=check.whole(turns, "turns_count", high=MAX_POINTS),
+            curvature=check.real(curvature, "curvature", low=0.0, high=_LARGEST_CURVATURE),
+        )
         return Test(
             test_id=test_id,
             sibling=sibling,

@@ -59,11 +59,13 @@ def whole(value: object, name: str, *, low: int = 0, high: int = 2**63 - 1) -> i
     return value
 
 
-def real(value: object, name: str) -> float:
-    """Check that a value is a finite number; SQLite stores NaN as NULL."""
+def real(value: object, name: str, *, low: float = -math.inf, high: float = math.inf) -> float:
+    """Check that a value is a finite number within bounds; SQLite stores NaN as NULL."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         shown = value if isinstance(value, float) else _kind(value)
         raise RowError(f"{name} is {shown}, expected a finite number")
+    if not low <= value <= high:
+        raise RowError(f"{name} is {value}, expected {low:g} to {high:g}")
     return float(value)
 
 

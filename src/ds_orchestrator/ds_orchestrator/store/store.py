@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -333,11 +332,40 @@ class Store:
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
     def outcome_counts(self) -> dict[tuple[str, str], int]:
-        """Simulator and name of the outcome -> number of executions, without reading any trajectory."""
+        """Simulator and name of the outcome -> number of executions, in the order of `executions`."""
         found = self._checked(
-            "SELECT simulator, outcome FROM executions", check.text, partial(check.one_of, known=VERDICTS)
+            "SELECT simulator, outcome, count(*) FROM executions GROUP BY simulator, outcome "
+            "ORDER BY simulator, min(test_id)",
+            check.text, partial(check.one_of, known=VERDICTS), check.whole,
+        )  # fmt: skip
+        return {(simulator, outcome): count for simulator, outcome, count in found}
+
+    def group_counts(self) -> list[tuple[str, int, str, str, int]]:
+        """Number of executions by sibling and run of their test's search, simulator, and name of the outcome."""
+        found = self._checked(
+            "SELECT sibling, run, simulator, outcome, count(*) FROM executions JOIN tests USING (test_id) "
+            "GROUP BY sibling, run, simulator, outcome",
+            check.text, check.whole, check.text, partial(check.one_of, known=VERDICTS), check.whole,
+        )  # fmt: skip
+        return [(sibling, run, simulator, outcome, count) for sibling, run, simulator, outcome, count in found]
+
+    def count_excluded(self) -> dict[tuple[str, int, str], int]:
+        """Number of tests that the gates exclude, by sibling and run of their search, and simulator."""
+        found = self._file.ask(
+            "SELECT sibling, run, simulator, count(*) FROM gates JOIN tests USING (test_id) WHERE state != ? "
+            "GROUP BY sibling, run, simulator",
+            (GateState.VALID.value,),
         )
-        return dict(Counter((simulator, outcome) for simulator, outcome in found))
+        return {(sibling, run, simulator): count for sibling, run, simulator, count in found}
+
+    def count_tests_by_sibling(self) -> dict[str, int]:
+        """Sibling -> number of tests that its searches generated."""
+        return dict(self._file.ask("SELECT sibling, count(*) FROM tests GROUP BY sibling"))
+
+    def bags(self) -> list[str]:
+        """Bags of all executions, in their order."""
+        statement = "SELECT bag FROM executions WHERE bag != '' ORDER BY simulator, test_id"
+        return [bag for (bag,) in self._checked(statement, lambda value, _: check.bag_folder(value))]
 
     def count_results(self) -> int:
         """Number of executions and gates, from which maps, evaluation and report are made."""

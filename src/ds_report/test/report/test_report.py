@@ -18,7 +18,7 @@ from report_campaigns import EVIL, make_campaign, make_execution, make_tests, re
 from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.common.table import Column, Table
-from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference, evaluate, paired_differences
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign

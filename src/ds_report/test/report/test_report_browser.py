@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from report_campaigns import make_campaign, make_tests, report_of
 
-from ds_analysis.paper.campaign_evaluation import maps_of
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids

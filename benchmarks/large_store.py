@@ -1,0 +1,142 @@
+"""Processor time and memory of the verbs that read a campaign, over its size.
+
+`python benchmarks/large_store.py [--sizes 1200,10000,100000] [--verbs status,maps] [--keep FOLDER]` writes campaigns
+without driving: real roads, made-up outcomes and trajectories. Each verb runs in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+VERBS = {
+    "status": ("campaign", "status", "--json"),
+    "maps": ("maps", "--json"),
+    "predict": ("predict", "--json"),
+    "evaluate": ("evaluate", "--json"),
+    "report": ("report",),
+    "runs": ("runs", "--json"),
+}
+BUDGET, POPULATION = 200, 20
+"""Tests of a search run, and the random roads among them; the others are mutants."""
+_ROADS = 500
+"""Random roads; those of further runs are shifted by a millimetre."""
+
+
+def write_campaign(folder: Path, executions: int) -> None:
+    """Write the store of a campaign with two siblings and a twin, finished but for its report."""
+    from ds_orchestrator.campaign.config import parse_config
+    from ds_orchestrator.store.store import Store
+
+    runs = max(1, round(executions / (3 * 2 * BUDGET)))
+    search = {"runs": runs, "population": POPULATION, "iterations": BUDGET - POPULATION}
+    config = parse_config({"driver": "autopilot", "record": "none", "search": search}, "benchmark")
+    folder.mkdir(parents=True, exist_ok=True)
+    with closing(Store(folder / "campaign.sqlite", config=config.identity())) as store:
+        for sibling in config.siblings:
+            for run in range(runs):
+                store.add_search(sibling, run, config.search.method, run)
+    with closing(sqlite3.connect(folder / "campaign.sqlite")) as db:
+        for run, sibling in product(range(runs), config.siblings):
+            with db:
+                for test, drives in _rows(sibling, run, config.simulators):
+                    db.execute(f"INSERT INTO tests VALUES ({','.join('?' * 12)})", test)
+                    db.executemany(f"INSERT INTO executions VALUES ({','.join('?' * 12)})", drives)
+
+
+def _rows(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[tuple[Any, ...], list[tuple[Any, ...]]]]:
+    """Rows of the tests of a run, each with those of its executions."""
+    import json
+    import zlib
+    from functools import cache
+
+    import numpy as np
+
+    from ds_orchestrator.store.rows import trajectory_sha256
+    from ds_road import Road, generate
+    from ds_road.generation import GENES
+
+    roots = cache(lambda number: generate(np.random.default_rng(number), max_angle=200).control_points)
+    rng = np.random.default_rng([run, *sibling.encode()])
+    for number in range(BUDGET):
+        root = POPULATION * run + int(rng.integers(POPULATION))
+        points = np.array(roots(root % _ROADS)) + (0.001 * run, 0.001 * len(sibling))
+        points[GENES[number % 3]] += rng.uniform(-1.0, 1.0, 2)
+        road, test_id = Road(points), f"{sibling}-{run}-{number:04d}"
+        hardness = 4.0 * road.curvature + rng.normal(0.0, 0.2)
+        drives = []
+        along = np.linspace(0.0, len(road.points) - 1.0, 436)
+        lane = [np.interp(along, np.arange(len(road.points)), line) for line in road.lane_centre.T]
+        for k, simulator in enumerate(simulators):
+            worst = float(np.exp(hardness - 0.6 + 0.2 * k + rng.normal(0.0, 0.3)))
+            lateral = worst * np.sin(along * rng.uniform(0.05, 0.2))
+            failed = bool(np.abs(lateral).max() > 2.0)
+            frames = int(np.argmax(np.abs(lateral) > 2.0)) + 1 if failed else len(along)
+            trajectory = np.column_stack((*lane, np.gradient(lane[1]), np.full(len(along), 8.0), lateral))[:frames]
+            trajectory = np.round(trajectory * 2.0**12) / 2.0**12  # deflates, as a million have to fit on a disk
+            largest, steps = float(np.abs(trajectory[:, 4]).max()), frames - 1
+            steering = np.round(np.clip(trajectory[1:, 4] / 4.0, -1.0, 1.0) * 2.0**8) / 2.0**8
+            drives.append(
+                (
+                    test_id, simulator, "OUT_OF_BOUNDS" if failed else "COMPLETED", "", 2.0 - largest, largest, steps,
+                    steps / 20, trajectory_sha256(trajectory), zlib.compress(trajectory.tobytes(), 1),
+                    zlib.compress(steering.tobytes(), 1), "",
+                )
+            )  # fmt: skip
+        yield (
+            test_id, sibling, run, number, road.road_id, json.dumps(road.control_points), road.turns_count,
+            road.curvature_bin, road.curvature, number, False, "",
+        ), drives  # fmt: skip
+
+
+def measure(verb: str, folder: Path) -> tuple[float, float]:
+    """Run a verb; return its processor time, s, and the most memory that it held, MB."""
+    command = [sys.executable, "-m", "ds_cli.main", *VERBS[verb][:2], str(folder), *VERBS[verb][2:]]
+    if verb != "status":
+        command = [sys.executable, "-m", "ds_cli.main", verb, str(folder), *VERBS[verb][1:]]
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(command, stdout=output, stderr=output)
+        _, status, used = os.wait4(process.pid, 0)
+        if status:
+            output.seek(0)
+            sys.exit(f"error: {' '.join(command)}: {output.read()[-500:].decode()}")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--sizes", default="1200,10000,100000", help="numbers of executions")
+    parser.add_argument("--verbs", default=",".join(VERBS))
+    parser.add_argument("--keep", type=Path, help="folder for the campaigns, which are used again")
+    parser.add_argument("--write", nargs=2, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.write:
+        write_campaign(Path(arguments.write[0]), int(arguments.write[1]))
+        return
+    table = Table("verb", *(f"{int(size):,}" for size in arguments.sizes.split(",")))
+    with tempfile.TemporaryDirectory() as temporary:
+        folders = {int(size): (arguments.keep or Path(temporary)) / size for size in arguments.sizes.split(",")}
+        for size, folder in folders.items():
+            if not folder.exists():  # in a process of its own: a child's peak counts what its parent holds
+                subprocess.run([sys.executable, __file__, "--write", str(folder), str(size)], check=True)
+        for verb in arguments.verbs.split(","):
+            found = (measure(verb, folder) for folder in folders.values())
+            table.add_row(verb, *(f"{seconds:.1f} s {memory:.0f} MB" for seconds, memory in found))
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    main()
