@@ -18,10 +18,9 @@ from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
-from ds_sim_softbody.lattice import CornerNodes
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
-from ds_sim_softbody.wheel import Wheel, WheelPlan
+from ds_sim_softbody.wheel import Wheel, carry, roll
 from ds_twin_donkey.dynamics import CarModel
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
@@ -47,18 +46,17 @@ def brush(along: float, across: float, load: float, rated: float) -> tuple[float
 def softbody_tyre(along: float, across: float, load: float, rated: float) -> tuple[float, float]:
     """Forces (N) on the soft car's wheel after 2 s at constant slip, relative to the speed of the tread."""
     tread, dt = 10.0, 0.001
-    plan = WheelPlan(
-        corner=CornerNodes(0, 1, 2), static_load=rated, cornering_stiffness=S.front_cornering_stiffness,
-        toe_per_shift=0.0, spin_inertia=1.0,
+    wheel = Wheel(
+        node=0, fore=1, aft=2, static_load=rated, cornering_stiffness=S.front_cornering_stiffness, toe_per_shift=0.0,
+        spin_inertia=1.0,
     )  # fmt: skip
     # Positions and velocities of the wheel and its two bushes: sliding to the right causes a force to the left.
-    nodes = [0.0, 0.0, tread * (1.0 - along), -tread * across, 0.2, 0.0, 0.0, 0.0, -0.2, 0.0, 0.0, 0.0]
-    wheel = Wheel(S, plan, nodes, dt=dt)
-    wheel.carry(load)
+    nodes = np.array([[0.0, 0.0, tread * (1.0 - along), -tread * across], [0.2, 0.0, 0.0, 0.0], [-0.2, 0.0, 0.0, 0.0]])
+    carry(wheel, S, load)
     force = (0.0, 0.0)
     for _ in range(2000):
         wheel.spin = tread / S.wheel_radius
-        force = wheel.roll(nodes)
+        force = roll(wheel, S, nodes, dt)
     return force
 
 

@@ -48,6 +48,7 @@ NO_KEY = {
     "backports": "backports.zstd",
     "distributed": "distributed",
     "lazy_loader": "lazy_loader",
+    "llvmlite": "llvmlite",
     "lz4": "lz4",
     "markupsafe": "markupsafe",
     "mcap": "mcap",

@@ -30,8 +30,11 @@ USED_MODULES = (
     *("ds_report.html_report", "sklearn.metrics", "plotly.graph_objects", "matplotlib.backends.backend_agg"),
 )
 """Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""
-FIRST_USE = "ds_sim_panda.vehicle.multi_body.MultiBodyVehicle()"
-"""Makes Numba compile the car of `panda`, which takes 10 s, and keep the result beside its source."""
+FIRST_USE = (
+    "ds_sim_panda.vehicle.multi_body.MultiBodyVehicle(); "
+    "ds_sim_softbody.vehicle.SoftbodyVehicle().reset(0.0, 0.0, 0.0, None)"
+)
+"""Makes Numba compile two cars, which takes 10 s and 2 s, and keep the results beside their source."""
 
 _UNISOLATED = ("--no-deps", "--no-build-isolation")
 """Options of pip to compile with the pinned setuptools and NumPy."""

@@ -13,12 +13,17 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 from pymunk import batch
+from pymunk._chipmunk_cffi import ffi, lib
 
 from ds_sim_softbody.parameters import SoftbodyParameters
 
-VALUES_PER_NODE = 4
-"""Values per node returned by `Lattice.read`: x, y, and their rates."""
-_FIELDS = batch.BodyFields.POSITION | batch.BodyFields.VELOCITY
+NODES = 20
+"""Nodes of the frame."""
+ENGINE_FUNCTIONS = {
+    name: int(ffi.cast("intptr_t", ffi.addressof(lib, name)))
+    for name in ("cpSpaceStep", "cpSpaceEachBody", "cpBodySetForce", "pmSpaceBodyGetIteratorFuncBatched")
+}
+"""Addresses of the functions of Chipmunk, the engine in pymunk, that compiled code calls."""
 
 
 class CornerNodes(NamedTuple):
@@ -112,6 +117,29 @@ def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np
     return masses
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Engine:
+    """Addresses in the engine.
+
+    Attributes:
+        space: its space.
+        each_body: its function that reads a body, for all bodies of the space.
+        request: what that function reads, and where to.
+        front_left: body of the wheel.
+        front_right: the same.
+        rear_left: the same.
+        rear_right: the same.
+    """
+
+    space: int
+    each_body: int
+    request: int
+    front_left: int
+    front_right: int
+    rear_left: int
+    rear_right: int
+
+
 class RigidMotion(NamedTuple):
     """Motion of the frame as a whole: position and velocity of its centre (m, m/s), yaw (rad), yaw rate (rad/s)."""
 
@@ -128,46 +156,54 @@ class Lattice:
 
     Args:
         plan: frame at rest.
+        nodes: (n, 4) array that `read` fills: positions of the nodes, m, and velocities, m/s; as x, y, x, y.
         iterations: solver iterations per substep.
     """
 
-    def __init__(self, plan: Blueprint, *, iterations: int) -> None:
-        self._plan = plan
-        self._space = pymunk.Space()
-        self._space.iterations = iterations
-        self._bodies = []
+    def __init__(self, plan: Blueprint, nodes: NDArray[np.float64], *, iterations: int) -> None:
+        self.nodes = nodes
+        self.space = pymunk.Space()
+        self.space.iterations = iterations
+        self.bodies = []
         for (x, y), mass in zip(plan.positions.tolist(), plan.masses.tolist(), strict=True):
             body = pymunk.Body(mass, math.inf)
             body.position = x, y
-            self._bodies.append(body)
-        self._space.add(*self._bodies)
+            self.bodies.append(body)
+        self.space.add(*self.bodies)
         for beam in plan.beams:
-            a, b = self._bodies[beam.first], self._bodies[beam.second]
+            a, b = self.bodies[beam.first], self.bodies[beam.second]
             dx, dy = b.position.x - a.position.x, b.position.y - a.position.y
             # Computed as the engine does, so that the forces in a frame at rest are exactly zero.
             length = math.sqrt(dx * dx + dy * dy)
-            self._space.add(pymunk.DampedSpring(a, b, (0.0, 0.0), (0.0, 0.0), length, beam.stiffness, beam.damping))
-        self._buffer = batch.Buffer()
+            self.space.add(pymunk.DampedSpring(a, b, (0.0, 0.0), (0.0, 0.0), length, beam.stiffness, beam.damping))
         self._weights = plan.masses / plan.masses.sum()
         self._centre = (self._weights[:, None] * plan.positions).sum(axis=0)
         self._rest = plan.positions - self._centre
-        self.push = [self._bodies[corner.wheel].apply_force_at_world_point for corner in plan.corners]
-        """For each wheel a function that applies a force (x, y) in N at a point during the next substep."""
-        self.step = self._space.step
-        """Function that advances the frame by a time in s."""
+        # As in `pymunk.batch.get_space_bodies`, but filling an array of ours; the engine would move one that gets full.
+        self._floats = ffi.new("pmFloatArray *", {"max": nodes.size + 2, "arr": ffi.from_buffer("double *", nodes)})
+        fields = (batch.BodyFields.POSITION | batch.BodyFields.VELOCITY).value
+        self._request = ffi.new("pmBatchedData *", {"floatArray": self._floats, "fields": fields})
+        self.read()
 
-    def read(self) -> list[float]:
-        """Positions and velocities of all nodes as a flat list: x, y (m) and their rates (m/s), node after node."""
-        buffer = self._buffer
-        buffer.clear()
-        batch.get_space_bodies(self._space, _FIELDS, buffer)
-        numbers: Any = memoryview(buffer.float_buf()).cast("d")
-        values: list[float] = numbers.tolist()
-        return values
+        front_left, front_right, rear_left, rear_right = (_address(body._body) for body in self.bodies[:4])
+        self.engine = Engine(
+            space=_address(self.space._space), each_body=ENGINE_FUNCTIONS["pmSpaceBodyGetIteratorFuncBatched"],
+            request=_address(self._request), front_left=front_left, front_right=front_right, rear_left=rear_left,
+            rear_right=rear_right,
+        )  # fmt: skip
+        self.values_read = _address(self._floats)
+        """Address of the number of values in `nodes`, 32 bits: the engine appends to them."""
+        self.read()
+
+    def read(self) -> None:
+        """Read positions and velocities of all nodes to `nodes`."""
+        self._floats.num = 0
+        reader = ffi.addressof(lib, "pmSpaceBodyGetIteratorFuncBatched")
+        lib.cpSpaceEachBody(self.space._space, reader, self._request)
 
     def rigid_motion(self) -> RigidMotion:
-        """Motion of the undeformed frame that fits the nodes best, weighted by mass."""
-        nodes = np.array(self.read()).reshape(-1, VALUES_PER_NODE)
+        """Motion of the undeformed frame that fits `nodes` best, weighted by mass."""
+        nodes = self.nodes
         middle = (self._weights[:, None] * nodes).sum(axis=0)
         x, y, velocity_x, velocity_y = (nodes - middle).T
         rest_x, rest_y = self._rest.T
@@ -186,3 +222,7 @@ class Lattice:
             velocity_y=float(middle[3] + rate * back_x),
             yaw_rate=rate,
         )
+
+
+def _address(pointer: Any) -> int:
+    return int(ffi.cast("intptr_t", pointer))

@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
-from ds_sim_softbody.lattice import VALUES_PER_NODE, Lattice, blueprint
+from ds_sim_softbody.lattice import NODES, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
-from ds_sim_softbody.vehicle import Attitude, Car, SoftbodyVehicle
+from ds_sim_softbody.parts import Attitude, lean, loads
+from ds_sim_softbody.vehicle import Car, SoftbodyVehicle
+from ds_sim_softbody.wheel import hypot
 
 P = SoftbodyParameters()
 PLAN = blueprint(P)
@@ -214,11 +216,11 @@ def test_friction_limits_the_grip() -> None:
 
 def test_the_loads_are_those_of_the_whole_car_at_its_centre_of_mass() -> None:
     """Steady state by hand: m a h over track and wheelbase; the sum is the weight at any time."""
-    attitude = Attitude(P)
+    attitude = Attitude.at_rest(P)
     forward, left = -1.5, 4.0
     for _ in range(2000):
-        attitude.advance(forward, left, 0.005)
-    front_left, front_right, rear_left, rear_right = attitude.loads(forward, left)
+        lean(attitude, P, forward, left, 0.005)
+    front_left, front_right, rear_left, rear_right = loads(attitude, P, forward, left)
     assert front_left + front_right + rear_left + rear_right == pytest.approx(P.mass * GRAVITY)
     height = P.mass * P.centre_of_mass_height
     gravity_roll = P.sprung_mass * (P.centre_of_mass_height - P.roll_axis_height) * GRAVITY * math.sin(attitude.roll)
@@ -270,25 +272,30 @@ def test_the_frame_is_rigid_and_the_substep_resolves_its_fastest_mode() -> None:
 
 
 def test_the_engine_returns_the_nodes_in_the_order_of_the_blueprint() -> None:
-    lattice = Lattice(PLAN, iterations=2)
-    nodes = np.array(lattice.read()).reshape(-1, VALUES_PER_NODE)
-    np.testing.assert_array_equal(nodes[:, :2], PLAN.positions)
-    lattice.push[1]((0.0, 100.0), (0.0, 0.0))
-    lattice.step(0.001)
-    nodes = np.array(lattice.read()).reshape(-1, VALUES_PER_NODE)
-    assert nodes[1, 3] == pytest.approx(100.0 * 0.001 / P.unsprung_mass, rel=0.1)
-    assert np.abs(nodes[[0, 2, 3], 2:]).max() < 1e-6
+    lattice = Lattice(PLAN, np.zeros((NODES, 4)), iterations=2)
+    np.testing.assert_array_equal(lattice.nodes[:, :2], PLAN.positions)
+    lattice.bodies[1].force = (0.0, 100.0)
+    lattice.space.step(0.001)
+    lattice.read()
+    assert lattice.nodes[1, 3] == pytest.approx(100.0 * 0.001 / P.unsprung_mass, rel=0.1)
+    assert np.abs(lattice.nodes[[0, 2, 3], 2:]).max() < 1e-6
 
 
 def test_a_push_moves_the_frame_as_newton_says() -> None:
     """Momentum and angular momentum equal those of the push, whatever the internal forces."""
-    lattice = Lattice(PLAN, iterations=2)
+    lattice = Lattice(PLAN, np.zeros((NODES, 4)), iterations=2)
     for _ in range(100):
-        lattice.push[0]((0.0, 500.0), (0.0, 0.0))
-        lattice.step(0.001)
+        lattice.bodies[0].force = (0.0, 500.0)
+        lattice.space.step(0.001)
+    lattice.read()
     motion = lattice.rigid_motion()
     assert motion.velocity_y * P.mass == pytest.approx(500.0 * 0.1, rel=1e-3)
     assert motion.yaw_rate * P.yaw_inertia == pytest.approx(P.wheelbase / 2.0 * 500.0 * 0.1, rel=5e-3)
+
+
+def test_the_length_of_a_vector_has_the_bits_of_python() -> None:
+    vectors = np.random.default_rng(0).normal(size=(10_000, 2)) * (5.0, 0.3)
+    assert [hypot(x, y) for x, y in vectors.tolist()] == [math.hypot(x, y) for x, y in vectors.tolist()]
 
 
 def test_without_throttle_energy_never_grows() -> None:

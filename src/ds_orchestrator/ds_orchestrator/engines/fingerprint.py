@@ -17,9 +17,9 @@ from ds_sim.simulator import SimulatorError
 
 CODE = ("ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_twin_donkey")
 """Packages whose code takes part in a drive."""
-LIBRARIES = ("numpy", "opencv-python-headless", "pybullet", "pymunk", "shapely")
+LIBRARIES = ("numpy", "numba", "opencv-python-headless", "pybullet", "pymunk", "shapely")
 """Libraries that take part in every drive."""
-LIBRARIES_OF_PANDA = ("panda3d", "numba", "commonroad-vehicle-models")
+LIBRARIES_OF_PANDA = ("panda3d", "commonroad-vehicle-models")
 """Libraries that take part in drives with the simulator `panda`."""
 BACKENDS = {"onnxruntime": "onnx", "openvino": "openvino", "torch": "torch"}
 """Library -> the back end that computes with it."""
