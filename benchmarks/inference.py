@@ -31,7 +31,7 @@ from ds_road import Road
 from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.simulator import Outcome
 
-BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16")
+BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
 BATCHES = (1, 4, 8)
 """Frames at once, where the backend takes as many with the bits that each gives alone."""
 

@@ -1,10 +1,10 @@
-"""Compares drives in bfloat16 with drives in single precision: the same network, roads and seeds.
+"""Compares drives in bfloat16 or 8 bits with drives in single precision: the same network, roads and seeds.
 
 `python -m benchmarks.precision --out precision` drives 200 random roads, in turn on bullet, softbody and donkey,
 with `dave2` and with `dave2_short` (which fails often enough to show a difference), with the backends `openvino` and
 `openvino-bf16` each: 800 drives without ROS. Every drive is kept; a stopped run continues there.
 The roads are drawn as a search draws its first ones, with maximum angles of 100 to 300 degrees, from a seed that
-nothing else uses.
+nothing else uses. `--backend openvino-int8` compares that back end instead, in the same folder and by the same rule.
 
 The rule, fixed before the first drive: `openvino-bf16` is chosen for `ds_bringup/config/paper.yaml` only if, for each
 of the two networks, over all 200 roads, the 95 % interval of the paired difference of the failure rates (Bonett and
@@ -36,7 +36,9 @@ SEED = 8_130_013
 """Seed of the roads; used nowhere else. Road i is driven with seed SEED + i."""
 ROADS = 200
 NETWORKS = ("dave2", "dave2_short")
-SINGLE, HALF = "openvino", "openvino-bf16"
+SINGLE = "openvino"
+REDUCED = ("openvino-bf16", "openvino-int8")
+"""Back ends that are compared; the first is the default."""
 ANGLES = range(100, 301, 10)
 """Maximum angles, degrees (maxitwo; `ds_orchestrator.search.algorithms.SearchSettings`)."""
 HALF_WIDTH = 5.0
@@ -54,11 +56,11 @@ def work_of(count: int) -> dict[str, list[Test]]:
     return work
 
 
-def paired_difference(only_half: int, only_single: int, pairs: int) -> tuple[float, float, float]:
-    """Estimate the difference of two failure rates, bfloat16 minus single precision, in percentage points.
+def paired_difference(only_reduced: int, only_single: int, pairs: int) -> tuple[float, float, float]:
+    """Estimate the difference of two failure rates, reduced minus single precision, in percentage points.
 
     Args:
-        only_half: roads failed in bfloat16 only.
+        only_reduced: roads failed in reduced precision only.
         only_single: roads failed in single precision only.
         pairs: all roads.
 
@@ -66,46 +68,46 @@ def paired_difference(only_half: int, only_single: int, pairs: int) -> tuple[flo
         Difference and the ends of its 95 % interval (D. G. Bonett, R. M. Price, "Adjusted Wald confidence interval for
         a difference of binomial proportions based on paired data", J. Educ. Behav. Stat. 37(4), 2012).
     """
-    p, q = (only_half + 1) / (pairs + 2), (only_single + 1) / (pairs + 2)
+    p, q = (only_reduced + 1) / (pairs + 2), (only_single + 1) / (pairs + 2)
     margin = stats.norm.ppf(0.975) * np.sqrt((p + q - (p - q) ** 2) / (pairs + 2))
-    return 100 * (only_half - only_single) / pairs, 100 * (p - q - margin), 100 * (p - q + margin)
+    return 100 * (only_reduced - only_single) / pairs, 100 * (p - q - margin), 100 * (p - q + margin)
 
 
-def compare(network: str, single: GivenDrives, half: GivenDrives, console: Console) -> bool:
-    """Print both backends side by side; return whether the rule holds for this network."""
-    keys = sorted(single.executions.keys() & half.executions.keys(), key=lambda key: key[0].rpartition("-")[2])
+def compare(network: str, backend: str, single: GivenDrives, reduced: GivenDrives, console: Console) -> bool:
+    """Print single precision and a backend side by side; return whether the rule holds for this network."""
+    keys = sorted(single.executions.keys() & reduced.executions.keys(), key=lambda key: key[0].rpartition("-")[2])
     if not keys:
         console.print(f"{network}: no pair of drives yet")
         return False
-    decided = [(single.executions[key], half.executions[key]) for key in keys]
+    decided = [(single.executions[key], reduced.executions[key]) for key in keys]
     count = len(decided)
     table = Table(f"{network}: failures", *SIMULATORS, "all", "roads")
-    for column, backend in enumerate((SINGLE, HALF)):
+    for column, name in enumerate((SINGLE, backend)):
         failed = [pair[column].simulator for pair in decided if pair[column].outcome is not Outcome.COMPLETED]
-        table.add_row(backend, *(str(failed.count(s)) for s in SIMULATORS), str(len(failed)), str(count))
+        table.add_row(name, *(str(failed.count(s)) for s in SIMULATORS), str(len(failed)), str(count))
     console.print(table)
     failures = np.array([[drive.outcome is not Outcome.COMPLETED for drive in pair] for pair in decided])
     one, other = failures.T
-    only_single, only_half = int((one & ~other).sum()), int((other & ~one).sum())
-    test = mcnemar([[int((one & other).sum()), only_single], [only_half, int((~one & ~other).sum())]], exact=True)
-    agreeing = count - only_single - only_half
+    only_single, only_reduced = int((one & ~other).sum()), int((other & ~one).sum())
+    test = mcnemar([[int((one & other).sum()), only_single], [only_reduced, int((~one & ~other).sum())]], exact=True)
+    agreeing = count - only_single - only_reduced
     low, high = proportion_confint(agreeing, count, method="wilson")
-    estimate, lower, upper = paired_difference(only_half, only_single, count)
+    estimate, lower, upper = paired_difference(only_reduced, only_single, count)
     gaps = np.array([b.max_lateral_position - a.max_lateral_position for a, b in decided])
     margin = stats.t.ppf(0.975, count - 1) * gaps.std(ddof=1) / np.sqrt(count) if count > 1 else np.nan
     holds = lower <= 0 <= upper and (upper - lower) / 2 <= HALF_WIDTH and count == ROADS
     differing = [a.test_id for a, b in decided if a.outcome is not b.outcome]
     for line in (
-        f"verdicts that differ: {only_single} failed in single precision only, {only_half} in bfloat16 only",
+        f"verdicts that differ: {only_single} failed in single precision only, {only_reduced} with {backend} only",
         f"roads of another outcome: {', '.join(differing) or 'none'}",
         f"agreeing verdicts: {agreeing} of {count}, {100 * agreeing / count:.1f} % "
         f"(95 % interval {100 * low:.1f} to {100 * high:.1f})",
-        f"failure rate, bfloat16 minus single: {estimate:+.1f} percentage points ({lower:+.1f} to {upper:+.1f})",
+        f"failure rate, {backend} minus single: {estimate:+.1f} percentage points ({lower:+.1f} to {upper:+.1f})",
         f"exact McNemar test: p = {test.pvalue:.3g}",
-        f"largest lateral position, bfloat16 minus single: mean {gaps.mean():+.4f} m "
+        f"largest lateral position, {backend} minus single: mean {gaps.mean():+.4f} m "
         f"({gaps.mean() - margin:+.4f} to {gaps.mean() + margin:+.4f}), median of |difference| "
         f"{np.median(abs(gaps)):.4f} m, largest {abs(gaps).max():.3f} m",
-        f"pairs with an error instead of a verdict, or not driven: {len(single.errors.keys() | half.errors.keys())}",
+        f"pairs with an error instead of a verdict, or not driven: {len(single.errors.keys() | reduced.errors.keys())}",
         f"rule for {ROADS} roads: {'holds' if holds else 'does not hold' if count >= ROADS else 'not yet decided'}",
     ):
         console.print(f"  {line}", highlight=False)
@@ -118,17 +120,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("precision"), help="folder of the finished drives")
     parser.add_argument("--roads", type=int, default=ROADS)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)), help="processes")
+    parser.add_argument("--backend", choices=REDUCED, default=REDUCED[0])
     parser.add_argument("--report", action="store_true", help="print what the folder holds, drive nothing")
     arguments = parser.parse_args()
     console, work, holds = Console(width=120), work_of(arguments.roads), []
     for network in NETWORKS:
         found = []
-        for backend in (SINGLE, HALF):
+        for backend in (SINGLE, arguments.backend):
             driver, folder = str(DriverName.parse(network).on(backend)), arguments.out / f"{network}-{backend}"
             settings = DriveSettings(siblings=tuple(SIMULATORS), driver=driver, gates="none", workers=arguments.workers)
             found.append(read_drives(folder, work) if arguments.report else drive_tests(settings, work, folder))
-        holds.append(compare(network, found[0], found[1], console))
-    console.print(f"openvino-bf16 may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")
+        holds.append(compare(network, arguments.backend, found[0], found[1], console))
+    console.print(f"{arguments.backend} may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")
 
 
 if __name__ == "__main__":

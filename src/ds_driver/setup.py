@@ -5,7 +5,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from package_setup import setup_package
 
 setup_package(
-    data=["models/*", "models/sim2real/*/*"],
+    data=["models/*", "models/calibration/*", "models/sim2real/*/*"],
     scripts=[
         "driver = ds_driver.executables:driver",
         "autopilot = ds_driver.executables:autopilot",

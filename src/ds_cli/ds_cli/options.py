@@ -89,7 +89,9 @@ DriverName = Annotated[
         autocompletion=_complete_driver,
     ),
 ]
-Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
+Backend = Annotated[
+    str, typer.Option(help="Inference backend: auto, torch, onnx, openvino, openvino-bf16 or openvino-int8.")
+]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
 Camera = Annotated[str | None, typer.Option(help="Image topic, where a bag has several.")]

@@ -40,3 +40,8 @@ def test_only_processor_features_that_round_the_networks_back_end_count(tmp_path
     assert features("openvino-bf16", older) != features("openvino-bf16", newer)
     assert features("onnx", arm) == "asimd sve"
     assert fingerprint("onnx", ())[PROCESSOR_FEATURES] == features("onnx")
+
+
+def test_the_libraries_of_a_networks_back_end_count() -> None:
+    assert {"openvino", "onnxruntime"} <= fingerprint("openvino-int8", ()).keys()
+    assert "onnxruntime" not in fingerprint("openvino-bf16", ())

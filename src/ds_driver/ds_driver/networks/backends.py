@@ -1,7 +1,8 @@
 """Runs networks on one thread, with ONNX Runtime, OpenVINO or PyTorch (`torch_networks`), and names these backends.
 
-A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, or `@cuda` (PyTorch on a GPU):
-`dave2@openvino`. All compute in single precision except `openvino-bf16`.
+A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, `@openvino-int8`, or `@cuda` (PyTorch on a
+GPU): `dave2@openvino`. All compute in single precision except `openvino-bf16` and `openvino-int8`, whose convolutions
+have 8 bits and whose other layers are in bfloat16 where the processor has it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from ds_driver.networks.pilot import DriverError
 from ds_sim.installation import install_command
 
-BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16")
+BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
 """auto: `network_driver.BUILT_IN_BACKEND` for built-in networks, the native backend for a network file."""
 DEVICES = ("cpu", "cuda")
 LARGEST_BATCH = 8
@@ -136,26 +137,32 @@ def onnx_runner(content: bytes, where: str) -> Runner:
 
 
 def openvino_runner(
-    content: bytes, where: str, *, kind: str = "onnx", bf16: bool = False, batches: bool = False
+    content: bytes,
+    where: str,
+    backend: str = "openvino",
+    *,
+    kind: str = "onnx",
+    batches: bool = False,
 ) -> Runner:
     """Run an ONNX, TensorFlow Lite or TorchScript file with OpenVINO; check a foreign ONNX file first.
 
     Args:
         content: content of the file.
         where: name of the file, for messages.
+        backend: `openvino`, `openvino-bf16`, or `openvino-int8` for what `ds_driver.networks.quantisation` made.
         kind: `onnx`, `tflite` or `torchscript`.
-        bf16: compute in bfloat16 instead of single precision.
         batches: whether the network treats the images of a batch independently; with one input and output.
 
     Raises:
-        BackendError: OpenVINO is not installed, cannot read the file, or the processor has no bfloat16.
+        BackendError: OpenVINO is not installed, cannot read the file, or the processor has no such arithmetic.
     """
     try:
         import openvino
     except ImportError:
         raise BackendError(f"OpenVINO is not installed (60 MB): type {install_command('openvino')}") from None
     core = openvino.Core()
-    if bf16 and "BF16" not in cpu_capabilities(core):
+    bf16 = backend != "openvino" and "BF16" in cpu_capabilities(core)
+    if backend == "openvino-bf16" and not bf16:
         raise BackendError("this processor has no bfloat16 (AVX512_BF16 or AMX): use the backend openvino")
     settings = {
         "INFERENCE_NUM_THREADS": 1,
@@ -197,7 +204,7 @@ def graph_runner(content: bytes, where: str, backend: str) -> Runner:
     """Run an ONNX graph of this project with a backend other than `torch`, in batches where their bits allow it."""
     if backend == "onnx":
         return onnx_runner(content, where)
-    return openvino_runner(content, where, bf16=backend == "openvino-bf16", batches=True)
+    return openvino_runner(content, where, backend, batches=True)
 
 
 def cpu_capabilities(core: Any) -> list[str]:

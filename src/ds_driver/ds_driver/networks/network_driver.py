@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.backends import graph_runner
+from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
+from ds_driver.networks.quantisation import for_backend
 from ds_driver.networks.user_networks import (
     KINDS,
     DescribedNetworkPilot,
@@ -42,6 +44,8 @@ BUILT_IN_BACKEND = "onnx"
 class BuiltInPilot(Pilot):
     """Drives with one of the paper's networks: a shipped one by name, or a weights file.
 
+    `stage` says what translates its images, by which it is then quantised.
+
     Raises:
         ds_driver.networks.weights.WeightsError: the weights cannot be used.
         ds_driver.networks.architectures.UnknownNetworkError: the name does not denote a network.
@@ -50,7 +54,15 @@ class BuiltInPilot(Pilot):
 
     sees_crop_only = True
 
-    def __init__(self, network: str, backend: str = "auto", device: str = "cpu") -> None:
+    def __init__(
+        self, network: str, backend: str = "auto", device: str = "cpu", stage: Sim2RealStage | None = None
+    ) -> None:
+        def samples() -> list[NDArray[np.uint8]]:
+            frames = calibration_frames()
+            if stage is not None:
+                frames = stage.seen([frame for frame in frames if str(frame.simulator) in stage.generators])
+            return [prepare(frame.image, frame.crop)[None] for frame in frames]
+
         if backend == "torch":
             # PyTorch takes 2 s and 200 MB to import.
             from ds_driver.networks.torch_networks import network_runner
@@ -58,7 +70,8 @@ class BuiltInPilot(Pilot):
             runner = network_runner(network, device)
         else:
             chosen = BUILT_IN_BACKEND if backend == "auto" else backend
-            runner = graph_runner(to_onnx(load_weights(network)), network, chosen)
+            content = for_backend(chosen, to_onnx(load_weights(network)), network, samples)
+            runner = graph_runner(content, network, chosen)
         self._compute = runner.compute
         self.largest_batch = runner.largest_batch
 
@@ -167,7 +180,8 @@ def load_pilot(driver: str) -> Pilot:
         >>> abs(pilot.predict(frame).steering) <= 1.0
         True
     """
-    pilot, stage = _load_network(DriverName.parse(driver)), stage_of(driver)
+    stage = stage_of(driver)
+    pilot = _load_network(DriverName.parse(driver), stage)
     if stage is None:
         return pilot
     from ds_driver.sim2real.stage import TranslatingPilot
@@ -246,7 +260,7 @@ def _is_weights(name: DriverName) -> bool:
     return name.network in {**NETWORKS, **shipped_networks()} or name.file_type == WEIGHTS
 
 
-def _load_network(name: DriverName) -> Pilot:
+def _load_network(name: DriverName, stage: Sim2RealStage | None) -> Pilot:
     network = name.network
     if name.file_type in DESCRIPTIONS:
         return DescribedNetworkPilot(Path(network), name.backend, name.device)
@@ -261,7 +275,7 @@ def _load_network(name: DriverName) -> Pilot:
             f"unknown driver {network!r}: expected one of {', '.join({**NETWORKS, **shipped_networks()})}, a "
             ".safetensors or .yaml file, or module:Class"
         )
-    return BuiltInPilot(network, name.backend, name.device)
+    return BuiltInPilot(network, name.backend, name.device, stage)
 
 
 def driver_sha256(driver: str) -> str:

@@ -16,9 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ds_driver.networks.backends import BackendError, Runner, check_onnx, last_line, onnx_runner, openvino_runner
+from ds_driver.networks.backends import (
+    BackendError,
+    Runner,
+    check_onnx,
+    last_line,
+    onnx_runner,
+    openvino_runner,
+)
+from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
+from ds_driver.networks.quantisation import Samples, for_backend
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded, read_yaml
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
@@ -36,7 +45,7 @@ KINDS = {
 }
 """File suffix -> format."""
 _BACKENDS_OF = {
-    "onnx": ("onnx", "openvino", "openvino-bf16"),
+    "onnx": ("onnx", "openvino", "openvino-bf16", "openvino-int8"),
     "torchscript": ("torch", "openvino", "openvino-bf16"),
     "tflite": ("openvino", "openvino-bf16"),
 }
@@ -227,7 +236,7 @@ class DescribedNetworkPilot(Pilot):
         self._bounded = nullcontext if device == "cuda" else limited_memory
         try:
             with self._bounded():
-                self._runner = _runner(file, backend, device)
+                self._runner = _runner(file, backend, device, self._samples)
                 self._check(file.name)
         except MemoryError:
             raise DriverError(f"{file.name} needs more memory than a network may take: make it smaller") from None
@@ -262,6 +271,9 @@ class DescribedNetworkPilot(Pilot):
         if spec.layout == "nchw":
             pixels = pixels.transpose(2, 0, 1)
         return np.ascontiguousarray(pixels[None])
+
+    def _samples(self) -> list[NDArray[Any]]:
+        return [self.batch(frame) for frame in calibration_frames()]
 
     def _check(self, name: str) -> None:
         """Compare the file with the description, and warm up with a black image."""
@@ -300,7 +312,7 @@ class DescribedNetworkPilot(Pilot):
         return float(found.reshape(-1)[spec.index]) * spec.scale + spec.offset
 
 
-def _runner(file: Path, backend: str, device: str) -> Runner:
+def _runner(file: Path, backend: str, device: str, samples: Samples) -> Runner:
     kind = KINDS[file.suffix.lower()]
     possible = _BACKENDS_OF[kind]
     chosen = possible[0] if backend == "auto" else backend
@@ -314,7 +326,7 @@ def _runner(file: Path, backend: str, device: str) -> Runner:
     if kind == "onnx":
         check_onnx(content, file.name)
     if chosen.startswith("openvino"):
-        return openvino_runner(content, file.name, kind=kind, bf16=chosen == "openvino-bf16")
+        return openvino_runner(for_backend(chosen, content, file.name, samples), file.name, chosen, kind=kind)
     if chosen == "onnx":
         return onnx_runner(content, file.name)
     from ds_driver.networks.torch_networks import torch_device, torchscript_runner

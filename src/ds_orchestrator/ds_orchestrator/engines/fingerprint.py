@@ -21,8 +21,8 @@ LIBRARIES = ("numpy", "numba", "opencv-python-headless", "pybullet", "pymunk", "
 """Libraries that take part in every drive."""
 LIBRARIES_OF_PANDA = ("panda3d", "commonroad-vehicle-models")
 """Libraries that take part in drives with the simulator `panda`."""
-BACKENDS = {"onnxruntime": "onnx", "openvino": "openvino", "torch": "torch"}
-"""Library -> the back end that computes with it."""
+BACKENDS = {"onnxruntime": ("onnx", "openvino-int8"), "openvino": ("openvino",), "torch": ("torch",)}
+"""Library -> beginnings of the back ends that compute with it; ONNX Runtime also quantises."""
 PROCESSOR_FEATURES = "processor features"
 _FEATURES = ("sse4", "avx", "fma", "f16c", "amx", "asimd", "sve", "bf16")
 """Beginnings of the processor features by which libraries choose their kernels, and so their roundings."""
@@ -37,7 +37,7 @@ def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
     """What two machines must have in common to compute the same bits: name -> value.
 
     Args:
-        backend: `onnx`, `openvino`, `openvino-bf16`, `torch`, or "" for a driver without a network.
+        backend: `onnx`, `openvino`, `openvino-bf16`, `openvino-int8`, `torch`, or "" for a driver without a network.
         simulators: names of the simulators.
     """
     known = versions()
@@ -85,7 +85,7 @@ def _renderer() -> str:
 
 
 def code_sha256() -> str:
-    """Digest of the source code of every package in `CODE`."""
+    """Digest of the source code of every package in `CODE`, and of the images by which networks are quantised."""
     digest = hashlib.sha256()
     for package in CODE:
         spec = find_spec(package)
@@ -93,7 +93,7 @@ def code_sha256() -> str:
             digest.update(f"{package} is missing".encode())
             continue
         folder = Path(spec.origin).parent
-        for path in sorted(folder.rglob("*.py")):
+        for path in sorted([*folder.rglob("*.py"), *folder.glob("models/calibration/*")]):
             digest.update(f"{package}/{path.relative_to(folder)}\n".encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

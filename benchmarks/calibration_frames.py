@@ -1,0 +1,50 @@
+"""Makes the camera images with which `@openvino-int8` is calibrated (`ds_driver.networks.calibration`).
+
+    python -m benchmarks.calibration_frames --out src/ds_driver/ds_driver/models/calibration
+
+The disturbed autopilot of `ds collect` drives two roads both ways on each simulator, from a seed that nothing else
+uses; of each simulator's images eight are kept, evenly spaced, below each other in one JPEG. They are shipped rather
+than rendered again, so that quantised networks do not change with a camera.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from ds_driver.data.collection import CollectionPlan, collect
+from ds_driver.data.dataset import decode
+from ds_driver.whole_files import write_json
+from ds_sim.camera.encodings import jpeg
+from ds_sim.registry import SIMULATORS, spec_of
+
+SEED = 5_150_021
+"""Seed of the roads and disturbances; used nowhere else."""
+IMAGES = 8
+"""Images of a simulator; chosen: 32 in all take a fraction of a second to calibrate with."""
+
+
+def main() -> None:
+    """Drive; write one JPEG for each simulator, and the rows that networks do not see of it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--out", type=Path, required=True)
+    out: Path = parser.parse_args().out
+    out.mkdir(parents=True, exist_ok=True)
+    crops = {}
+    with tempfile.TemporaryDirectory() as folder:
+        collect(CollectionPlan(roads=2, seed=SEED, disturbance=0.5), list(SIMULATORS), Path(folder), lambda *_: None)
+        for simulator in SIMULATORS:
+            files = sorted((Path(folder) / simulator).glob("*.parquet"))
+            images = [image for file in files for image in pq.read_table(file)["image"].to_pylist()]
+            kept = np.linspace(0, len(images) - 1, IMAGES).astype(int)
+            crops[simulator] = [spec_of(simulator).crop_top, spec_of(simulator).crop_bottom]
+            (out / f"{simulator}.jpg").write_bytes(jpeg(np.concatenate([decode(images[index]) for index in kept])))
+    write_json(out / "crops.json", crops)
+
+
+if __name__ == "__main__":
+    main()

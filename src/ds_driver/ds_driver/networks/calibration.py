@@ -1,0 +1,24 @@
+"""Camera images by which networks are quantised, shipped (`benchmarks/calibration_frames.py` makes them)."""
+
+from __future__ import annotations
+
+import json
+
+from ds_driver.networks.images import Crop, rgb_of_file
+from ds_driver.networks.pilot import Frame
+from ds_driver.networks.weights import SHIPPED
+from ds_sim.camera.spec import IMAGE_HEIGHT
+
+FOLDER = SHIPPED / "calibration"
+"""For each simulator a file of images below each other; and the crops of all, as simulators are slow to ask."""
+
+
+def calibration_frames() -> list[Frame]:
+    """Return frames of drives on every shipped simulator, in a fixed order."""
+    crops = json.loads((FOLDER / "crops.json").read_text())
+    found = []
+    for name, (top, bottom) in sorted(crops.items()):
+        pixels = rgb_of_file((FOLDER / f"{name}.jpg").read_bytes())
+        images = pixels.reshape(-1, IMAGE_HEIGHT, *pixels.shape[1:])
+        found += [Frame(image=image, speed=0.0, crop=Crop(top, bottom), simulator=name) for image in images]
+    return found
