@@ -21,7 +21,7 @@ from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 from ds_sim_softbody.wheel import Wheel, carry, roll
-from ds_twin_donkey.dynamics import CarModel
+from ds_twin_donkey import dynamics
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
 
@@ -82,12 +82,12 @@ def test_the_soft_cars_tyre_is_a_brush_model_within_its_friction_circle(load: fl
 @pytest.mark.parametrize("load", [1.0, 3.43, 6.0])
 def test_the_twins_tyre_stays_within_its_friction_circle(load: float, compare: Compare) -> None:
     """The side force is sqrt(1 - (drive / mu N)^2) times that without drive; the total never exceeds mu N."""
-    model, rated, speed = CarModel(D), 3.43, 0.5
+    rated, speed = 3.43, 0.5
     grip = load * D.friction * (1.0 - D.load_sensitivity * (load / rated - 1.0))
 
     def tyre(drive: float, slip: float) -> tuple[float, float]:
         # In steady rolling the slip is fully built up: across = speed x slip.
-        along, across, rate = model._tyre(speed, speed * slip, slip, load, rated, D.front_stiffness, drive)
+        along, across, rate = dynamics.tyre(D, speed, speed * slip, slip, load, rated, D.front_stiffness, drive)
         assert rate == pytest.approx(0.0, abs=1e-9)
         return along, across
 

@@ -32,9 +32,9 @@ USED_MODULES = (
 """Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""
 FIRST_USE = (
     "ds_sim_panda.vehicle.multi_body.MultiBodyVehicle(); "
-    "ds_sim_softbody.vehicle.SoftbodyVehicle().reset(0.0, 0.0, 0.0, None)"
+    "ds_sim_softbody.vehicle.SoftbodyVehicle().reset(0.0, 0.0, 0.0, None); ds_twin_donkey.vehicle.DonkeyVehicle()"
 )
-"""Makes Numba compile two cars, which takes 10 s and 2 s, and keep the results beside their source."""
+"""Makes Numba compile three cars, which takes 10 s, 2 s and 2 s, and keep the results beside their source."""
 
 _UNISOLATED = ("--no-deps", "--no-build-isolation")
 """Options of pip to compile with the pinned setuptools and NumPy."""

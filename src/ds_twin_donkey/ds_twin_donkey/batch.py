@@ -18,8 +18,6 @@ from ds_twin_donkey.dynamics import MAX_SLIP, STANDSTILL_SPEED, SUBSTEPS
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
 
 Array = NDArray[np.float64]
-MOTION = 14
-"""Number of states of motion, the first columns of `dynamics.CarState`."""
 
 
 class Lanes:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.batch import MOTION, Lanes
+from ds_twin_donkey.batch import Lanes
+from ds_twin_donkey.dynamics import MOTION
 from ds_twin_donkey.logs import CHANNELS, Drive
 from ds_twin_donkey.parameters import DonkeyParameters
 
