@@ -109,7 +109,7 @@ IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
     "a blob for text": ("UPDATE executions SET message=x'00'", (), "message is a blob"),
     "text that is not UTF-8": ("UPDATE executions SET message=CAST(x'ff' AS TEXT)", (), "is damaged"),
     "negative steps": ("UPDATE executions SET steps=-1", (), "steps is -1"),
-    "too many steps": ("UPDATE executions SET steps=2000000000", (), "steps in all runs, the limit"),
+    "too many steps": ("UPDATE executions SET steps=2000000000", (), "steps is 2000000000"),
     "unknown outcome": ("UPDATE executions SET outcome='WON'", (), "outcome is 'WON', expected one of COMPLETED"),
     "an error as outcome": ("UPDATE executions SET outcome='SIM_ERROR'", (), "expected one of COMPLETED"),
     "another trajectory": (

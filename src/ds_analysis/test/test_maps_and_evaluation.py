@@ -469,6 +469,18 @@ def row(values: list[float]) -> FeatureMap:
     return FeatureMap(id=M, cells=cells)
 
 
+def test_auc_prc_has_the_bits_of_scikit_learn() -> None:
+    from sklearn.metrics import average_precision_score
+
+    from ds_analysis.common.statistics import auc_prc
+
+    rng = np.random.default_rng(1)
+    for decimals in (1, 8):  # with equal predictions, and without
+        for _ in range(50):
+            predicted, truth = rng.random(60).round(decimals), np.maximum(rng.random(60) - 0.5, 0.0)
+            assert auc_prc(predicted, truth) == average_precision_score(truth > 0.0, predicted)
+
+
 def test_pearson_equals_the_textbook_formula() -> None:
     ours, truth = [0.0, 0.25, 0.5, 1.0, 0.0], [0.0, 0.5, 0.5, 1.0, 0.25]
     mx, my = sum(ours) / 5, sum(truth) / 5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ from ds_report.camera_pictures import (
     drive_pictures,
     plan_pictures,
     translates,
+    worst_first,
 )
 from ds_report.findings import count, summarise
 from ds_report.page_data import in_words, page_data
@@ -42,6 +43,8 @@ from ds_report.sections import AnswerSection, FurtherMap, SiblingSection
 from ds_sim.simulator import Outcome
 
 _VERDICTS = [outcome for outcome in Outcome if outcome.is_verdict]
+_SHOWN_TESTS = 2_000
+"""Tests whose roads and drives are in the page; chosen: more than the paper's campaigns have, 15 MB."""
 _SHOWN_ERRORS = 200
 """Rows of a list of errors; chosen: more are rarely read, and the store has all."""
 
@@ -80,12 +83,15 @@ def write_report(
     """
     config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
     place = common_test(tests, executions)
-    on_page = page_data(data, maps)
+    shown = _shown(data)
+    on_page = page_data(shown, maps)
     paired = translates(config.driver)
     # A translated picture stands below the camera's, in an image of twice the size.
     most = REPLAY_PICTURES // (2 if paired else 1)
-    plan = plan_pictures(tests, executions, data.cells, replays=most)
-    pictures = drive_pictures(config.simulators, tests, executions, trusted, config.driver, frames=plan.frames)
+    plan = plan_pictures(shown.tests, shown.executions, shown.cells, replays=most)
+    pictures = drive_pictures(
+        config.simulators, shown.tests, shown.executions, trusted, config.driver, frames=plan.frames
+    )
     on_page["pictures"] = {
         test_id: [drive and asdict(drive) for drive in drives] for test_id, drives in pictures.items()
     }
@@ -121,6 +127,7 @@ def write_report(
         versions={k.removeprefix("version "): v for k, v in notes.items() if k.startswith("version ")},
         notes={k: v for k, v in notes.items() if k != "config" and not k.startswith(("version ", "seconds "))},
         tests=len(tests),
+        shown_tests=len(shown.tests),
         simulated_seconds=sum(e.simulated_seconds for e in executions),
         excluded=excluded_table(data) if data.excluded else None,
         exclusions=exclusion_lines(data),
@@ -131,6 +138,20 @@ def write_report(
     path = folder / "report.html"
     write_whole(path, text)
     return path
+
+
+def _shown(data: CampaignData) -> CampaignData:
+    """Keep the worst tests of a large campaign, in its order."""
+    if len(data.tests) <= _SHOWN_TESTS:
+        return data
+    driven = {execution.test_id for execution in data.executions}
+    ranked = worst_first((test for test in data.tests if test.test_id in driven), data.executions)
+    kept = set(ranked[:_SHOWN_TESTS])
+    return replace(
+        data,
+        tests=tuple(test for test in data.tests if test.test_id in kept),
+        executions=tuple(execution for execution in data.executions if execution.test_id in kept),
+    )
 
 
 def environment() -> Environment:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ds_analysis.common.heatmap import bounds_of, draw_map
-from ds_analysis.common.outcome_table import OutcomeTableError, table_of_campaign
+from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, table_of_campaign
 from ds_analysis.common.table import Table
 from ds_analysis.prediction.calibration import check_in_turn
 from ds_analysis.prediction.real.records import RecordError, read_drives
@@ -24,6 +24,9 @@ from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.findings import count
 from ds_report.page_data import data_address
+
+MOST_COMPARED = 2_000
+"""Tests whose drives are compared place by place; chosen: the paper's campaigns have 1,700, and they take 30 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +72,8 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     """
     try:
         drives = read_drives(folder)
-        table = table_of_campaign(data).as_population()
+        # A real drive may be of any test.
+        table = table_of_campaign(data, most=None if drives else MOST_ANALYSED).as_population()
         prediction = predict_twin(table)
         prediction = prediction.updated(margin_drives(table, drives))
     except (OutcomeTableError, RecordError, StoreError) as error:
@@ -79,7 +83,7 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     titles = [feature_of(name).title for name in verdicts.features]
     return AnswerSection(
         sentence=_sentence(verdicts, table.siblings, len(drives), sum(drive.failed for drive in drives)),
-        reading=f"{_reading(verdicts, len(drives))} {check.sentence}.",
+        reading=f"{_reading(verdicts, len(drives))} {check.sentence}. {table.sample_note}".rstrip(),
         warnings=[text for text in (span_of(prediction).warning, check.warning) if text],
         axes=(titles[0], titles[1]),
         panels=_panels(verdicts),
@@ -152,14 +156,17 @@ def sibling_section(data: CampaignData) -> SiblingSection | None:
     config = data.config
     if len(config.simulators) < 2 or not data.verdicts:
         return None
-    table = table_of_campaign(data).judged()
+    table = table_of_campaign(data, most=MOST_COMPARED).judged()
     if not len(table):
         return None
     found = analyse(table, [config.twin] if config.twin else config.siblings)
+    tables = analysis_tables(found)
+    if table.sample_note:
+        tables = [replace(one, notes=[*one.notes, table.sample_note]) for one in tables]
     return SiblingSection(
         roads=len(table),
-        sentences=found.sentences,
-        tables=analysis_tables(found),
+        sentences=[*found.sentences, *([table.sample_note] if table.sample_note else [])],
+        tables=tables,
         pictures=[
             (f"Largest lateral position over {found.feature}", data_address(draw_failures(table, found.feature))),
             ("Who fails where", data_address(draw_matrix(table, found.feature))),

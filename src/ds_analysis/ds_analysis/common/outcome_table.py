@@ -27,10 +27,15 @@ from ds_sim.conditions.scales import share_of
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.folder import CampaignData
-    from ds_orchestrator.store.model import Execution
+    from ds_orchestrator.store.model import Execution, Test
 
 MOST_TESTS = 20_000
 """Tests of a comparison; chosen: far more than a fit of the population can take in minutes."""
+MOST_ANALYSED = 4_000
+"""Tests of a campaign from which statistics are computed; chosen: a thousand resamples take a minute and 500 MB, and
+further tests hardly narrow an interval over simulators."""
+_SAMPLE_SEED = 22
+"""Seed of the sample of families; any number does."""
 ROAD_FEATURES: Mapping[str, Callable[[Road], float]] = {
     "length": lambda road: road.length,
     "turns_count": lambda road: float(road.turns_count),
@@ -77,6 +82,7 @@ class OutcomeTable:
         features: (tests, features) what is known of a test before anything is driven: `ROAD_FEATURES` of the road, then
             the conditions that differ between tests, each as a share of its range on its scale.
         families: (tests,) number of the family: the root of mutation from which a test descends.
+        left_out: number of tests that are not in this sample of a campaign.
     """
 
     test_ids: tuple[str, ...]
@@ -92,6 +98,7 @@ class OutcomeTable:
     feature_names: tuple[str, ...]
     features: Array
     families: Indices
+    left_out: int = 0
 
     @classmethod
     def of(
@@ -154,6 +161,13 @@ class OutcomeTable:
     def profiles(self) -> Mapping[str, Sequence[Array]]:
         """Simulator -> lateral positions every `GRID` m along the lane, m, of every test; decoded when first asked."""
         return {name: [one() for one in self.decoders[:, k]] for k, name in enumerate(self.simulators)}
+
+    @property
+    def sample_note(self) -> str:
+        """Describe the sample in one sentence; "" for a whole campaign."""
+        if not self.left_out:
+            return ""
+        return f"Computed from a sample of whole families; {self.left_out:,} tests of this large campaign are left out."
 
     def column(self, simulator: str) -> int:
         """Index of a simulator's column."""
@@ -237,15 +251,20 @@ def table_of_runs(
     )
 
 
-def table_of_campaign(data: CampaignData) -> OutcomeTable:
+def table_of_campaign(data: CampaignData, *, most: int | None = None) -> OutcomeTable:
     """Collect the tests of a campaign, finished or not.
+
+    Args:
+        data: contents of the campaign's store.
+        most: tests at most, a sample of whole families where there are more; None for all.
 
     Raises:
         OutcomeTableError: no test has a verdict yet.
     """
     names = tuple(data.config.simulators)
     column = {name: k for k, name in enumerate(names)}
-    row = {test.test_id: k for k, test in enumerate(data.tests)}
+    tests = data.tests if most is None else _sample_of(data.tests, most)
+    row = {test.test_id: k for k, test in enumerate(tests)}
     states = np.zeros((len(row), len(names)), np.int8)
     lateral = np.zeros((len(row), len(names)))
     decoders = np.full(states.shape, _no_profile)
@@ -253,27 +272,42 @@ def table_of_campaign(data: CampaignData) -> OutcomeTable:
         if test_id in row and simulator in column:
             states[row[test_id], column[simulator]] = State.ERROR
     for test_id, simulator in data.excluded:
-        states[row[test_id], column[simulator]] = State.EXCLUDED
+        if test_id in row:
+            states[row[test_id], column[simulator]] = State.EXCLUDED
     for one in data.executions:
+        if one.test_id not in row:
+            continue
         at = row[one.test_id], column[one.simulator]
         states[at] = _state(one)
         if one.outcome.is_verdict:
             lateral[at] = one.max_lateral_position
-            decoders[at] = partial(_recorded_profile_of, data.tests[at[0]].road, one)
-    return _with_verdicts(
+            decoders[at] = partial(_recorded_profile_of, tests[at[0]].road, one)
+    table = _with_verdicts(
         OutcomeTable.of(
-            [test.road for test in data.tests],
+            [test.road for test in tests],
             states,
             lateral,
             siblings=data.config.siblings,
             twin=data.config.twin,
-            test_ids=[test.test_id for test in data.tests],
-            conditions=[test.conditions for test in data.tests],
+            test_ids=[test.test_id for test in tests],
+            conditions=[test.conditions for test in tests],
             axes=data.config.features,
-            cells=[data.cells.get(test.test_id) for test in data.tests],
+            cells=[data.cells.get(test.test_id) for test in tests],
             decoders=decoders,
         )
     )
+    return replace(table, left_out=len(data.tests) - len(tests))
+
+
+def _sample_of(tests: Sequence[Test], most: int) -> Sequence[Test]:
+    """Draw whole families at random, in the campaign's order; single tests where every family is too large."""
+    if len(tests) <= most:
+        return tests
+    families = families_of([test.road for test in tests])
+    drawn = np.random.default_rng(_SAMPLE_SEED).permutation(families.max() + 1)
+    kept = drawn[np.cumsum(np.bincount(families)[drawn]) <= most]
+    rows = np.flatnonzero(np.isin(families, kept)) if len(kept) else np.linspace(0, len(tests) - 1, most).astype(int)
+    return [tests[row] for row in rows]
 
 
 def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTable:
@@ -306,12 +340,13 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
     return _with_verdicts(table).with_twin(twin)
 
 
-def read_table(folder: Path, *, twin: str | None = None) -> OutcomeTable:
+def read_table(folder: Path, *, twin: str | None = None, most: int | None = None) -> OutcomeTable:
     """Read a folder of `ds campaign run`, finished or running, or of `ds siblings compare --out`.
 
     Args:
         folder: the folder.
         twin: simulator that plays the twin; the campaign's own twin if None.
+        most: tests of a campaign at most; see `table_of_campaign`.
 
     Raises:
         OutcomeTableError: the folder holds neither, or has no such simulator, or no verdict yet.
@@ -322,7 +357,7 @@ def read_table(folder: Path, *, twin: str | None = None) -> OutcomeTable:
         from ds_orchestrator.campaign.folder import open_store, read_campaign
 
         with closing(open_store(folder)) as store:
-            table = table_of_campaign(read_campaign(store))
+            table = table_of_campaign(read_campaign(store), most=most)
         return table.with_twin(twin) if twin else table
     if (folder / "comparison.json").exists():
         return table_of_comparison(folder, twin=twin)

@@ -15,6 +15,8 @@ from ds_orchestrator.maps.algebra import LEVEL
 
 _NO_WIDTH = 1e-9
 """Width below which an interval is a single point."""
+_BLOCK = 500_000
+"""Weights whose precision is computed at once; chosen: 4 MB for each array."""
 _CONSTANT = 1e-18
 """Product of two variances below which a correlation is rounding."""
 
@@ -94,7 +96,8 @@ def average_precision(predicted: Array, failing: Array, weights: Array) -> Array
     rows.
     """
     if predicted.ndim == 1:
-        return _average_precision(predicted, failing * weights, weights)
+        parts = np.array_split(weights, weights.size // _BLOCK + 1)
+        return np.concatenate([_average_precision(predicted, failing * part, part) for part in parts])
     hits = failing * weights
     return np.concatenate(
         [_average_precision(p, h[None], w[None]) for p, h, w in zip(predicted, hits, weights, strict=True)]

@@ -93,9 +93,11 @@ class TwinPrediction:
         roots = np.array([_root(mixture.covariances[k]) for k in used])
         theta = mixture.means[chosen] + np.einsum("mpq,mq->mp", roots[index], normal)
         rows = np.arange(len(self.margins.predictors)) if rows is None else rows
-        linear = theta @ self.margins.predictors[rows].T + self.population.effect_mean[rows]
-        spread = np.sqrt(self.population.effect_variance[rows] + mixture.sigmas[chosen][:, None] ** 2)
-        found = np.asarray(ndtr(linear / spread))
+        found = theta @ self.margins.predictors[rows].T
+        found += self.population.effect_mean[rows]
+        for some, sigma in zip(found, mixture.sigmas[chosen], strict=True):
+            some /= np.sqrt(self.population.effect_variance[rows] + sigma**2)
+        ndtr(found, out=found)
         return self._with_drives(found, rows) if outcomes else found
 
     def updated(self, drives: Sequence[MarginDrive]) -> TwinPrediction:

@@ -28,6 +28,8 @@ MOST_NEEDED = 10_000
 """Tests beyond which a cell is said to stay disputed; chosen: more than a campaign drives."""
 _MOST_CELLS = 2_000
 """Cells up to which untested ones are listed; chosen: a map that fits on a screen."""
+_BLOCK = 500
+"""Tests whose intervals are computed at once; chosen: 8 MB of draws."""
 _SEED = 20
 """Seed of the weights of tests within a cell; any number does."""
 
@@ -134,7 +136,8 @@ def judge(table: OutcomeTable, prediction: TwinPrediction, *, tolerated: float =
     driven = {drive.row for drive in prediction.drives}
     probabilities = prediction.probabilities()
     draws = prediction.draws(rows=np.array(used))
-    low, high = np.quantile(draws, (0.05, 0.95), axis=0)
+    blocks = np.array_split(draws, max(1, len(used) // _BLOCK), axis=1)
+    low, high = np.concatenate([np.quantile(block, (0.05, 0.95), axis=0) for block in blocks], axis=1)
     tests = [
         TestVerdict(
             test_id=table.test_ids[row],
@@ -152,7 +155,7 @@ def judge(table: OutcomeTable, prediction: TwinPrediction, *, tolerated: float =
         if cell is not None:
             members.setdefault(cell, []).append(k)
     rng = np.random.default_rng(_SEED)
-    alike = prediction.draws(rows=np.array(used), outcomes=False)
+    alike = prediction.draws(rows=np.array(used), outcomes=False) if driven else draws
     cells = []
     for cell in _bounds(members):
         columns = members.get(cell, [])

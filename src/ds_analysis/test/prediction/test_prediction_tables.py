@@ -57,6 +57,17 @@ def test_a_search_has_at_most_as_many_families_as_random_roads() -> None:
     assert families[:5].tolist() == [0, 1, 2, 3, 4] and set(families.tolist()) == {0, 1, 2, 3, 4}
 
 
+def test_a_sample_of_a_large_campaign_has_whole_families_and_says_so(tmp_path: Path) -> None:
+    data = data_of(tmp_path)
+    whole, sample = table_of_campaign(data), table_of_campaign(data, most=11)
+    assert 0 < len(sample) <= 11 and sample.left_out == len(whole) - len(sample)
+    assert f"{sample.left_out} tests" in sample.sample_note and whole.sample_note == ""
+    rows = [whole.test_ids.index(test_id) for test_id in sample.test_ids]
+    assert rows == sorted(rows) and sample.features.tolist() == whole.features[rows].tolist()
+    assert not set(whole.families[rows]) & set(np.delete(whole.families, rows))
+    assert len(table_of_campaign(data, most=1)) == 1
+
+
 def test_a_campaign_becomes_a_table(tmp_path: Path) -> None:
     data = data_of(tmp_path)
     table = table_of_campaign(data)

@@ -50,7 +50,7 @@ def predict_command(
     Each cell fails, is safe, disputed or untested; the siblings' outcomes are all that is used. Where the campaign has
     a twin, every predictor is scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
     """
-    from ds_analysis.common.outcome_table import OutcomeTableError, read_table
+    from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, read_table
     from ds_analysis.common.table import write_tables
     from ds_analysis.prediction.calibration import check_in_turn, forecast_cells
     from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
@@ -62,7 +62,7 @@ def predict_command(
 
     if out is not None:
         make_folder(out)
-    table = read_table(folder, twin=twin)
+    table = read_table(folder, twin=twin, most=MOST_ANALYSED)
     say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
     prediction = predict_twin(table)
     verdicts = judge(table, prediction, tolerated=tolerated)
@@ -76,6 +76,7 @@ def predict_command(
         "self_check": check.document(),
         "comparison": None,
         "forecasts": [],
+        **({"tests_left_out": table.left_out} if table.left_out else {}),
     }
     try:
         comparison = compare_predictors(table, prediction)
@@ -101,6 +102,8 @@ def predict_command(
         if "no_comparison" in document:
             print(f"predictors are not compared: {document['no_comparison']}")
         print(verdicts.sentence)
+        if table.sample_note:
+            print(table.sample_note)
         if not check.siblings:
             print(check.sentence)
         if check.warning:

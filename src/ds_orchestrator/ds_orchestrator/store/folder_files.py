@@ -19,8 +19,8 @@ from ds_road.bounded_file import FileError, read_regular
 
 LARGEST_FILE = 16 * 2**20
 """Bytes of a file beside the store that is read at once; chosen: a hundred times the usual one."""
-MOST_ENTRIES = 2_000_000
-"""Files and folders; chosen: bags of 200,000 executions and more, looked at within seconds."""
+MOST_ENTRIES = 5_000_000
+"""Files and folders; chosen: bags of a million executions, looked at within a minute."""
 _OURS = re.compile(
     r"(campaign|drives)\.sqlite.*|\.(lock|engine\.json|live\.json).*|bags|logs|maps|evaluation|real|drives|tables|worse"
     r"|.*\.(json|html|md|csv|tex|png)"

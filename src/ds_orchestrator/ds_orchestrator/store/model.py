@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ class DriveArrays:
 NO_DRIVE = DriveArrays(np.empty((0, 5)), np.empty(0))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Execution:
     """Outcome of one test on one simulator.
 
@@ -109,6 +110,7 @@ EXECUTION_COLUMNS = (
     "test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds, trajectory_sha256, "
     "bag, rowid"
 )
+_conditions_of = lru_cache(maxsize=1024)(parse_conditions)  # most tests of a campaign have the same
 _LARGEST_CURVATURE = 1e6
 """1/m; chosen: the inverse of a micrometre, so that no axis has more bins than memory."""
 _TOLERANCE = 1e-6
@@ -147,7 +149,7 @@ def test_of(row: Row, lane: Side) -> Test:
             number=number,
             road=road,
             seed=check.whole(seed, "seed"),
-            conditions=parse_conditions(check.text(conditions, "conditions")),
+            conditions=_conditions_of(check.text(conditions, "conditions")),
         )
     except ValueError as error:
         raise check.RowError(f"the test {test_id!r:.60}: {error}") from None
@@ -163,7 +165,7 @@ def execution_of(row: Row, file: SqliteFile) -> Execution:
         steps = check.whole(row[6], "steps", high=check.MOST_STEPS)
         execution = Execution(
             test_id=check.text(row[0], "test_id"),
-            simulator=check.text(row[1], "simulator"),
+            simulator=sys.intern(check.text(row[1], "simulator")),
             outcome=Outcome[check.one_of(row[2], "outcome", VERDICTS)],
             message=check.text(row[3], "message"),
             fitness=check.real(row[4], "fitness"),
@@ -183,7 +185,7 @@ def execution_of(row: Row, file: SqliteFile) -> Execution:
 
 @dataclass(frozen=True, eq=False)
 class StoredDrive:
-    """Frames of a stored execution, read, decompressed and checked once, when they are first asked for.
+    """Frames of a stored execution, read, decompressed and checked when they are asked for; the last ones are kept.
 
     A file whose store is closed by then is opened once more.
 
@@ -201,15 +203,15 @@ class StoredDrive:
     @property
     def trajectory(self) -> NDArray[np.float64]:
         """(steps + 1, 5); see `DriveArrays`."""
-        return self._arrays.trajectory
+        return _arrays_of(self).trajectory
 
     @property
     def steering(self) -> NDArray[np.float64]:
         """(steps,); see `DriveArrays`."""
-        return self._arrays.steering
+        return _arrays_of(self).steering
 
-    @cached_property
-    def _arrays(self) -> DriveArrays:
+    def read(self) -> DriveArrays:
+        """Read every frame."""
         max_lateral_position, steps, sha256, rowid = self.row[5], self.row[6], self.row[8], self.row[10]
         found = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (rowid,))
         try:
@@ -225,6 +227,11 @@ class StoredDrive:
         except check.RowError as error:
             raise self.file.damaged(str(_unreadable(self.row, error))) from None
         return DriveArrays(trajectory, steering)
+
+
+@lru_cache(maxsize=2048)  # 40 MB of drives of the usual length
+def _arrays_of(drive: StoredDrive) -> DriveArrays:
+    return drive.read()
 
 
 def _unreadable(row: Row, error: check.RowError) -> check.RowError:

@@ -39,8 +39,8 @@ CREATE TABLE gates (
     outcome TEXT NOT NULL, visible_contrast REAL NOT NULL, hidden_share REAL NOT NULL,
     PRIMARY KEY (test_id, simulator));
 """
-LARGEST_FILE = 4 * 2**30
-"""Bytes; chosen: 200,000 executions and more."""
+LARGEST_FILE = 64 * 2**30
+"""Bytes; chosen: three million executions of the usual length."""
 LARGEST_VALUE = 64 * 2**20
 """Bytes of one value or row; chosen: a run of `rows.MOST_STEPS` frames fits."""
 _TABLES = {" ".join(statement.split()) for statement in SCHEMA.split(";") if statement.strip()}

@@ -25,8 +25,6 @@ from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
 
-MOST_TRAJECTORY_STEPS = 100_000_000
-"""Frames of all runs that are read at once, 4 GiB; chosen: 200,000 runs of the usual length."""
 _SECONDS = "seconds "
 _ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
 
@@ -372,11 +370,6 @@ class Store:
         return self.count_executions() + int(self._file.ask("SELECT count(*) FROM gates")[0][0])
 
     def _executions(self, where: str, values: tuple[str | int, ...]) -> list[Execution]:
-        if (
-            not where
-            and float(self._file.ask("SELECT total(abs(steps)) FROM executions")[0][0]) > MOST_TRAJECTORY_STEPS
-        ):
-            raise self._file.damaged(f"more than {MOST_TRAJECTORY_STEPS} steps in all runs, the limit for a campaign")
         rows = self._file.ask(
             f"SELECT {EXECUTION_COLUMNS} FROM executions {where} ORDER BY simulator, test_id",
             values,

@@ -556,3 +556,22 @@ def _maps_over_turns(folder: Path) -> dict[str, Any]:
     """Kind -> map over the paper's axes, as written for other programs."""
     maps = json.loads((folder / "maps/turns_count_by_curvature/maps.json").read_text())
     return {name.partition("_")[0]: content for name, content in maps.items()}
+
+
+def test_the_page_of_a_large_campaign_shows_its_worst_tests_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ds_report.html_report._SHOWN_TESTS", 3)
+    config = CampaignConfig(siblings=["nowhere:A", "nowhere:B"], twin=None, driver="autopilot")
+    store = make_campaign(tmp_path, config, 5)
+    worst: dict[str, int] = {}
+    for execution in store.executions():
+        worst[execution.test_id] = worst.get(execution.test_id, 0) - execution.outcome.is_failure
+    page = Page(report_of(tmp_path, store).read_text(encoding="utf-8"))
+    shown = [test[0] for test in page.data["tests"]]
+    assert len(shown) == 3 and max(worst[i] for i in shown) <= min(n for i, n in worst.items() if i not in shown)
+    maps, _ = results(read_campaign(store))
+    for map_id, feature_map in maps.items():
+        assert len(page.data["maps"][map_id.name]["cells"]) == len(feature_map.cells)
+    assert any("Below are the 3 worst" in text for text in page.texts["p"])
+    store.close()
