@@ -7,17 +7,18 @@ import hashlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from ds_sim.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
-from ds_twin_donkey.fit import Fit
-from ds_twin_donkey.logs import CHANNELS, Log
 from ds_twin_donkey.parameters import DonkeyParameters
 
+if TYPE_CHECKING:  # whoever drives needs no part of SciPy, which takes half a second to import
+    from ds_twin_donkey.fit import Fit
+    from ds_twin_donkey.logs import Log
+
 FORMAT = "ds_twin_donkey parameters 1"
-_UNITS = dict(zip(CHANNELS, ("m", "m", "rad", "m/s", "rad/s"), strict=True))
 
 
 class ParameterFileError(ValueError):
@@ -26,6 +27,9 @@ class ParameterFileError(ValueError):
 
 def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
     """Convert a fit to JSON values: each parameter with its status and interval, the logs, and the residuals."""
+    from ds_twin_donkey.logs import CHANNELS
+
+    units = dict(zip(CHANNELS, ("m", "m", "rad", "m/s", "rad/s"), strict=True))
     estimates = {estimate.name: estimate for estimate in fit.estimates}
     parameters: dict[str, dict[str, Any]] = {}
     for field in dataclasses.fields(DonkeyParameters):
@@ -47,7 +51,7 @@ def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
         ],
         "windows": fit.windows,
         "rms_residuals": {
-            name: {"value": _short(value), "noise": _short(fit.noise[name]), "unit": _UNITS[name]}
+            name: {"value": _short(value), "noise": _short(fit.noise[name]), "unit": units[name]}
             for name, value in fit.rms.items()
             if math.isfinite(value)
         },
