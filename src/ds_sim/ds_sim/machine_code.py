@@ -109,8 +109,9 @@ def _stamp(package: Path) -> bytes:
 def _folders(package: Path) -> Iterator[Path]:
     """Folders for the object files of a package, like those of Numba: beside its bytecode, else in the user's cache."""
     yield package / "__pycache__"
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    yield Path(home) / "digital-siblings" / hashlib.sha256(str(package).encode()).hexdigest()[:12]
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if os.path.isabs(home):  # a user of a container may have no home
+        yield Path(home) / "digital-siblings" / hashlib.sha256(str(package).encode()).hexdigest()[:12]
 
 
 def _compile(module: str) -> bytes:
