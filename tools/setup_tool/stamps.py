@@ -37,6 +37,10 @@ class Stamps:
         stamp = self.folder / step
         return stamp.is_file() and stamp.read_text() == inputs
 
+    def exists(self, step: str) -> bool:
+        """Check whether the step was finished for any inputs."""
+        return (self.folder / step).is_file()
+
     def begin(self, step: str) -> None:
         """Remove the step's stamp, and record that it runs."""
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -33,7 +33,7 @@ def train_command(
     out: Annotated[Path, typer.Option(help="Folder; a training that was stopped there is resumed.")],
     sim: Simulator = "bullet",
     preset: Annotated[
-        Literal["laptop", "paper"], typer.Option(help="Sizes and duration; paper needs a GPU.")
+        Literal["laptop", "fast", "paper"], typer.Option(help="Sizes and duration; paper needs a GPU.")
     ] = "laptop",
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of weights, order and drives.")] = 1,
     epochs: Annotated[int | None, typer.Option(min=1, max=1000, help="Epochs; the preset's if left out.")] = None,

@@ -65,8 +65,11 @@ def campaign(
     from ds_analysis.paper.paper_tables import correlation_tables
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.executor import Stopped
+    from ds_orchestrator.engines.preflight import faster_choice
     from ds_studies.whole_campaign import run_campaign
 
+    if faster := faster_choice(config.driver, config.engine):
+        say(faster)
     started = time.monotonic()
     listener = ScreenListener()
     try:

@@ -212,6 +212,14 @@ def cpu_capabilities(core: Any) -> list[str]:
     return list(core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"))
 
 
+def has_bfloat16(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
+    """Whether this processor computes in bfloat16, as Linux lists it; without OpenVINO."""
+    try:
+        return not {"avx512_bf16", "amx_bf16"}.isdisjoint(cpuinfo.read_text().split())
+    except OSError:
+        return False
+
+
 class _Batches:
     """Runs a network on any number of images, each with the bits that it has alone.
 

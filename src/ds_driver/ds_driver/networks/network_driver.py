@@ -235,7 +235,7 @@ def generators_of(driver: str) -> GeneratorSet | None:
         ds_driver.networks.weights.WeightsError: the network's file is missing.
     """
     name = DriverName.parse(driver)
-    trained_with = {} if name.generators or not _is_weights(name) else generators_in(name.network)
+    trained_with = {} if name.generators or not has_weights(name) else generators_in(name.network)
     if not name.generators and not trained_with:
         return None
     from ds_driver.sim2real.stage import NONE, open_set, set_of_network
@@ -251,12 +251,13 @@ def sees_translated(driver: str) -> bool:
     if name.generators:
         return name.generators != "none"
     try:
-        return bool(_is_weights(name) and generators_in(name.network))
+        return bool(has_weights(name) and generators_in(name.network))
     except ValueError:
         return False
 
 
-def _is_weights(name: DriverName) -> bool:
+def has_weights(name: DriverName) -> bool:
+    """Whether a driver is a network of this project's architectures, which every backend computes."""
     return name.network in {**NETWORKS, **shipped_networks()} or name.file_type == WEIGHTS
 
 
@@ -270,7 +271,7 @@ def _load_network(name: DriverName, stage: Sim2RealStage | None) -> Pilot:
         if name.suffix:
             raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")
         return UserClassPilot(network)
-    if not _is_weights(name):
+    if not has_weights(name):
         raise UnknownNetworkError(
             f"unknown driver {network!r}: expected one of {', '.join({**NETWORKS, **shipped_networks()})}, a "
             ".safetensors or .yaml file, or module:Class"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError
@@ -11,7 +12,12 @@ from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.graph.supervisor import check_ros
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
+from ds_sim.installation import install_command
 from ds_sim.registry import make_simulator, spec_of
+
+BFLOAT16_SHARE = {"graph": 0.45, "local": 0.65, "dask": 0.65}
+"""Processor time of a campaign with `local` in bfloat16 over that with an engine and ONNX Runtime, for Dave-2; measured
+(benchmarks/campaign.py)."""
 
 
 def preflight(settings: DriveSettings) -> None:
@@ -65,3 +71,18 @@ def check_driver(driver: str, simulators: Sequence[str]) -> None:
     if generators is not None:
         for name in simulators:
             generators.generator(spec_of(name).name)
+
+
+def faster_choice(driver: str, engine: str) -> str:
+    """Say in one line how a campaign would be faster on this machine; "" if it would not."""
+    from ds_driver.networks.backends import has_bfloat16
+    from ds_driver.networks.driver_name import DriverName
+    from ds_driver.networks.network_driver import has_weights
+
+    name = DriverName.parse(driver)
+    if not has_weights(name) or name.backend not in ("auto", "onnx") or not has_bfloat16():
+        return ""
+    choice = f"driver {name.on('openvino-bf16')}" + (" and --engine local" if engine == "graph" else "")
+    needed = "" if find_spec("openvino") else f", after `{install_command('openvino')}`"
+    share = BFLOAT16_SHARE[engine]
+    return f"{choice} would take about {share:.0%} of the time here{needed}; verdicts differ rarely (docs/speed.md)"
