@@ -107,6 +107,23 @@ def test_pip_installs_where_uv_finds_nothing(tmp_path: Path, monkeypatch: pytest
     assert "uv pip install" in (tmp_path / ".venv/setup.log").read_text()
 
 
+@pytest.mark.parametrize(("flags", "wanted"), [("avx512f avx512_bf16", True), ("fma amx_bf16", True), ("avx2", False)])
+def test_openvino_is_installed_where_the_processor_has_bfloat16(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: str, wanted: bool
+) -> None:
+    shutil.copytree(REPOSITORY / "requirements", tmp_path / "requirements")
+    (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu {flags} sse\n")
+    found = machine.has_bfloat16(tmp_path / "cpuinfo")
+    assert found is wanted
+    assert not machine.has_bfloat16(tmp_path / "absent")
+    monkeypatch.setattr(machine, "has_bfloat16", lambda: found)
+    with one_at_a_time(tmp_path, lambda: None) as lock:
+        setup = steps.Setup(tmp_path, Console(tmp_path / ".venv/setup.log", lock), wanted_python="")
+        assert ("openvino" in [step.name for step in setup._steps()]) is wanted
+        monkeypatch.setattr(machine, "ROOM", 10**18)
+        assert "openvino" not in [step.name for step in setup._steps()]
+
+
 def test_the_digest_sees_content_names_and_order(tmp_path: Path) -> None:
     one, other = tmp_path / "one", tmp_path / "other"
     one.write_text("a")
