@@ -25,23 +25,16 @@ class AtlasMemory:
     """
 
     def __init__(self) -> None:
-        self._pages = {"atlas": mmap.mmap(-1, mmap.PAGESIZE), "mask": mmap.mmap(-1, mmap.PAGESIZE)}
+        self._pages = mmap.mmap(-1, mmap.PAGESIZE)
 
-    def atlas(self, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
-        """Return an array (uint8) of undefined content, in the place of the one before."""
-        return self._array("atlas", shape)
-
-    def mask(self, shape: tuple[int, int]) -> NDArray[np.uint8]:
-        """Return an array (uint8) of zeros; whoever writes on it makes it zero again."""
-        return self._array("mask", shape)
-
-    def _array(self, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    def array(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """Return an array (uint8) in the place of the one before, with its content; zeros where none was."""
         size = math.prod(shape)
-        if len(self._pages[name]) < size:
-            self._pages[name] = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        if len(self._pages) < size:
+            self._pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
             if hasattr(mmap, "MADV_NOHUGEPAGE"):
-                self._pages[name].madvise(mmap.MADV_NOHUGEPAGE)
-        return np.frombuffer(self._pages[name], np.uint8, size).reshape(shape)
+                self._pages.madvise(mmap.MADV_NOHUGEPAGE)
+        return np.frombuffer(self._pages, np.uint8, size).reshape(shape)
 
 
 class Box(NamedTuple):
@@ -96,7 +89,7 @@ class Ground:
         self.resolution = resolution
         self.outside = outside
         self.lazy_levels = lazy_levels
-        self.atlas = (memory or AtlasMemory()).atlas((rows, 2 * columns, 4))
+        self.atlas = (memory or AtlasMemory()).array((rows, 2 * columns, 4))
         self._texture = texture
         self._starts = [2 * columns - (2 * columns >> level) for level in range(len(texture) + 1)]
         self._rasters = tuple(
@@ -105,8 +98,8 @@ class Ground:
         )
         self._tiles = (math.ceil(rows / TILE), math.ceil(columns / TILE))
         self._is_painted = np.zeros((lazy_levels, *self._tiles), np.bool_)
-        self._revealed = [(0, -1, 0, -1)] * lazy_levels
-        for level in range(lazy_levels, len(texture)):
+        # Where there are tiles to close, the levels beyond follow then.
+        for level in range(lazy_levels, lazy_levels + 1 if lazy_levels else len(texture)):
             self._cover(level, 0, 0, *self._rasters[level].shape[:2])
 
     @classmethod
@@ -167,14 +160,12 @@ class Ground:
 
     def _reveal_tiles(self, level: int, first: int, last: int, begin: int, end: int) -> None:
         """Paint the missing tiles of a lazy level in some rows (first to last) and columns (begin to end) of tiles."""
-        if self._revealed[level] == (first, last, begin, end):
+        is_painted = self._is_painted[level, first : last + 1, begin : end + 1]
+        if is_painted.all():
             return
-        missing = np.zeros(self._tiles, np.bool_)
-        missing[first : last + 1, begin : end + 1] = ~self._is_painted[level, first : last + 1, begin : end + 1]
-        for box in self.boxes(missing):
+        for box in self.boxes(~is_painted, (first, begin)):
             self._cover(level, *(v >> level for v in box))
-        self._is_painted[level] |= missing
-        self._revealed[level] = (first, last, begin, end)
+        is_painted[:] = True
 
     def open_tiles(self, tiles: NDArray[np.bool_]) -> NDArray[np.uint8]:
         """Cover some tiles of the finest level with the texture, to be drawn on; `close_tiles` ends the drawing.
@@ -191,12 +182,16 @@ class Ground:
 
     def close_tiles(self, tiles: NDArray[np.bool_]) -> None:
         """Carry what was drawn on some tiles of the finest level over to the other levels."""
+        rasters = self._rasters
         for box in self.boxes(tiles):
             top, left, bottom, right = box
-            fine = box.of(self._rasters[0])
-            for raster in self._rasters[1:]:
+            fine = box.of(rasters[0])
+            for raster in rasters[1 : self.lazy_levels + 1]:
                 top, left, bottom, right = top >> 1, left >> 1, bottom >> 1, right >> 1
                 fine = halved(fine, raster[top:bottom, left:right])
+        for level in range(self.lazy_levels + 1, len(rasters)):
+            halved(rasters[level - 1], rasters[level])
+            self._draw_border(level, 0, 0, *rasters[level].shape[:2])
         self._is_painted |= tiles
 
     @property
@@ -204,15 +199,21 @@ class Ground:
         """Number of rows and columns of tiles."""
         return self._tiles
 
-    def boxes(self, tiles: NDArray[np.bool_]) -> Iterator[Box]:
-        """Parts of the finest level that some tiles cover; none crosses a period of the texture."""
+    def boxes(self, tiles: NDArray[np.bool_], corner: tuple[int, int] = (0, 0)) -> Iterator[Box]:
+        """Parts of the finest level that some tiles cover; none crosses a period of the texture.
+
+        Args:
+            tiles: which of the tiles, (rows, columns).
+            corner: row and column of the first of them among all tiles.
+        """
         period = self._texture[0].shape[1] // TILE
+        starts_period = (np.arange(1, tiles.shape[1]) + corner[1]) % period == 0
         starts = tiles.copy()
-        starts[:, 1:] &= ~tiles[:, :-1] | (np.arange(1, tiles.shape[1]) % period == 0)
+        starts[:, 1:] &= ~tiles[:, :-1] | starts_period
         ends = tiles.copy()
-        ends[:, :-1] &= ~tiles[:, 1:] | (np.arange(1, tiles.shape[1]) % period == 0)
-        for (row, start), end in zip(np.argwhere(starts).tolist(), ends.nonzero()[1].tolist(), strict=True):
-            bottom, right = min((row + 1) * TILE, self.shape[0]), min((end + 1) * TILE, self.shape[1])
+        ends[:, :-1] &= ~tiles[:, 1:] | starts_period
+        for (row, start), end in zip((np.argwhere(starts) + corner).tolist(), ends.nonzero()[1].tolist(), strict=True):
+            bottom, right = min((row + 1) * TILE, self.shape[0]), min((corner[1] + end + 1) * TILE, self.shape[1])
             yield Box(row * TILE, start * TILE, bottom, right)
 
     def _cover(self, level: int, top: int, left: int, bottom: int, right: int) -> None:

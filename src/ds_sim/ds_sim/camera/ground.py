@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 
 import cv2
 import numpy as np
@@ -36,6 +37,13 @@ _LINE_REACH = 4
 """Pixels beyond the half of a line's thickness that drawing may touch: anti-aliasing, and rounding."""
 
 
+class _Masks(threading.local, AtlasMemory):
+    """Memory of a thread for masks of zeros; whoever writes on one makes it zero again."""
+
+
+_MASKS = _Masks()
+
+
 def paint_ground(
     road: Road,
     look: Look,
@@ -57,7 +65,6 @@ def paint_ground(
     if SURFACE_CONDITIONS & conditions.changed.keys():
         source = rng or np.random.default_rng(0)
         surface = Surface(conditions, look, source, resolution=RESOLUTION, leads=(LEAD_IN, LEAD_OUT))
-    memory = memory or AtlasMemory()
     centre, across = _with_leads(road)
     half_width = road.lane_width * 2 / 2
     low = centre.min(axis=0) - half_width - MARGIN
@@ -83,7 +90,7 @@ def paint_ground(
     ]
     touched = np.logical_or.reduce([tiles for _, tiles in stretches])
     raster = ground.open_tiles(touched)
-    mask = memory.mask(ground.shape)
+    mask = _MASKS.array(ground.shape)
     asphalt = surface.pavement(texture.asphalt) if surface else texture.asphalt
     for part, tiles in stretches:
         boxes = list(ground.boxes(tiles))

@@ -56,11 +56,34 @@ def _undistorted_radius(spec: CameraSpec, distorted: NDArray[np.float64]) -> NDA
 @lru_cache(maxsize=32)
 def sample_rays(spec: CameraSpec, samples: int) -> NDArray[np.float32]:
     """Rays of a whole image, with `samples` rays stacked vertically in every pixel, (samples, 3, rows * columns)."""
-    columns = np.arange(spec.width, dtype=np.float64)
-    rows = np.arange(spec.height_px, dtype=np.float64)
+    columns, rows = np.arange(spec.width, dtype=np.float64), np.arange(spec.height_px, dtype=np.float64)
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     table = np.stack([rays(spec, columns[None, :], (rows + offset)[:, None]).reshape(3, -1) for offset in offsets])
     return table.astype(np.float32)
+
+
+@lru_cache(maxsize=32)
+def pinhole_slopes(spec: CameraSpec, samples: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Components right (columns,) and down (samples, rows) of `sample_rays` of a pinhole, of which forward is 1."""
+    columns, rows = np.arange(spec.width, dtype=np.float64), np.arange(spec.height_px, dtype=np.float64)
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    right, down = rays(spec, columns, rows[:1])[0], rays(spec, columns[:1], rows + offsets[:, None])[1]
+    return right.astype(np.float32), down.astype(np.float32)
+
+
+SPARE_RAYS = 16
+"""Rays to transform beyond those needed: OpenCV rounds the last ones of a call differently, fewer than a vector."""
+
+
+@lru_cache(maxsize=32)
+def reversed_rays(spec: CameraSpec, samples: int) -> NDArray[np.float32]:
+    """Rays of `sample_rays` as forward, down, right, with spare ones at the end, (samples, rows * columns + 16, 3).
+
+    In this order `cv2.transform`, with the columns of its matrix reversed, has the bits of `components`.
+    """
+    table = np.zeros((samples, spec.height_px * spec.width + SPARE_RAYS, 3), np.float32)
+    table[:, :-SPARE_RAYS] = sample_rays.__wrapped__(spec, samples)[:, ::-1].swapaxes(1, 2)
+    return table
 
 
 def components(

@@ -92,9 +92,10 @@ def _painted(look: Look, scale: float) -> Painted:
     if look.lamps:
         _add_lamps(image, look, scale)
     for height, colour in _skyline(look, azimuth):
-        covered = (elevation[:, None] < height[None, :]).astype(np.float32)
-        cover = cv2.resize(covered, (turn, rows + _BELOW), interpolation=cv2.INTER_AREA)[:, :, None]
-        image = image * (1 - cover) + cover * colour
+        first = int((elevation < height.max()).argmax()) // _FINE  # row, below which all that is covered lies
+        covered = (elevation[first * _FINE :, None] < height[None, :]).astype(np.float32)
+        cover = cv2.resize(covered, (turn, rows + _BELOW - first), interpolation=cv2.INTER_AREA)[:, :, None]
+        image[first:] = image[first:] * (1 - cover) + cover * colour
     strip = np.full((rows + _BELOW, turn, 4), 255, np.uint8)
     strip[:, :, :3] = np.clip(image, 0, 255).round()
     return np.ascontiguousarray(np.concatenate((strip, strip), axis=1))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 import weakref
 from dataclasses import replace
 from functools import cached_property
@@ -20,7 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.camera.ground import Ground
-from ds_sim.camera.lens import Vector, components, optical_axes, sample_rays
+from ds_sim.camera.lens import (
+    SPARE_RAYS,
+    Vector,
+    components,
+    optical_axes,
+    pinhole_slopes,
+    reversed_rays,
+    sample_rays,
+)
 from ds_sim.camera.look import Look
 from ds_sim.camera.panorama import Panorama
 from ds_sim.camera.sensor import Sensor
@@ -83,7 +92,6 @@ class Camera:
         self._down_least, self._down_most = float(centre[1].min()) - 0.01, float(centre[1].max()) + 0.01
         self._forward_least = float(centre[2].min()) - 0.01
         self._frame = np.zeros((spec.height_px, spec.width, 4), np.uint8)
-        self._memory = _Memory(0)
         self._revealed: _Revealed | None = None
 
     @cached_property
@@ -125,7 +133,8 @@ class Camera:
                 self._draw_bands(ground, motion, group, height)
         if len(sky):
             self._blend_horizon(sky, axes, first, sky_end, top)
-        image = np.zeros((spec.height_px, spec.width, 3), np.uint8)
+        image = np.empty((spec.height_px, spec.width, 3), np.uint8)
+        image[: self._top] = image[self._bottom :] = 0
         cv2.cvtColor(frame[self._top : self._bottom], cv2.COLOR_RGBA2RGB, image[self._top : self._bottom])
         return image
 
@@ -224,13 +233,11 @@ class Camera:
         width = self._spec.width
         counts = [band.samples * (band.bottom - band.top) * width for band in bands]
         count = sum(counts)
-        memory = self._memory = self._memory if self._memory.size >= count else _Memory(count)
-        end = 0
-        for band, size in zip(bands, counts, strict=True):
-            rays = sample_rays(self._lens, band.samples)[:, :, band.top * width : band.bottom * width]
-            points = memory.points[:, end : end + size].reshape(3, band.samples, -1)
-            _transform(motion[band.samples], rays, points)
-            end += size
+        memory = _MEMORY.of(count)
+        if self._spec.lens == "pinhole" and not self._spec.exposure:
+            self._transform_rows(motion[1][0], bands, memory, count)
+        else:
+            self._transform_rays(motion, bands, memory)
         across, along, descent = memory.points[:, :count]
         far = any(band.far for band in bands)
         if far:
@@ -279,6 +286,28 @@ class Camera:
             else:
                 cv2.reduce(samples, 0, cv2.REDUCE_AVG, part.reshape(1, -1))
 
+    def _transform_rows(self, matrix: NDArray[np.float32], bands: list[_Band], memory: _Memory, count: int) -> None:
+        """Multiply a pinhole's rays by one matrix, with the bits of `components`, but without reading a table."""
+        slopes = [pinhole_slopes(self._lens, band.samples) for band in bands]
+        of_rows = [rows[:, band.top : band.bottom].ravel() for band, (_, rows) in zip(bands, slopes, strict=True)]
+        right, down = slopes[0][0], memory.scale[:count].reshape(-1, self._spec.width)
+        down[:] = np.concatenate(of_rows)[:, None]
+        for (a, b, c), out in zip(matrix.tolist(), memory.points[:, :count].reshape(3, *down.shape), strict=True):
+            np.multiply(right, np.float32(a), out)
+            cv2.scaleAdd(down, b, out, out)
+            np.add(out, np.float32(c), out)
+
+    def _transform_rays(self, motion: dict[int, NDArray[np.float32]], bands: list[_Band], memory: _Memory) -> None:
+        """Multiply rays by the matrices of their samples, with the bits of `components`."""
+        width, end = self._spec.width, 0
+        for band in bands:
+            rays = reversed_rays(self._lens, band.samples)[:, band.top * width : band.bottom * width + SPARE_RAYS]
+            matrices = np.ascontiguousarray(motion[band.samples][:, :, ::-1])
+            for of_sample, matrix in zip(rays, np.broadcast_to(matrices, (band.samples, 3, 3)), strict=True):
+                cv2.transform(of_sample[None], matrix, memory.mixed[:, end : end + len(of_sample)])
+                end += len(of_sample) - SPARE_RAYS
+        cv2.split(memory.mixed[:, :end], list(memory.points[:, None, :end]))
+
     def _blend_horizon(
         self, sky: NDArray[np.uint8], axes: tuple[Vector, Vector, Vector], first: int, sky_end: int, top: int
     ) -> None:
@@ -294,7 +323,7 @@ class Camera:
         descent = components(self._centre_rays[:, top : top + len(sky)], [-axis[2] * self._focal for axis in axes])
         np.subtract(0.5, descent, descent)
         descent *= 256.0
-        share = descent.clip(0, 256, descent).astype(np.uint16)[:, :, None]
+        share = cv2.merge((descent.clip(0, 256, descent).astype(np.uint16),) * 4)  # faster than broadcasting it
         frame = self._frame[top : top + len(sky)]
         mixed = sky * share
         mixed += frame * (256 - share)
@@ -327,26 +356,23 @@ class _Revealed(NamedTuple):
     only_ahead: bool
 
 
-class _Memory:
-    """Working memory for a number of rays: it stays in the cache from band to band."""
+class _Memory(threading.local):
+    """Working memory of a thread: it stays in the cache from band to band and from camera to camera."""
 
-    def __init__(self, size: int) -> None:
-        self.size = size
-        self.points = np.empty((3, size), np.float32)
-        self.scale = np.empty(size, np.float32)
-        self.drawn = np.empty(4 * size, np.uint8)
+    size = -1
+
+    def of(self, size: int) -> _Memory:
+        """Return this memory, with room for a number of rays."""
+        if self.size < size:
+            self.size = size
+            self.mixed = np.empty((1, size + SPARE_RAYS, 3), np.float32)
+            self.points = np.empty((3, size), np.float32)
+            self.scale = np.empty(size, np.float32)
+            self.drawn = np.empty(4 * size, np.uint8)
+        return self
 
 
-def _transform(matrices: NDArray[np.float32], rays: NDArray[np.float32], points: NDArray[np.float32]) -> None:
-    """Multiply rays (samples, 3, n) by matrices of `Camera._motion_matrices` into points (3, samples, n)."""
-    planes, rows = rays.swapaxes(0, 1), matrices.tolist()
-    components(planes, rows[0][2], points[2])  # motion in the plane changes no descent
-    for i in (0, 1):
-        if len(rows) == 1:
-            components(planes, rows[0][i], points[i])
-        else:
-            for of_sample, matrix, out in zip(rays, rows, points[i], strict=True):
-                components(of_sample, matrix[i], out)
+_MEMORY = _Memory()
 
 
 def _extent(heading: float, side: float, reach: float, ahead_only: bool) -> tuple[float, float]:

@@ -32,12 +32,13 @@ class Sensor:
         self._noise: tuple[NDArray[np.uint8], NDArray[np.uint8]] | None = None
         if spec.noise > 0.0:
             shape = (spec.height_px + _NOISE_MARGIN, spec.width + _NOISE_MARGIN, 3)
-            plate = rng.normal(0.0, 1.0, shape)
+            plate = rng.standard_normal(shape)
             if spec.noise_blur > 0.0:
                 plate = np.asarray(cv2.GaussianBlur(plate, (0, 0), spec.noise_blur))
             if spec.noise_colour < 1.0:
-                grey = plate[:, :, :1]
-                plate = grey * np.sqrt(1 - spec.noise_colour**2) + plate * spec.noise_colour
+                grey = plate[:, :, 0] * np.sqrt(1 - spec.noise_colour**2)
+                plate *= spec.noise_colour
+                plate += cv2.merge((grey, grey, grey))  # NumPy is slow where it repeats numbers within a pixel
             plate *= spec.noise / plate.std()
             signed = np.rint(plate, plate).astype(np.int16)
             # Bytes that are added or taken away saturate as signed noise does, and are much faster.
@@ -51,23 +52,23 @@ class Sensor:
             scene: (rows, columns, 3) uint8 RGB, of which `scene_rows` are read.
         """
         spec = self._spec
-        delivered = np.zeros(scene.shape, np.uint8)
+        delivered = np.empty(scene.shape, np.uint8)
+        delivered[: self._rows.start] = delivered[self._rows.stop :] = 0
         image, seen = delivered[self._rows], scene[self._rows]
         if spec.blur > 0.0:
             first, last = scene_rows(spec, (self._rows.start, self._rows.stop))
             blurred = np.asarray(cv2.GaussianBlur(scene[first:last], (0, 0), spec.blur), np.uint8)
             seen = blurred[self._rows.start - first : self._rows.stop - first]
-        if self._is_linear:
-            image[:] = seen
-        else:
-            cv2.LUT(seen, self._response, image)
+        if not self._is_linear:
+            seen = cv2.LUT(seen, self._response, image)
         if self._noise is not None:
             # A random window of one precomputed noise plate is much cheaper than new noise for each image.
             row, column = self._rng.integers(0, _NOISE_MARGIN, 2).tolist()
             rows = slice(self._rows.start + row, self._rows.stop + row)
             more, less = (plate[rows, column : column + spec.width] for plate in self._noise)
-            cv2.add(image, more, image)
-            cv2.subtract(image, less, image)
+            seen = cv2.subtract(cv2.add(seen, more, image), less, image)
+        if seen is not image:
+            image[:] = seen
         delivered.setflags(write=False)
         self._delayed.append(delivered)
         if len(self._delayed) > spec.latency + 1:
