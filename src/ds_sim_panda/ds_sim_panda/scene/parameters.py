@@ -142,9 +142,9 @@ POST: Linear = (0.70, 0.70, 0.70)
 # Drawing.
 SAMPLES = 4
 """Samples of a pixel; chosen: what llvmpipe offers."""
-HIDING_WITHIN = 10.0
+HIDING_WITHIN = 6.0
 """Distance along the axis within which the road hides the ground below it, which is then not drawn; chosen: a pixel
-there is less than a metre wide, so that none under the road's own width shows the ground beyond the verge."""
+there is less than 0.4 m wide, and where the road fades out the verge below it is whole."""
 SHADOW_MARGIN = 25.0
 """Margin around the road's bounding box in which there are shadows; chosen: farther ones are less than a pixel high."""
 SHADOW_PIXELS = 2048

@@ -51,8 +51,9 @@ class World:
         self.origin = course.origin
         self.root = core.NodePath("world")
         self._sky = self._surface(sky_dome(), "sky", 0, sky=sky_texture(setting.sky if setting else daylight))
-        strip = road_strip(course, (-course.half_width, course.half_width))
-        hiding = self._surface(mesh_node("hiding", *strip), "hiding", 0)
+        border = course.half_width + FILTER
+        # The triangles of the road itself, so that samples which it misses at their borders are not hidden either.
+        hiding = self._surface(mesh_node("hiding", *road_strip(course, (-border, 0.0, border))), "hiding", 0)
         hiding.set_attrib(core.ColorWriteAttrib.make(core.ColorWriteAttrib.C_off))
         hiding.set_depth_test(True)
         hiding.set_depth_write(True)
