@@ -82,7 +82,7 @@ for verb in (["--version"], ["doctor"], ["drive", "--sim", "bullet"], ["train", 
         [sys.executable, "-I", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )
     assert "ds_interfaces/msg/Road" in done.stdout and "dave2" in done.stdout, done.stderr
-    assert f"ds {PROJECT['version']}\n" in done.stdout and "all 3" in done.stdout, done.stdout
+    assert f"ds {PROJECT['version']}\n" in done.stdout and "checks passed\n" in done.stdout, done.stdout
     assert "doctor 0\n" in done.stdout and "drive 1\n" in done.stdout and "train 1\n" in done.stdout, done.stdout
     assert "error: rclpy and ds_interfaces not found: nodes need ROS 2" in done.stderr
     assert "error: this needs PyTorch, an extra: python -m pip install 'digital-siblings[torch]'" in done.stderr

@@ -132,7 +132,7 @@ def test_calibration_images_are_cropped_as_their_simulators_are() -> None:
     frames = calibration_frames()
     for name in SIMULATORS:
         spec, crops = spec_of(name), [frame.crop for frame in frames if frame.simulator == name]
-        assert crops == [Crop(spec.crop_top, spec.crop_bottom)] * 8
+        assert crops == [Crop(spec.crop_top, spec.crop_bottom)] * 7
 
 
 def test_a_backend_gives_the_same_bits_in_another_process() -> None:
