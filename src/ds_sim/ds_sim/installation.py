@@ -41,6 +41,23 @@ def install_command(extra: str) -> str:
     return f".venv/bin/python -m pip install --no-deps -r requirements/{extra}.txt"
 
 
+CPUINFO = Path("/proc/cpuinfo")
+"""Where Linux describes the processors."""
+
+
+def processor_flags(cpuinfo: Path = CPUINFO) -> frozenset[str]:
+    """Features of this machine's first processor in Linux's words (`avx2`, `avx512_bf16`); empty if it states none."""
+    try:
+        lines = cpuinfo.read_text("utf-8", "replace").splitlines()
+    except OSError:
+        return frozenset()
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name.strip() in ("flags", "Features"):
+            return frozenset(value.split())
+    return frozenset()
+
+
 _DISTRIBUTIONS = (
     "numpy", "scipy", "scikit-learn", "statsmodels", "opencv-python-headless", "torch", "onnxruntime", "openvino",
     "pybullet", "pymunk", "panda3d", "numba", "commonroad-vehicle-models", "shapely", "plotly",

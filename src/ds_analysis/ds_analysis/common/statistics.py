@@ -103,14 +103,19 @@ def auc_prc_or_reason(predicted: Array, truth: Array) -> tuple[float | None, str
     return None, f"the twin fails in {'every cell' if (truth > 0).all() else 'no cell'}"
 
 
+def ranks(predicted: Array) -> tuple[Indices, Indices]:
+    """Order that sorts predictions, the largest first, and where in it each run of equal ones ends."""
+    order = np.argsort(-predicted, kind="stable")
+    return order, np.flatnonzero(np.append(np.diff(predicted[order]) != 0.0, True))
+
+
 # scikit-learn is imported in the functions that use it: the import takes 1 s, and most commands do not need it.
 def auc_prc(predicted: Array, truth: Array) -> float:
     """Compute the AUC-PRC as scikit-learn's average precision; (cells,) values of a map, and the twin's rates.
 
     Same bits as `sklearn.metrics.average_precision_score`, whose checks take most of a bootstrap's time.
     """
-    order = np.argsort(-predicted, kind="stable")
-    ends = np.flatnonzero(np.append(np.diff(predicted[order]) != 0.0, True))
+    order, ends = ranks(predicted)
     hits = np.cumsum(truth[order] > 0.0)[ends].astype(np.float64)
     recall = np.append((hits / hits[-1])[::-1], 0.0)
     return max(0.0, -float(np.sum(np.diff(recall) * (hits / (ends + 1.0))[::-1])))

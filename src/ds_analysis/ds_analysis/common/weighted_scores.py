@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ds_analysis.common.statistics import Array, Indices
+from ds_analysis.common.statistics import Array, Indices, ranks
 from ds_orchestrator.maps.algebra import LEVEL
 
 _NO_WIDTH = 1e-9
@@ -105,8 +105,7 @@ def average_precision(predicted: Array, failing: Array, weights: Array) -> Array
 
 
 def _average_precision(predicted: Array, hits: Array, weights: Array) -> Array:
-    order = np.argsort(-predicted, kind="stable")
-    ends = np.flatnonzero(np.append(np.diff(predicted[order]) != 0.0, True))
+    order, ends = ranks(predicted)
     found = np.cumsum(hits[:, order], axis=1)[:, ends]
     seen = np.cumsum(weights[:, order], axis=1)[:, ends]
     with np.errstate(invalid="ignore", divide="ignore"):

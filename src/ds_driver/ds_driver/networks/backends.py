@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.networks.pilot import DriverError
-from ds_sim.installation import install_command
+from ds_sim.installation import CPUINFO, install_command, processor_flags
 
 BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
 """auto: `network_driver.BUILT_IN_BACKEND` for built-in networks, the native backend for a network file."""
@@ -212,12 +212,9 @@ def cpu_capabilities(core: Any) -> list[str]:
     return list(core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"))
 
 
-def has_bfloat16(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
+def has_bfloat16(cpuinfo: Path = CPUINFO) -> bool:
     """Whether this processor computes in bfloat16, as Linux lists it; without OpenVINO."""
-    try:
-        return not {"avx512_bf16", "amx_bf16"}.isdisjoint(cpuinfo.read_text().split())
-    except OSError:
-        return False
+    return not processor_flags(cpuinfo).isdisjoint(("avx512_bf16", "amx_bf16"))
 
 
 class _Batches:

@@ -11,6 +11,7 @@ import onnx
 from numpy.typing import NDArray
 
 from ds_driver.networks.backends import BackendError, last_line, onnx_runner
+from ds_sim.installation import CPUINFO, processor_flags
 
 Samples = Callable[[], Sequence[NDArray[Any]]]
 """Makes inputs of a network, with a batch of one."""
@@ -20,10 +21,9 @@ _INSTRUCTIONS = frozenset(("avx512_vnni", "avx_vnni", "amx_int8"))
 """Flags of processors that sum products of 8 bits exactly; others saturate at 16 bits."""
 
 
-def has_vnni(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
+def has_vnni(cpuinfo: Path = CPUINFO) -> bool:
     """Return whether 8 bits gain time on this processor, and give right sums."""
-    flags = {word for line in cpuinfo.read_text().splitlines() if line.startswith("flags") for word in line.split()}
-    return bool(flags & _INSTRUCTIONS)
+    return not processor_flags(cpuinfo).isdisjoint(_INSTRUCTIONS)
 
 
 def for_backend(backend: str, content: bytes, where: str, samples: Samples) -> bytes:

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from ds_sim.installation import versions
+from ds_sim.installation import CPUINFO, processor_flags, versions
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import SimulatorError
 
@@ -99,16 +99,11 @@ def code_sha256() -> str:
     return digest.hexdigest()
 
 
-def _processor_features(backend: str, cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    try:
-        lines = cpuinfo.read_text("utf-8", "replace").splitlines()
-    except OSError:
+def _processor_features(backend: str, cpuinfo: Path = CPUINFO) -> str:
+    flags = processor_flags(cpuinfo)
+    if not flags:
         return platform.processor() or "unknown"
-    for line in lines:
-        name, _, value = line.partition(":")
-        if name.strip() in ("flags", "Features"):
-            found = {flag for flag in value.split() if flag.startswith(_FEATURES)}
-            if backend in ("", "onnx"):
-                found = found & _FLOATING_POINT or found  # all of another architecture's
-            return " ".join(sorted(found))
-    return platform.processor() or "unknown"
+    found = {flag for flag in flags if flag.startswith(_FEATURES)}
+    if backend in ("", "onnx"):
+        found = found & _FLOATING_POINT or found  # all of another architecture's
+    return " ".join(sorted(found))

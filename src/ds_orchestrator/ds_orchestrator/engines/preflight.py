@@ -17,7 +17,7 @@ from ds_sim.registry import make_simulator, spec_of
 
 BFLOAT16_SHARE = {"graph": 0.55, "local": 0.6, "dask": 0.6}
 """Processor time of a campaign with `local` in bfloat16 over that with an engine and ONNX Runtime, for Dave-2; measured
-(benchmarks/campaign.py)."""
+(benchmarks/campaign.py), but for `graph`: estimated from an earlier version's."""
 
 
 def preflight(settings: DriveSettings) -> None:
