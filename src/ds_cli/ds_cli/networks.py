@@ -97,6 +97,7 @@ def train_command(
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs at most; the schedule's if left out.")] = None,
     images: Annotated[int | None, typer.Option(min=1, help="Images per simulator; all if left out.")] = None,
     learning_rate: Annotated[float, typer.Option(min=1e-7, max=1.0, help="Learning rate of Adam.")] = 1e-4,
+    weights_at: Annotated[str, typer.Option(help="Steps after which weights are written, too: 100,200,400.")] = "",
     threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 2,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     trust: Trust = None,
@@ -108,7 +109,7 @@ def train_command(
     plan = TrainingPlan(
         network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs, patience=chosen.patience,
         without_dropout=chosen.without_dropout, images_per_simulator=images, learning_rate=learning_rate,
-        threads=threads, device=device,
+        weights_at=_steps_of(weights_at), threads=threads, device=device,
     )  # fmt: skip
     try:
         train(data, out, plan, say, trusted=trust or [])
@@ -118,6 +119,14 @@ def train_command(
             f"the finished epochs are kept in {out}; the same command continues" if known else ""
         ) from None
     print(out / f"{network}.safetensors")
+
+
+def _steps_of(text: str) -> tuple[int, ...]:
+    """Read steps separated by commas."""
+    steps = [part.strip() for part in text.split(",") if part.strip()]
+    if not all(step.isdecimal() and int(step) > 0 for step in steps):
+        raise typer.BadParameter(f"{text!r}: expected steps from 1 up, separated by commas, such as 100,200,400")
+    return tuple(int(step) for step in steps)
 
 
 @app.command("models")

@@ -64,6 +64,7 @@ class TrainingPlan:
         validation: share of the roads held out (paper 3.2.2: 20 %).
         images_per_simulator: largest number of images per simulator; None for all.
         without_dropout: epochs at the end that train without dropout, so that a network drives as it was trained.
+        weights_at: steps (batches, over all epochs) after which `<network>_<step>.safetensors` is written, too.
         threads: number of threads that PyTorch uses.
         device: `cpu`, `cuda`, or `auto`, which uses a GPU if there is one.
     """
@@ -77,6 +78,7 @@ class TrainingPlan:
     validation: float = 0.2
     images_per_simulator: int | None = None
     without_dropout: int = 0
+    weights_at: tuple[int, ...] = ()
     threads: int = 2
     device: str = "auto"
 
@@ -169,7 +171,13 @@ def train(
         number = len(history) + 1
         started = time.monotonic()
         torch.manual_seed(plan.seed * 1000 + number)
-        training_loss = _train_epoch(network, optimizer, training, crops, plan, number, report)
+
+        def keep(step: int) -> None:
+            if step in plan.weights_at:
+                file = out / f"{plan.network}_{step}.safetensors"
+                save_weights(network, file, architecture=plan.network, generators=generators)
+
+        training_loss = _train_epoch(network, optimizer, training, crops, plan, number, report, keep)
         validation_loss = _validate(network, validation, crops, plan)
         seconds = round(time.monotonic() - started, 1)
         history.append(
@@ -248,7 +256,9 @@ def _train_epoch(
     plan: TrainingPlan,
     number: int,
     report: Report,
+    keep: Callable[[int], None],
 ) -> float:
+    """Train for one epoch; `keep` hears of every step, counted from 1 over all epochs; return the mean loss."""
     network.train()
     if number > plan.epochs - plan.without_dropout:
         disable_dropout(network)
@@ -266,6 +276,7 @@ def _train_epoch(
         loss.backward()
         optimizer.step()
         losses.append(loss.item())
+        keep((number - 1) * len(batches) + index)
         if index % 50 == 0:
             speed = index * plan.batch_size / (time.monotonic() - started)
             report(f"epoch {number}: {index}/{len(batches)} batches, loss {np.mean(losses[-50:]):.5f}, {speed:.0f}/s")
@@ -344,13 +355,14 @@ def save_checkpoint(folder: Path, state: dict[str, Any]) -> None:
 
 
 def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop]) -> dict[str, object]:
-    """What must match for a training to be resumed; the number of epochs, patience, threads and device may change."""
+    """What must match for a training to be resumed; epochs, patience, `weights_at`, threads and device may change."""
     digest = hashlib.sha256()
     for sample in samples:
         digest.update(f"{sample.simulator} {sample.road_id} {sample.steering} {len(sample.jpeg)} ".encode())
     for simulator, crop in sorted(crops.items()):
         digest.update(f"{simulator} {crop.top} {crop.bottom} ".encode())
-    settings = {k: v for k, v in asdict(plan).items() if k not in ("epochs", "threads", "patience", "device")}
+    free = ("epochs", "threads", "patience", "device", "weights_at")
+    settings = {k: v for k, v in asdict(plan).items() if k not in free}
     return {**settings, "data": digest.hexdigest()}
 
 

@@ -85,6 +85,10 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
     assert whole[1].training_loss < whole[0].training_loss
     best = (tmp_path / "whole" / "dave2.safetensors").read_bytes()
     assert best == (tmp_path / "parts" / "dave2.safetensors").read_bytes()
+    train(data, tmp_path / "steps", replace(plan(2), weights_at=(4, 8)), lambda _: None, crops)
+    kept = [(tmp_path / "steps" / f"dave2_{step}.safetensors").read_bytes() for step in (4, 8)]
+    lowest = min((0, 1), key=lambda k: whole[k].validation_loss)
+    assert kept[lowest] == best != kept[1 - lowest]
     with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
         train(data, tmp_path / "parts", replace(plan(2), seed=9), lambda _: None, crops)
     with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
