@@ -14,13 +14,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate
 from ds_sim.simulator import FRAME_TIME
 
+WEIGHTS_NOTE = "driver_sha256"
+"""Note of a table with the digest of the driver's weights, so that a restored campaign goes on with no others."""
 FORMAT_VERSION = "1"
 """Increases when a column changes its meaning or goes; new columns may come at any time."""
 
@@ -123,6 +125,8 @@ def write_tables(data: CampaignData, folder: Path, *, frames: bool = False) -> l
         "config": data.config.model_dump_json(),
         "features": json.dumps(data.config.features),
     }
+    if DRIVER_SHA256 in data.notes:
+        notes[WEIGHTS_NOTE] = data.notes[DRIVER_SHA256]
     executions = folder / EXECUTIONS_FILE
     pq.write_table(executions_table(data, **notes), executions, compression="zstd")
     if not frames:

@@ -58,6 +58,8 @@ class DriveArrays:
 
 
 NO_DRIVE = DriveArrays(np.empty((0, 5)), np.empty(0))
+_NOT_KEPT = check.pack_numbers(NO_DRIVE.trajectory)
+"""Frames of an execution that was restored from a table of outcomes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -211,12 +213,14 @@ class StoredDrive:
         return _arrays_of(self).steering
 
     def read(self) -> DriveArrays:
-        """Read every frame."""
+        """Read every frame; there are none where a campaign was restored from a table of outcomes."""
         max_lateral_position, steps, sha256, rowid = self.row[5], self.row[6], self.row[8], self.row[10]
         found = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (rowid,))
         try:
             if not found:
                 raise check.RowError("it was replaced meanwhile")
+            if found[0][0] == _NOT_KEPT:
+                return NO_DRIVE
             trajectory = check.unpack_trajectory(found[0][0], sha256, steps=steps)
             steering = check.unpack_numbers(found[0][1], "steering", count=steps)
             lateral = np.abs(trajectory[:, 4])
