@@ -1,0 +1,61 @@
+"""What a driver's commands and speed say about how it is connected: saturated, constant, or crawling."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+HabitKind = Literal["saturated", "constant", "crawls"]
+
+SATURATED_SHARE = 0.5
+"""Share of a drive's commands at full lock from which the driver counts as saturated; chosen: half of a drive."""
+CONSTANT_SPREAD = 1e-3
+"""Largest difference between commands of a driver that counts as constant; chosen: a tenth of a servo's step."""
+CRAWLING = 1.5
+"""Mean speed below which a driver counts as crawling, m/s; chosen: a fifth of the paper's 30 km/h, where a road of 150 m
+takes longer than the limit of a run."""
+FEWEST = 20
+"""Frames of a drive below which nothing is said: one second."""
+_FULL_LOCK = 1.0 - 1e-9
+
+
+class Habit(NamedTuple):
+    """One thing about a driver's commands that its user should know.
+
+    Attributes:
+        kind: saturated, constant or crawls.
+        text: what was seen, with its number, and the usual cause.
+    """
+
+    kind: HabitKind
+    text: str
+
+
+def command_habits(steering: NDArray[np.float64], speed: NDArray[np.float64]) -> tuple[Habit, ...]:
+    """Find what is unusual in the commands of one or several drives.
+
+    Args:
+        steering: (frames,) commands, clipped to [-1, 1].
+        speed: (frames,) or longer, m/s.
+
+    Examples:
+        >>> import numpy as np
+        >>> [habit.kind for habit in command_habits(np.ones(100), np.full(101, 6.0))]
+        ['saturated', 'constant']
+    """
+    found: list[Habit] = []
+    if len(steering) < FEWEST:
+        return ()
+    share = float(np.mean(np.abs(steering) >= _FULL_LOCK))
+    if share >= SATURATED_SHARE:
+        found.append(
+            Habit("saturated", f"{share:.0%} of its steering commands are at full lock: is its output in degrees?")
+        )
+    if np.ptp(steering) <= CONSTANT_SPREAD:
+        found.append(Habit("constant", f"it always steers {steering[0]:.3f}: does the image reach the network?"))
+    mean = float(np.mean(speed))
+    if mean < CRAWLING:
+        found.append(Habit("crawls", f"it drives at {3.6 * mean:.1f} km/h on average: is its throttle scaled?"))
+    return tuple(found)
