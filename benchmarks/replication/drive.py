@@ -25,6 +25,9 @@ from ds_studies.whole_campaign import run_campaign
 NETWORKS = ("dave2", "chauffeur", "epoch", "dave2_real", "chauffeur_real", "epoch_real")
 WEIGHTS = Path("benchmarks/replication/networks")
 TABLES = Path("docs/data/replication")
+BACKEND = "openvino"
+"""In single precision, so that any x86-64 processor can go on with a campaign; it decides as bfloat16 does
+(docs/speed.md)."""
 KEEP_EVERY = 200
 """Executions between two tables; chosen: some minutes."""
 
