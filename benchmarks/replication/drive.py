@@ -35,7 +35,7 @@ KEEP_EVERY = 200
 def config_of(network: str) -> CampaignConfig:
     """The paper's campaign for one network, without bags, on one core."""
     paper = read_config(Path("src/ds_bringup/config/paper.yaml"))
-    driver = f"{WEIGHTS / network}.safetensors@openvino-bf16"
+    driver = f"{WEIGHTS / network}.safetensors@{BACKEND}"
     return paper.model_copy(update={"driver": driver, "engine": "local", "workers": 1, "record": "none"})
 
 
