@@ -9,7 +9,6 @@ setup_package(
     scripts=[
         "campaign = ds_cli.ros.executables:campaign",
         "drive = ds_cli.ros.executables:drive",
-        "demo = ds_cli.ros.executables:demo",
         "watch = ds_cli.ros.executables:watch",
     ],
 )

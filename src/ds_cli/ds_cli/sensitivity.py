@@ -74,6 +74,7 @@ def sensitivity_command(
     from ds_sim.camera.encodings import png
     from ds_studies.sensitivity.analysis import analyse_sensitivity
     from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
+    from ds_studies.sensitivity.page import SensitivityPage
     from ds_studies.sensitivity.picture import draw_sensitivity
 
     driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)
@@ -84,10 +85,13 @@ def sensitivity_command(
     if out is not None:
         make_folder(out)
     folder = None if out is None else out / "drives"
+    page = None if out is None else SensitivityPage(out / "sensitivity.html")
+    if page is not None:
+        say(f"live in a browser: {page.path}")
     with stopped_in(folder):
         found = analyse_sensitivity(
             settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
-            progress=countdown(), say=say,
+            progress=countdown(), watch=page.write if page else lambda found: None, say=say,
         )  # fmt: skip
     document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
     if out is not None:
@@ -99,7 +103,7 @@ def sensitivity_command(
         found.table().show(Console())
         for line in found.errors:
             print(f"error: {line}")
-        if out is not None:
-            print(out / "sensitivity.png")
+        if page is not None:
+            print(page.path)
 
     end(Result(document=document, show=show, error=bool(found.errors)), as_json)

@@ -48,7 +48,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Test",
         (
-            Verb("demo", "campaign.group", "Run a small campaign with the shipped network, from search to report."),
+            Verb("demo", "demo", "See where a shipped network fails, why, and what to do next, in five minutes."),
             Verb(
                 "campaign",
                 "campaign.group",

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ds_driver.control.command_habits import command_habits
 
@@ -17,7 +18,7 @@ WAVE = 0.4 * np.sin(np.linspace(0.0, 20.0, 200))
         (np.ones(10), 0.0, []),  # half a second says nothing
     ],
 )
-def test_names_what_is_unusual_about_commands(steering, speed, kinds) -> None:
+def test_names_what_is_unusual_about_commands(steering: NDArray[np.float64], speed: float, kinds: list[str]) -> None:
     found = command_habits(steering, np.full(len(steering) + 1, speed))
 
     assert [habit.kind for habit in found] == kinds

@@ -9,7 +9,8 @@ rule was fixed before it was applied to any campaign:
    split in both directions. The split with the largest Youden index J, the share of failing tests above minus the
    share of passing tests above, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before turns
    before conditions, then the harder threshold.
-3. The split is reported only if the 95 % intervals (Jeffreys) of both sides' failure probabilities do not overlap,
+   Where conditions vary, the best split of the other kind, road or conditions, is named after it.
+3. A split is reported only if the 95 % intervals (Jeffreys) of both sides' failure probabilities do not overlap,
    since a threshold chosen from the same data always looks better than it is.
 """
 
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from ds_analysis.common.heatmap import Value
 from ds_analysis.paper.correlation import Correlation, PairedDifference
@@ -47,6 +49,9 @@ class Share:
     def interval(self) -> tuple[float, float]:
         """95 % interval of the failure probability (Jeffreys)."""
         return jeffreys_interval(self.failures, self.roads)
+
+
+Kind = Literal["road", "conditions"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,14 +118,21 @@ def road_outcomes(data: CampaignData) -> RoadOutcomes:
     )
 
 
-def best_split(outcomes: RoadOutcomes) -> Split | None:
-    """Find the split with the largest Youden index, clear or not, by rule 2 of this module; None if there is none."""
+def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None:
+    """Find the split with the largest Youden index, clear or not, by rule 2 of this module; None if there is none.
+
+    Args:
+        outcomes: roads and which of them fail.
+        kind: only axes of the road, or only conditions; None for all.
+    """
     total = outcomes.share
     passing = total.roads - total.failures
     if not 0 < total.failures < total.roads:
         return None
     candidates: list[tuple[tuple[int, int, float], Split]] = []
     for order, (axis, values, sign) in enumerate(_axes(outcomes)):
+        if kind not in (None, kind_of(axis)):
+            continue
         hardness = [sign * value for value in values]
         for threshold in sorted(set(hardness))[1:]:
             above = [failed for value, failed in zip(hardness, outcomes.failed, strict=True) if value >= threshold]
@@ -133,6 +145,11 @@ def best_split(outcomes: RoadOutcomes) -> Split | None:
             )
             candidates.append(((youden, -order, threshold), split))
     return max(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
+
+
+def kind_of(axis: str) -> Kind:
+    """Whether an axis of `Split` is about the road or a condition."""
+    return "conditions" if axis in FIELDS else "road"
 
 
 def _axes(outcomes: RoadOutcomes) -> Iterator[tuple[str, list[float], int]]:
@@ -149,6 +166,7 @@ def _axes(outcomes: RoadOutcomes) -> Iterator[tuple[str, list[float], int]]:
             yield name, values, -1
 
 
+NOTHING_DRIVEN = "Nothing was driven yet, so there is nothing to report."
 _CHANCE = 0.05
 """p-value from which a correlation is called compatible with chance (paper 4.3.1)."""
 _WORDS = {"probability": "failure probability", "quality_loss": "quality loss"}
@@ -196,7 +214,7 @@ def summarise(
     """
     config = data.config
     if not data.executions:
-        return Findings(headline="Nothing was driven yet, so there is nothing to report.")
+        return Findings(headline=NOTHING_DRIVEN)
     outcomes = road_outcomes(data)
     details = [_coverage(data), _failures(data), _agreement(config, maps)]
     if config.twin and maps[MapId.merged()].cells:
@@ -231,16 +249,24 @@ def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
     split = best_split(outcomes)
     if split is None or not split.is_clear:
         axes = ("the tightest bend", "the number of turns", *outcomes.varied_conditions)
-        none = f"Neither {' nor '.join(axes)} separates" if len(axes) == 2 else f"None of {_listed(axes)} separates"
+        none = f"Neither {' nor '.join(axes)} separates" if len(axes) == 2 else f"None of {listed(axes)} separates"
         return (
             f"{driver} failed on {total.failures} of {all_of} on {outcomes.where} ({_percent(total)}). {none} these "
             f"{thing}s clearly from the others."
         )
+    first = f"On {outcomes.where}, {driver} fails on {thing}s with {_harder_than(split)}: {_sides(split, thing)}."
+    second = best_split(outcomes, "road" if kind_of(split.axis) == "conditions" else "conditions")
+    if second is None or not second.is_clear:
+        return first
+    return f"{first} It also fails more often with {_harder_than(second)}: {_sides(second, thing)}."
+
+
+def _sides(split: Split, thing: str) -> str:
+    """State how often the tests on both sides of a split fail."""
     harder, gentler = split.harder, split.gentler
-    others = f"{gentler.failures or 'none'} of the {gentler.roads} others"
     return (
-        f"On {outcomes.where}, {driver} fails on {thing}s with {_harder_than(split)}: {harder.failures} of "
-        f"{harder.roads} such {thing}s failed ({_percent(harder)}), and {others} ({_percent(gentler)})."
+        f"{harder.failures} of {harder.roads} such {thing}s failed ({_percent(harder)}), and "
+        f"{gentler.failures or 'none'} of the {gentler.roads} others ({_percent(gentler)})"
     )
 
 
@@ -301,8 +327,8 @@ def _conditions(outcomes: RoadOutcomes) -> str:
     return f"Conditions: {', '.join(named)}." if named else ""
 
 
-def _listed(parts: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
+def listed(parts: Sequence[str]) -> str:
+    """Join words as `a`, `a and b`, `a, b and c`."""
     return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
@@ -325,7 +351,7 @@ def _agreement(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
 def _coverage(data: CampaignData) -> str:
     config, verdicts = data.config, len(data.verdicts)
     expected = len(data.tests) * len(config.simulators)
-    roles = _listed([*config.siblings, *([f"the twin {config.twin}"] if config.twin else [])])
+    roles = listed([*config.siblings, *([f"the twin {config.twin}"] if config.twin else [])])
     text = f"The driver {config.driver} was given {count(len(data.tests), 'road')} to drive on {roles}"
     if verdicts == expected:
         return f"{text}: {count(verdicts, 'run')}, each with a verdict."
@@ -343,7 +369,7 @@ def _failures(data: CampaignData) -> str:
         outcomes = [e.outcome.is_failure for e in data.verdicts if e.simulator == name]
         share = f" ({100 * sum(outcomes) / len(outcomes):.0f} %)" if outcomes else ""
         parts.append(f"{sum(outcomes)} of {len(outcomes)}{share} on {name}")
-    return f"It failed {_listed(parts)}."
+    return f"It failed {listed(parts)}."
 
 
 def _predicted(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
@@ -373,7 +399,7 @@ def _comparison(
         return f"{subject}, the merged map cannot be compared with the twin: {merged.reason}."
     if merged.caution:
         return f"{subject}, no conclusion about how well the siblings predict the twin: {merged.caution}."
-    siblings = _listed([f"{c.map.simulator} {_r(c)}" for c in unions])
+    siblings = listed([f"{c.map.simulator} {_r(c)}" for c in unions])
     numbers = (
         f"{subject}, the merged map correlates with the failures of the twin {config.twin} with r = {merged.r:.2f}"
     )
@@ -404,4 +430,4 @@ def _against_siblings(paired_differences: Sequence[PairedDifference]) -> str:
     for difference in paired_differences:
         low, high = difference.r_interval or (0.0, 0.0)
         (better if low > 0 else worse if high < 0 else open_).append(difference.over.simulator)
-    return _listed([f"{how} {_listed(names)} alone" for how, names in groups.items() if names])
+    return listed([f"{how} {listed(names)} alone" for how, names in groups.items() if names])

@@ -37,6 +37,7 @@ from ds_report.camera_pictures import (
     worst_first,
 )
 from ds_report.findings import count, summarise
+from ds_report.first_screen import first_screen
 from ds_report.page_data import in_words, page_data
 from ds_report.plotly_figures import correlation_chart, density_chart, layouts
 from ds_report.sections import AnswerSection, FurtherMap, SiblingSection
@@ -102,6 +103,7 @@ def write_report(
     text = page.render(
         config=config,
         config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
+        first=first_screen(data),
         findings=summarise(data, maps, correlations, paired_differences=paired_differences),
         tiles=_tiles(data, correlations),
         cameras=camera_pictures(config.simulators, place, trusted, config.driver) if place else [],

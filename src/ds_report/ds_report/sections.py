@@ -6,23 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from ds_analysis.common.heatmap import bounds_of, draw_map
 from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, table_of_campaign
 from ds_analysis.common.table import Table
 from ds_analysis.prediction.calibration import check_in_turn
+from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.real.records import RecordError, read_drives
-from ds_analysis.prediction.real.update import margin_drives
-from ds_analysis.prediction.twin_prediction import predict_twin, span_of
-from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts, judge
+from ds_analysis.prediction.twin_prediction import span_of
+from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.pictures import draw_failures, draw_matrix
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.sqlite_file import StoreError
-from ds_report.findings import count
 from ds_report.page_data import data_address
 
 MOST_COMPARED = 2_000
@@ -71,36 +68,18 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
         data: contents of its store.
     """
     try:
-        drives = read_drives(folder)
         # A real drive may be of any test.
-        table = table_of_campaign(data, most=None if drives else MOST_ANALYSED).as_population()
-        prediction = predict_twin(table)
-        prediction = prediction.updated(margin_drives(table, drives))
+        car = predict_car(folder, table_of_campaign(data, most=None if read_drives(folder) else MOST_ANALYSED))
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
-    verdicts = judge(table, prediction)
-    check = check_in_turn(table)
-    titles = [feature_of(name).title for name in verdicts.features]
+    check = check_in_turn(car.table)
+    titles = [feature_of(name).title for name in car.verdicts.features]
     return AnswerSection(
-        sentence=_sentence(verdicts, table.siblings, len(drives), sum(drive.failed for drive in drives)),
-        reading=f"{_reading(verdicts, len(drives))} {check.sentence}. {table.sample_note}".rstrip(),
-        warnings=[text for text in (span_of(prediction).warning, check.warning) if text],
+        sentence=car.sentence,
+        reading=f"{_reading(car.verdicts, car.drives)} {check.sentence}. {car.table.sample_note}".rstrip(),
+        warnings=[text for text in (span_of(car.prediction).warning, check.warning) if text],
         axes=(titles[0], titles[1]),
-        panels=_panels(verdicts),
-    )
-
-
-def _sentence(verdicts: Verdicts, simulators: Sequence[str], drives: int, failed: int) -> str:
-    counts = verdicts.counts
-    tested = sum(counts.values()) - counts["untested"]
-    share = float(np.mean([one.probability for one in verdicts.tests]))
-    known = f"after {count(drives, 'real drive')}, {failed} failed" if drives else "without a real drive"
-    named = simulators[0] if len(simulators) == 1 else f"{', '.join(simulators[:-1])} and {simulators[-1]}"
-    fail, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
-    return (
-        f"On a car, predicted from {named} {known}: {fail} of {count(tested, 'cell')} fail{'s' if fail == 1 else ''}, "
-        f"{safe} {'is' if safe == 1 else 'are'} safe, {disputed} {'is' if disputed == 1 else 'are'} disputed; "
-        f"{100 * share:.0f} % of these tests are expected to fail."
+        panels=_panels(car.verdicts),
     )
 
 

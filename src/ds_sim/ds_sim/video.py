@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from ds_road import Road
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import three_digits
+from ds_sim.session import RunRecord
 from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcome
 
 MAGNIFICATION = 3
@@ -73,25 +75,63 @@ def write_video(
     Raises:
         VideoError: the video cannot be written.
     """
+    _write_frames(path, _frames(title, road, observations, commands, conditions, translate))
+
+
+def write_together(path: Path, drives: Sequence[tuple[str, RunRecord, Iterable[Observation]]]) -> None:
+    """Write drives one below the other; one that has ended shows its last frame until all have.
+
+    Args:
+        path: name that ends with `.mp4`; the file appears complete or not at all.
+        drives: title, run, and its observations with images, of each.
+
+    Raises:
+        VideoError: the video cannot be written.
+    """
+    films = [_frames(title, run.road, seen, run.commands, run.conditions) for title, run, seen in drives]
+    _write_frames(path, map(np.vstack, _held(films)))
+
+
+def _held(films: Sequence[Iterator[NDArray[np.uint8]]]) -> Iterator[list[NDArray[np.uint8]]]:
+    """Frames of all films at a time, the last one of those that have ended."""
+    shown: list[NDArray[np.uint8]] = []
+    for frames in zip_longest(*films):
+        shown = [new if new is not None else shown[place] for place, new in enumerate(frames)]
+        yield shown
+
+
+def _frames(
+    title: str,
+    road: Road,
+    observations: Iterable[Observation],
+    commands: Sequence[Command],
+    conditions: Conditions,
+    translate: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None,
+) -> Iterator[NDArray[np.uint8]]:
+    """Frames of a run; see `write_video`."""
+    panel = _Panel(title, road, conditions)
+    for step, observation in enumerate(observations):
+        command = commands[step] if step < len(commands) else None
+        translated = None if translate is None else translate(observation.image)
+        yield compose(observation, panel.draw(observation, command), translated)
+
+
+def _write_frames(path: Path, frames: Iterable[NDArray[np.uint8]]) -> None:
+    """Write RGB frames of one size as a video."""
     check_path(path)
-    partial = path.with_name(f".{path.stem}.partial.mp4")
-    width, height = IMAGE_WIDTH * MAGNIFICATION, IMAGE_HEIGHT * MAGNIFICATION
-    if translate is not None:
-        width, height = IMAGE_WIDTH * PAIRED_MAGNIFICATION, 2 * IMAGE_HEIGHT * PAIRED_MAGNIFICATION
-    size = (width + PANEL, height)
-    writer = cv2.VideoWriter(str(partial), cv2.VideoWriter.fourcc(*CODEC), FRAME_RATE, size)
-    if not writer.isOpened():
-        raise VideoError(f"{path} cannot be written: check the folder and the disk")
+    partial, writer, last = path.with_name(f".{path.stem}.partial.mp4"), cv2.VideoWriter(), None
     try:
-        panel = _Panel(title, road, conditions)
-        frame: NDArray[np.uint8] | None = None
-        for step, observation in enumerate(observations):
-            command = commands[step] if step < len(commands) else None
-            translated = None if translate is None else translate(observation.image)
-            frame = compose(observation, panel.draw(observation, command), translated)
-            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-        for _ in range(round(FRAME_RATE) if frame is not None else 0):
-            writer.write(cv2.cvtColor(np.asarray(frame), cv2.COLOR_RGB2BGR))
+        for frame in frames:
+            if last is None:
+                size = (frame.shape[1], frame.shape[0])
+                if not writer.open(str(partial), cv2.VideoWriter.fourcc(*CODEC), FRAME_RATE, size):
+                    raise VideoError(f"{path} cannot be written: check the folder and the disk")
+            last = cv2.cvtColor(frame, cv2.COLOR_RGB2BGR)
+            writer.write(last)
+        if last is None:
+            return  # a run that ended before its first frame
+        for _ in range(round(FRAME_RATE)):
+            writer.write(last)
         writer.release()
         partial.rename(path)
     finally:

@@ -16,6 +16,7 @@ from ds_orchestrator.campaign.folder import (
     keep_engine,
     open_store,
     prepare_folder,
+    read_campaign,
     record_provenance,
     store_of,
 )
@@ -28,6 +29,7 @@ from ds_orchestrator.engines.start import running_engine
 from ds_orchestrator.store.folder_files import locked
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
+from ds_report.first_screen import FirstScreen, first_screen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +42,7 @@ class CampaignOutcome:
         executions: number of executions with a verdict.
         executions_in_error: executions of this session that ended in an error after all attempts.
         correlations: comparison of every map with the twin's; empty without a twin.
+        answer: what a user should know first.
     """
 
     folder: Path
@@ -47,6 +50,7 @@ class CampaignOutcome:
     executions: int
     executions_in_error: int
     correlations: Sequence[Correlation]
+    answer: FirstScreen
 
 
 def run_campaign(
@@ -101,6 +105,7 @@ def run_campaign(
             executions=store.count_executions(),
             executions_in_error=in_error,
             correlations=read_correlations(folder, config) if config.twin else [],
+            answer=first_screen(read_campaign(store)),
         )
 
 

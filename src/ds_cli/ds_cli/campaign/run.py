@@ -1,4 +1,4 @@
-"""`ds demo`, `ds campaign init, run, resume`: campaigns, from their configuration to their report."""
+"""`ds campaign init, run, resume`: campaigns, from their configuration to their report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
 from ds_cli.campaign.compare_results import (
     FailOnFailure,
@@ -43,13 +42,9 @@ if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.engines.cluster import ClusterOptions
 
-DEMO_WORKERS = 2
-"""Graphs of the demo; chosen: with one, the twin drives alone at the end, on one core of two."""
-
 DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
 """Answers if somebody only presses Enter."""
 
-app = typer.Typer()
 campaign_app = typer.Typer()
 
 
@@ -61,8 +56,6 @@ def campaign(
     Raises:
         Interrupted: the user stopped it.
     """
-    from ds_analysis.paper.campaign_evaluation import network_of
-    from ds_analysis.paper.paper_tables import correlation_tables
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.engines.preflight import faster_choice
@@ -86,15 +79,13 @@ def campaign(
         "executions_in_error": outcome.executions_in_error,
         "correlations": [c.document() for c in outcome.correlations],
     }
-    tables = (
-        correlation_tables(outcome.correlations, config.siblings, config.twin, network_of(config))
-        if config.twin
-        else []
-    )
+    document["answer"] = asdict(outcome.answer)
 
     def show() -> None:
-        for table in tables:
-            table.show(Console())
+        for sentence in filter(None, (outcome.answer.where, outcome.answer.believe, outcome.answer.next)):
+            print(sentence)
+        if outcome.answer.command:
+            print(f"  {_in_folder(outcome.answer.command, out)}")
         print(outcome.report)
 
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
@@ -114,6 +105,11 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None)
     return replace(result, unmet=unmet_in_campaign(criteria, data))
 
 
+def _in_folder(command: str, folder: Path) -> str:
+    """A command of the report, which is typed in the campaign's folder, as it is typed here."""
+    return " ".join(shlex.quote(str(folder)) if word == "." else word for word in command.split(" "))
+
+
 def _kept(out: Path, done: int) -> str:
     finished = f"{done} finished execution{'s are' if done != 1 else ' is'} kept; " if done else ""
     return f"{finished}`ds campaign resume {out}` continues"
@@ -128,38 +124,6 @@ def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
         config = with_kept_engine(folder, config_of(store))
     check_trust(config, trust or [])
     return config
-
-
-def shipped_config(name: str) -> CampaignConfig:
-    """Read a configuration that ships with ds_bringup.
-
-    Raises:
-        ds_orchestrator.campaign.config.ConfigError: the workspace is not built or not sourced.
-    """
-    from ds_orchestrator.campaign.config import ConfigError, read_config
-    from ds_sim.installation import share_folders
-
-    for folder in share_folders("ds_bringup"):
-        path = folder / "config" / f"{name}.yaml"
-        if path.exists():
-            return read_config(path)
-    raise ConfigError(f"{name}.yaml of ds_bringup is not on AMENT_PREFIX_PATH: build and source the workspace")
-
-
-@app.command("demo")
-def demo_command(
-    out: OutFolder = Path("demo"),
-    workers: Workers = None,
-    engine: EngineName = None,
-    attach: AttachFlag = False,
-    as_json: JsonFlag = False,
-) -> None:
-    """Run a small campaign with the shipped network, from search to report.
-
-    The last line is the path of the HTML report.
-    """
-    workers = workers or (1 if attach else DEMO_WORKERS)
-    end(campaign(with_engine(shipped_config("demo"), workers, engine), out, attach=attach), as_json)
 
 
 @campaign_app.command("init")

@@ -47,12 +47,14 @@ def predict_command(
 ) -> None:
     """Predict where a car, or a simulator that was never driven, fails.
 
-    Each cell fails, is safe, disputed or untested; the siblings' outcomes are all that is used. Where the campaign has
-    a twin, every predictor is scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
+    Each cell fails, is safe, disputed or untested. A car is predicted from every simulator, the twin among them, and
+    from its own recorded drives; `--twin` predicts a simulator as if it had never been driven. Where there is a twin,
+    predictors that do not know it are scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
     """
     from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, read_table
     from ds_analysis.common.table import write_tables
     from ds_analysis.prediction.calibration import check_in_turn, forecast_cells
+    from ds_analysis.prediction.car import predict_car
     from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
     from ds_analysis.prediction.twin_prediction import predict_twin
     from ds_analysis.prediction.verdict_picture import draw_verdicts
@@ -63,14 +65,23 @@ def predict_command(
     if out is not None:
         make_folder(out)
     table = read_table(folder, twin=twin, most=MOST_ANALYSED)
-    say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
-    prediction = predict_twin(table)
-    verdicts = judge(table, prediction, tolerated=tolerated)
-    check = check_in_turn(table)
+    car = None
+    if twin is None:
+        say(f"{len(table)} tests on {', '.join(table.as_population().siblings)}: predicting a car")
+        car = predict_car(folder, table, tolerated=tolerated)
+        check, verdicts, prediction = check_in_turn(car.table), car.verdicts, car.prediction
+        sentence, title = car.sentence, "Predicted failures on a car"
+    else:
+        say(f"{len(table)} tests on {', '.join(table.siblings)}: predicting {twin} as if it had never been driven")
+        prediction = predict_twin(table)
+        check, verdicts = check_in_turn(table), judge(table, prediction, tolerated=tolerated)
+        sentence, title = f"On {twin}: {verdicts.sentence}", f"Predicted failures on {twin}, never driven"
     tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts)), *([check.table()] if check.siblings else [])]
     document: dict[str, Any] = {
         "siblings": list(table.siblings),
         "twin": table.twin,
+        "sentence": sentence,
+        "real_drives": car.drives if car else 0,
         "population": prediction.population.document(),
         "verdicts": verdicts.document(),
         "self_check": check.document(),
@@ -79,7 +90,9 @@ def predict_command(
         **({"tests_left_out": table.left_out} if table.left_out else {}),
     }
     try:
-        comparison = compare_predictors(table, prediction)
+        # Scored on the twin as if it had never been driven.
+        alone = prediction if twin is not None else predict_twin(table) if table.twin is not None else prediction
+        comparison = compare_predictors(table, alone)
     except OutcomeTableError as error:
         if twin is not None:
             raise
@@ -87,21 +100,20 @@ def predict_command(
     else:
         tables += comparison_tables(comparison)
         document["comparison"] = comparison.document()
-        document["forecasts"] = [one.document() for one in forecast_cells(table, prediction)]
+        document["forecasts"] = [one.document() for one in forecast_cells(table, alone)]
     if out is not None:
         write_tables(tables, out)
         (out / "prediction.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         if any(one.tests for one in verdicts.cells):
-            title = f"Predicted failures{f' on {table.twin}' if table.twin else ''}, never driven"
             (out / "verdicts.png").write_bytes(png(draw_verdicts(verdicts, title)))
 
     def show() -> None:
         console = Console()
+        print(sentence)
         for one in tables:
             one.show(console)
         if "no_comparison" in document:
             print(f"predictors are not compared: {document['no_comparison']}")
-        print(verdicts.sentence)
         if table.sample_note:
             print(table.sample_note)
         if not check.siblings:

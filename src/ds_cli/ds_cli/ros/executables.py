@@ -22,11 +22,6 @@ def drive() -> None:
     _attached(["drive"])
 
 
-def demo() -> None:
-    """Run `ds demo --out DIR --attach`."""
-    _attached(["demo"])
-
-
 def watch() -> None:
     """Run `ds watch DIR`."""
     _run(["watch"])

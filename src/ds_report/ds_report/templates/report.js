@@ -30,8 +30,28 @@ function openFromAddress() {
   return null;
 }
 
+/** Show the worst test on the first screen; it plays at once, unless the reader wants no motion. */
+async function showWorst(box) {
+  const index = data.tests.findIndex(([id]) => id === box.dataset.test);
+  const place = data.places.findIndex(([, members]) => members.includes(index));
+  if (place < 0) return;
+  const test = (await testsOf(place)).find(({ id }) => id === box.dataset.test);
+  const playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+  box.append(replayOf(test, { title: `The worst test, ${test.id}: ${test.conditions ? conditionWords(test) : plural(test.road.turns, "turn")}`, playing }));
+}
+
+function drawFigure(place) {
+  const figure = data.figures[place.dataset.figure];
+  const layout = { ...figure.layout };
+  // Two titles do not fit side by side on a phone.
+  if (narrow.matches && layout.xaxis2) layout.xaxis2 = { ...layout.xaxis2, title: { ...layout.xaxis2.title, text: "AUC-PRC" } };
+  newPlot(place, figure.data, layout);
+}
+
 async function start() {
   sliceChooser();
+  const worst = document.getElementById("worst");
+  if (worst) await showWorst(worst);
   for (const group of document.querySelectorAll("[data-maps]")) {
     const names = data.groups[group.dataset.maps];
     group.style.setProperty("--maps", Math.min(names.length, 4));
@@ -47,11 +67,9 @@ async function start() {
   narrow.addEventListener("change", drawAll);
   window.addEventListener("hashchange", openFromAddress);
   for (const place of document.querySelectorAll("[data-figure]")) {
-    const figure = data.figures[place.dataset.figure];
-    const layout = { ...figure.layout };
-    // Two titles do not fit side by side on a phone.
-    if (narrow.matches && layout.xaxis2) layout.xaxis2 = { ...layout.xaxis2, title: { ...layout.xaxis2.title, text: "AUC-PRC" } };
-    newPlot(place, figure.data, layout);
+    const fold = place.closest("details:not([open])"); // a chart in a closed fold has no width, and is drawn when it opens
+    if (fold) fold.addEventListener("toggle", () => drawFigure(place), { once: true });
+    else drawFigure(place);
   }
   await showValue("probability");
   if (!openFromAddress() && data.selected) await choose(data.selected.join("-"), { remember: false });

@@ -23,8 +23,8 @@ function lastBefore(times, t) {
   return low;
 }
 
-function replayOf(test) {
-  const box = html("div", { class: "replay" }, html("h4", {}, "Replay"));
+function replayOf(test, { title = "Replay", playing = false } = {}) {
+  const box = html("div", { class: "replay" }, html("h4", {}, title));
   const parts = test.runs.map((run, index) => run && run.x.length && replayCard(test, run, index)).filter(Boolean);
   if (!parts.length) {
     box.append(html("p", { class: "hint" }, "Nothing was driven."));
@@ -53,23 +53,25 @@ function replayOf(test) {
     play.textContent = "Play";
     play.setAttribute("aria-pressed", "false");
   }
-  play.addEventListener("click", () => {
-    if (timer) return stop();
-    if (Number(slider.value) >= end - REPLAY_STEP / 2) show(0);
+  const atEnd = () => Number(slider.value) >= end - REPLAY_STEP / 2;
+  function start() {
+    if (atEnd()) show(0);
     play.textContent = "Pause";
     play.setAttribute("aria-pressed", "true");
     timer = setInterval(() => {
-      if (!box.isConnected || Number(slider.value) >= end - REPLAY_STEP / 2) return stop(); // another test was opened
+      if (!box.isConnected || atEnd()) return stop(); // another test was opened
       show(Number(slider.value) + REPLAY_STEP);
     }, 1000 * REPLAY_STEP);
-  });
+  }
+  play.addEventListener("click", () => (timer ? stop() : start()));
   slider.addEventListener("input", () => show(Number(slider.value)));
   timeline.onTime((t) => { stop(); show(t); });
   box.append(
     html("p", { class: "hint" }, "All drives at the same time since their start: drag the slider, or focus it and press the arrow keys, Home or End. Below it, lateral position with the lane's edges, and steering; left is up."),
     html("div", { class: "player" }, play, slider, clock), timeline.node,
     html("div", { class: "moment" }, map.node, html("div", { class: "views" }, ...parts.map(({ node }) => node))));
-  show(failures.length ? Math.min(...failures) : 0);
+  show(failures.length && !playing ? Math.min(...failures) : 0);
+  if (playing) setTimeout(start); // when it is on the page
   return box;
 }
 

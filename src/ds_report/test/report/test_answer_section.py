@@ -1,4 +1,4 @@
-"""First section of the report: what it predicts, which cells it marks, and what it says where nothing can be."""
+"""The report's section on the car: what it predicts, which cells it marks, and what it says where nothing can be."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def test_real_drives_are_marked_and_change_the_answer(tmp_path: Path) -> None:
     assert marked[0].rate is not None and same.rate is not None and marked[0].rate > same.rate
 
 
-def test_the_page_begins_with_the_answer(tmp_path: Path) -> None:
+def test_the_page_has_the_car_after_the_maps(tmp_path: Path) -> None:
     data = data_of(tmp_path)
     write_drives(tmp_path, [drive(data.tests[0].test_id, failed=False)])
     section = answer_section(tmp_path, data)
     maps, correlations = results(data)
     html = write_report(tmp_path, data, maps, correlations, answer=section).read_text()
-    assert html.index('id="answer"') < html.index('id="finding"') < html.index('id="maps"')
-    table = html[html.index('<table class="answer">') : html.index('id="finding"')]
+    assert html.index('id="finding"') < html.index('id="maps"') < html.index('id="answer"')
+    table = html[html.index('<table class="answer">') : html.index('id="comparison"')]
     shown = [cell for panel in section.panels for _, row in panel.rows for cell in row if cell is not None]
     for verdict in ("fails", "safe", "disputed"):
         found = re.findall(rf'<td class="{verdict}( driven)?">', table)

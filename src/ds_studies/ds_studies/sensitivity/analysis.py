@@ -91,6 +91,8 @@ class Drives:
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of measurements done, their total number, and a line about the last one."""
+Watch = Callable[["Sensitivity"], None]
+"""Called with what is known after each measurement; the others are `pending`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +203,7 @@ def analyse_sensitivity(
     folder: Path | None = None,
     gates: Path | None = None,
     progress: Progress = lambda done, total, line: None,
+    watch: Watch = lambda found: None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Sensitivity:
     """Find for each factor on each simulator the strength at which a driver first fails.
@@ -215,6 +218,7 @@ def analyse_sensitivity(
         folder: keeps every finished drive, so that the same call goes on; None keeps nothing.
         gates: keeps the gates, which analyses of several drivers on the same simulators may share; in `folder` if None.
         progress: called after each measurement.
+        watch: called with what is known after each measurement.
         say: called with one line where something deserves attention.
 
     Raises:
@@ -238,11 +242,18 @@ def analyse_sensitivity(
         stack.callback(drives.stop)  # first of all, so that no thread waits for a drive
         candidates = candidate_roads(roads, seed, segments=segments)
         chosen = _choose(drives, settings, candidates, roads, pool, say)
-        thresholds = _measure(drives, chosen, factors, pool, needed=roads, levels=levels, progress=progress)
-    return Sensitivity(
-        driver=settings.driver, simulators=settings.simulators, factors=factors, needed=roads, roads=chosen,
-        thresholds=thresholds,
-    )  # fmt: skip
+        known = Sensitivity(
+            driver=settings.driver, simulators=settings.simulators, factors=factors, needed=roads, roads=chosen,
+            thresholds={},
+        )  # fmt: skip
+
+        def so_far(thresholds: Mapping[tuple[int, str], Threshold]) -> None:
+            watch(replace(known, thresholds=dict(thresholds)))
+
+        thresholds = _measure(
+            drives, chosen, factors, pool, needed=roads, levels=levels, progress=progress, so_far=so_far
+        )
+    return replace(known, thresholds=thresholds)
 
 
 def _choose(
@@ -276,6 +287,7 @@ def _measure(
     needed: int,
     levels: int,
     progress: Progress,
+    so_far: Callable[[Mapping[tuple[int, str], Threshold]], None],
 ) -> dict[tuple[int, str], Threshold]:
     """Thresholds of all factors on all simulators, in the order of the factors."""
     found: dict[tuple[int, str], Threshold] = {}
@@ -292,12 +304,15 @@ def _measure(
     for position, factor in enumerate(factors):
         for name, of in roads.items():
             applicable = is_applicable(factor, spec_of(name).conditions)
-            verdict: Verdict = "fails by default" if applicable else "not applicable"
+            measured = applicable and len(of) == needed
+            verdict: Verdict = "pending" if measured else "fails by default" if applicable else "not applicable"
             found[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)
-            if applicable and len(of) == needed:
+            if measured:
                 running[pool.submit(threshold, position, name)] = position, name
+    so_far(found)
     for done, future in enumerate(as_completed(running), 1):
         one = found[running[future]] = future.result()
+        so_far(found)
         progress(done, len(running), f"{one.factor.title} on {one.simulator}: {one.text}")
     return found
 

@@ -183,12 +183,13 @@ def is_applicable(factor: Factor, realised: Sequence[str]) -> bool:
 
 
 Verdict = Literal[
-    "fails", "completes", "infeasible", "lines invisible", "not applicable", "fails by default", "error"
+    "fails", "completes", "infeasible", "lines invisible", "not applicable", "fails by default", "error",
+    "pending",
 ]  # fmt: skip
 """fails: on the median road; completes: it does not, up to the hardest value; infeasible: where it begins to fail on
 the median road, the autopilot fails, too; lines invisible: where it begins to fail, they are; not applicable: the
 simulator cannot realise the condition; fails by default: too few roads are completed without any condition; error: a
-drive ended in an error."""
+drive ended in an error; pending: not measured yet."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,56 @@
+"""`ds demo`: what this project does, with a shipped network, in five minutes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import typer
+
+from ds_cli.options import EngineName, JsonFlag, OutFolder, Workers
+from ds_cli.output import countdown, end, say, stopped_in
+
+DEMO_WORKERS = 2
+"""Graphs of the demo; chosen: with one, the twin drives alone at the end, on one core of two."""
+
+app = typer.Typer()
+
+
+@app.command("demo")
+def demo_command(
+    out: OutFolder = Path("demo"),
+    workers: Workers = None,
+    engine: EngineName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """See where a shipped network fails, why, and what to do next, in about five minutes.
+
+    One road in clear air and in fog; what else breaks the network; a campaign under the conditions that do; the report.
+    """
+    from ds_cli.campaign.run import campaign
+    from ds_cli.options import with_engine
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_studies import demo
+
+    workers = workers or DEMO_WORKERS
+    make_folder(out)
+    say("1 of 4: one road, in clear air and in fog")
+    fog = demo.drive_into_fog(out)
+    say(f"   {demo.fog_in_words(fog)}\n   video: {out / 'fog.mp4'}")
+    place = out / "sensitivity"
+    say(f"2 of 4: what else breaks it? Open {place / 'sensitivity.html'} in a browser: it fills while you watch")
+    with stopped_in(place):
+        found = demo.measure_sensitivity(place, workers, progress=countdown(), say=lambda line: say(f"   {line}"))
+    ranges = demo.ranges_of(found)
+    say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
+    result = campaign(with_engine(demo.campaign_config(ranges), workers, engine), out)
+    result.document["fog"], result.document["searched"] = fog, ranges
+
+    answer = result.show
+
+    def show() -> None:
+        answer()
+        print(f"4 of 4: open {out / 'report.html'}, which begins with the answer")
+        print("   with your own network: ds check my_net.onnx, then ds test my_net.yaml")
+
+    end(replace(result, show=show), as_json)

@@ -1,0 +1,140 @@
+"""First screen of a campaign's report: where the driver fails, which sibling to believe, what to do next.
+
+Rules, fixed before they were applied to any campaign:
+
+1. Where it fails: see `ds_report.findings`.
+2. A sibling is to be believed where siblings disagree if it does as the twin in more than half of these tests, with a
+   95 % interval (Jeffreys) above one half; without a twin, nobody can say.
+3. What to do next, the first that applies: finish the campaign; harder tests where nothing fails; gentler ones where
+   everything does; without a twin, drives of the tests on which siblings disagree; otherwise train on the failures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.maps.algebra import jeffreys_interval
+from ds_orchestrator.store.model import Test
+from ds_report.camera_pictures import worst_first
+from ds_report.findings import NOTHING_DRIVEN, count, listed, road_outcomes, where_it_fails
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstScreen:
+    """What a reader should know first.
+
+    Attributes:
+        where: where the driver fails, and how sure that is.
+        believe: where the siblings disagree, and which of them the twin agrees with.
+        next: what to do now.
+        command: for it, to be typed in the campaign's folder.
+        worst: id of the test whose replay is shown, or "".
+    """
+
+    where: str
+    believe: str
+    next: str
+    command: str
+    worst: str = ""
+
+
+def first_screen(data: CampaignData) -> FirstScreen:
+    """Answer a user's three questions from a campaign, finished or not."""
+    failed = _failures(data)
+    step, command = _next_step(data, failed)
+    driven = [test for test in data.tests if any(name in failed for name in _keys(test, data.config.simulators))]
+    return FirstScreen(
+        where=where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN,
+        believe=_believe(data, failed),
+        next=step,
+        command=command,
+        worst=next(iter(worst_first(driven, data.executions)), ""),
+    )
+
+
+Failures = Mapping[tuple[str, str], bool]
+"""Test and simulator -> whether the driver failed; only verdicts."""
+
+
+def _failures(data: CampaignData) -> Failures:
+    return {(one.test_id, one.simulator): one.outcome.is_failure for one in data.verdicts}
+
+
+def _keys(test: Test, names: Sequence[str]) -> list[tuple[str, str]]:
+    return [(test.test_id, name) for name in names]
+
+
+def _believe(data: CampaignData, failed: Failures) -> str:
+    """State where the siblings disagree, and which of them the twin agrees with, by rule 2 of this module."""
+    siblings, twin = data.config.siblings, data.config.twin
+    tests = [test for test in data.tests if all(key in failed for key in _keys(test, siblings))]
+    if len(siblings) < 2 or not tests:
+        return ""
+    split = [test for test in tests if len({failed[key] for key in _keys(test, siblings)}) > 1]
+    judged = [test for test in split if twin and (test.test_id, twin) in failed]
+    if not split:
+        return f"{_named(siblings)} agree on {_all_of(len(tests))}{_twin_of(data, failed, tests)}."
+    disagree = f"{_named(siblings)} disagree on {len(split)} of {count(len(tests), 'test')}"
+    if not judged:
+        return f"{disagree}; only drives on a twin or on your car can say which to believe."
+    right = {name: sum(failed[t.test_id, name] == failed[t.test_id, str(twin)] for t in judged) for name in siblings}
+    believed = [name for name in siblings if jeffreys_interval(right[name], len(judged))[0] > 0.5]
+    shares = listed([f"{name} in {right[name]}" for name in siblings])
+    of = f"of {len(judged)} of them that it drove" if len(judged) < len(split) else "there"
+    verdict = (
+        f"believe {listed(believed)}"
+        if believed
+        else "too few or too mixed to say which to believe: trust neither alone"
+        if len(siblings) == 2
+        else "too few or too mixed to say which to believe: trust none alone"
+    )
+    return f"{disagree}; {of} the twin {twin} does as {shares}: {verdict}."
+
+
+def _twin_of(data: CampaignData, failed: Failures, tests: Sequence[Test]) -> str:
+    """Continue a sentence on siblings that agree: on how many of these tests the twin does so, too."""
+    twin, first = data.config.twin, data.config.siblings[0]
+    judged = [test for test in tests if twin and (test.test_id, twin) in failed]
+    if not judged:
+        return ""
+    alike = sum(failed[test.test_id, first] == failed[test.test_id, str(twin)] for test in judged)
+    return f"; the twin {twin} does as they do in {alike} of {len(judged)}"
+
+
+def _next_step(data: CampaignData, failed: Failures) -> tuple[str, str]:
+    """What to do now and the command for it, by rule 3 of this module."""
+    config = data.config
+    missing = len(data.tests) * len(config.simulators) - len(failed) - len(data.excluded)
+    if not failed or (missing and not config.elites_only):
+        return "The campaign is not finished: go on with it.", "ds campaign resume ."
+    if not any(failed.values()):
+        return (
+            "Nothing failed, so the limits are not known: find the strength of fog, glare, delay or worn lines that "
+            "breaks it, and search there.",
+            f"ds sensitivity --driver {config.driver} --out sensitivity",
+        )
+    if all(failed.values()):
+        return (
+            "Everything failed, so these tests are too hard to learn from, or the network is connected wrongly: check "
+            "it first.",
+            f"ds check {config.driver}",
+        )
+    if config.twin is None:
+        return (
+            "Drive on your car the tests that tell most about it.",
+            "ds real propose .",
+        )
+    return (
+        "Train it on these failures and test it again on new ones: this writes their roads.",
+        "ds campaign roads . --failed --out failures.json",
+    )
+
+
+def _named(siblings: Sequence[str]) -> str:
+    return f"The siblings {listed(siblings)}"
+
+
+def _all_of(tests: int) -> str:
+    return "the only test" if tests == 1 else f"all {tests} tests"

@@ -1,0 +1,76 @@
+"""First screen: what it says about campaigns whose outcomes are known."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from report_campaigns import make_campaign
+
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_report.first_screen import first_screen
+from ds_sim.simulator import Outcome
+
+CONFIG = CampaignConfig(siblings=["a:One", "b:Two"], twin="c:Three", seed=7)
+
+
+def with_outcomes(folder: Path, config: CampaignConfig, failing: dict[str, set[int]]) -> CampaignData:
+    """A campaign of 16 tests, in which each simulator fails exactly the given ones, by position."""
+    with closing(make_campaign(folder, config, 8)) as store:
+        data = read_campaign(store)
+    place = {test.test_id: k for k, test in enumerate(data.tests)}
+    executions = tuple(
+        replace(
+            one,
+            outcome=Outcome.OUT_OF_BOUNDS if place[one.test_id] in failing[one.simulator] else Outcome.COMPLETED,
+            fitness=-0.1 if place[one.test_id] in failing[one.simulator] else 1.0,
+        )
+        for one in data.executions
+    )
+    return replace(data, executions=executions)
+
+
+def test_the_sibling_that_does_as_the_twin_is_believed(tmp_path: Path) -> None:
+    failing = {"a:One": set(range(10)), "b:Two": set(), "c:Three": set(range(9))}
+    first = first_screen(with_outcomes(tmp_path, CONFIG, failing))
+
+    assert "disagree on 10 of 16 tests" in first.believe
+    assert "a:One in 9 and b:Two in 1: believe a:One" in first.believe
+    assert first.worst and "--failed" in first.command
+
+
+def test_siblings_that_are_right_equally_often_are_not_believed(tmp_path: Path) -> None:
+    failing = {"a:One": set(range(8)), "b:Two": set(), "c:Three": set(range(4))}
+    first = first_screen(with_outcomes(tmp_path, CONFIG, failing))
+
+    assert "a:One in 4 and b:Two in 4: too few or too mixed" in first.believe
+
+
+def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"twin": None})
+    first = first_screen(with_outcomes(tmp_path, config, {"a:One": {0, 1}, "b:Two": {1}}))
+
+    assert "only drives on a twin or on your car can say" in first.believe and first.command == "ds real propose ."
+
+
+@pytest.mark.parametrize(
+    ("failing", "where", "command"),
+    [(set(), "failed on none of 16 roads", "ds sensitivity"), (set(range(16)), "failed on all 16 roads", "ds check")],
+)
+def test_campaigns_in_which_all_or_nothing_fails_read_as_such(
+    tmp_path: Path, failing: set[int], where: str, command: str
+) -> None:
+    first = first_screen(with_outcomes(tmp_path, CONFIG, dict.fromkeys(CONFIG.simulators, failing)))
+
+    assert where in first.where and first.command.startswith(command)
+    assert "agree on all 16 tests; the twin c:Three does as they do in 16 of 16" in first.believe
+
+
+def test_an_unfinished_campaign_is_to_be_finished(tmp_path: Path) -> None:
+    data = with_outcomes(tmp_path, CONFIG, {name: {0} for name in CONFIG.simulators})
+    first = first_screen(replace(data, executions=data.executions[:-3]))
+
+    assert first.command == "ds campaign resume ."

@@ -1,0 +1,59 @@
+"""Page of a sensitivity analysis: its table, and pictures at the strengths that break the driver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ds_driver.whole_files import write_whole
+from ds_orchestrator.store.model import Test
+from ds_report.camera_pictures import CameraPicture, camera_pictures
+from ds_report.html_report import environment
+from ds_sim.conditions.text import three_digits
+from ds_studies.sensitivity.analysis import Sensitivity
+
+RELOAD = 3
+"""Seconds after which an unfinished page asks for itself again; chosen: about a measurement."""
+
+
+@dataclass
+class SensitivityPage:
+    """Writes the page after each measurement; a browser that shows it reloads it until the analysis is finished.
+
+    Attributes:
+        path: of the HTML file.
+    """
+
+    path: Path
+    _pictures: dict[tuple[int, str], CameraPicture] = field(default_factory=dict)
+
+    def write(self, found: Sensitivity) -> None:
+        """Write what is known."""
+        pending = sum(one.verdict == "pending" for one in found.thresholds.values())
+        text = environment().get_template("sensitivity.html.j2").render(
+            found=found,
+            rows=[(found.factors[k], [found.thresholds[k, name] for name in found.simulators]) for k in found.order],
+            pictures={found.factors[k].title: self._picture(found, k) for k in found.order},
+            pending=pending,
+            total=len(found.thresholds),
+            reload=RELOAD,
+        )  # fmt: skip
+        write_whole(self.path, text)
+
+    def _picture(self, found: Sensitivity, position: int) -> tuple[str, CameraPicture] | None:
+        """The view on the simulator that withstands least, at the strength at which its median road fails."""
+        failing = [found.thresholds[position, name] for name in found.simulators]
+        failing = [one for one in failing if one.verdict == "fails"]
+        if not failing:
+            return None
+        worst = min(failing, key=lambda one: one.fails or 0)
+        level, (road, seed) = worst.fails or 0, found.roads[worst.simulator][0]
+        key = (position, f"{worst.simulator} {level}")
+        if key not in self._pictures:
+            conditions = worst.factor.conditions(level)
+            test = Test(
+                test_id="", sibling=worst.simulator, run=0, number=0, road=road, seed=seed, conditions=conditions
+            )
+            (self._pictures[key],) = camera_pictures([worst.simulator], test)
+        unit = f" {worst.factor.unit}" if worst.factor.unit else ""
+        return f"{worst.simulator} at {three_digits(worst.factor.value(level))}{unit}", self._pictures[key]
