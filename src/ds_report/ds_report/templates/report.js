@@ -32,10 +32,10 @@ function openFromAddress() {
 
 /** Show the worst test on the first screen; it plays at once, unless the reader wants no motion. */
 async function showWorst(box) {
-  const index = data.tests.findIndex(([id]) => id === box.dataset.test);
+  const index = data.tests.findIndex(([id]) => id === box.dataset.worst);
   const place = data.places.findIndex(([, members]) => members.includes(index));
   if (place < 0) return;
-  const test = (await testsOf(place)).find(({ id }) => id === box.dataset.test);
+  const test = (await testsOf(place)).find(({ id }) => id === box.dataset.worst);
   const playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
   box.append(replayOf(test, { title: `The worst test, ${test.id}: ${test.conditions ? conditionWords(test) : plural(test.road.turns, "turn")}`, playing }));
 }
@@ -50,6 +50,8 @@ function drawFigure(place) {
 
 async function start() {
   sliceChooser();
+  const next = document.querySelector("#finding .command");
+  if (next) next.replaceWith(command(next.textContent.trim(), "what to do next"));
   const worst = document.getElementById("worst");
   if (worst) await showWorst(worst);
   for (const group of document.querySelectorAll("[data-maps]")) {

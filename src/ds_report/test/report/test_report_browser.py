@@ -189,7 +189,7 @@ def test_commands_drive_a_test_again(opened: Opened, campaign: Campaign) -> None
     opened.page.wait_for_function(
         "id => document.querySelector('.test h4').textContent === `Test ${id}`", arg=test.test_id
     )
-    lines = opened.page.locator(".command pre").all_inner_texts()
+    lines = opened.page.locator("#cell .command pre").all_inner_texts()
     bags = [f"{test.test_id}-on-{label_of(name)}" for name in campaign.config.simulators]
     assert lines == [
         *(f"ds bag redrive bags/{bag} --video {bag}.mp4" for bag in bags),
@@ -200,7 +200,7 @@ def test_commands_drive_a_test_again(opened: Opened, campaign: Campaign) -> None
         ),
     ]
     opened.page.evaluate("() => { navigator.clipboard.writeText = async (text) => { window.copied = text; }; }")
-    opened.page.locator(".command button").first.click()
+    opened.page.locator("#cell .command button").first.click()
     opened.page.wait_for_function("text => window.copied === text", arg=lines[0])
     words = opened.page.locator("article.test .hint").first.inner_text()
     assert f"tightest bend {1 / test.road.curvature:.1f} m in radius" in words
@@ -290,7 +290,7 @@ def test_a_failed_test_is_replayed_by_keys_and_pointer(opened: Opened, campaign:
     page.evaluate("place => { location.hash = place; }", f"#cell={test.road.turns_count}-{test.road.curvature_bin}")
     page.click(f'[data-test="{test.test_id}"]')
     page.wait_for_function("id => document.querySelector('.test h4').textContent === `Test ${id}`", arg=test.test_id)
-    slider, view = page.locator(".replay input"), page.locator(".replay .view").first
+    slider, view = page.locator("#cell .replay input"), page.locator("#cell .replay .view").first
     # It opens where the first drive of all has failed.
     driven = [e for e in campaign.store.executions() if e.test_id == test.test_id and e.outcome.is_failure]
     first = min(int(np.argmax(np.abs(e.trajectory[:, 4]) > 2.0)) / 20 for e in driven)
@@ -308,15 +308,15 @@ def test_a_failed_test_is_replayed_by_keys_and_pointer(opened: Opened, campaign:
         pictured = re.match(r"bullet, ([\d.]+) s, ", view.locator("img").get_attribute("alt") or "")
         time = frame / 20 if frame >= 0 else execution.simulated_seconds
         assert pictured and -0.06 < time - float(pictured[1]) < 0.51, (time, pictured)
-    box = page.locator(".replay .timeline").bounding_box()
+    box = page.locator("#cell .replay .timeline").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 20)
     assert float(slider.input_value()) == pytest.approx(float(slider.get_attribute("max") or 0) / 2, abs=0.11)
-    page.click(".replay button")
+    page.click("#cell .replay button")
     page.wait_for_function(
-        "() => { const slider = document.querySelector('.replay input'); return +slider.value === +slider.max; }"
+        "() => { const slider = document.querySelector('#cell .replay input'); return +slider.value === +slider.max; }"
     )
-    page.wait_for_selector(".replay button[aria-pressed=false]")
+    page.wait_for_selector("#cell .replay button[aria-pressed=false]")
     assert opened.complaints == []
 
 
