@@ -105,7 +105,7 @@ def write_report(
         config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
         first=first_screen(data),
         findings=summarise(data, maps, correlations, paired_differences=paired_differences),
-        tiles=_tiles(data, correlations),
+        tiles=_tiles(data),
         cameras=camera_pictures(config.simulators, place, trusted, config.driver) if place else [],
         paired=paired,
         camera_test=place,
@@ -193,7 +193,7 @@ def _figures(
     return {name: chart for name, chart in found.items() if chart is not None}
 
 
-def _tiles(data: CampaignData, correlations: Sequence[Correlation]) -> list[tuple[str, str]]:
+def _tiles(data: CampaignData) -> list[tuple[str, str]]:
     """Collect the key numbers of the first screen: value and caption."""
     config = data.config
     tiles = [
@@ -211,14 +211,6 @@ def _tiles(data: CampaignData, correlations: Sequence[Correlation]) -> list[tupl
         tiles.append(
             (f"{100 * sum(failed) / len(failed):.0f} %", f"{sum(failed)} of {len(failed)} fail on {where}, {ends}")
         )
-    merged = next((c for c in correlations if c.map == MapId.merged() and c.value == "probability"), None)
-    if merged is not None and merged.r is not None:
-        if merged.caution:
-            few = f"it fails in {merged.failing} of {merged.cells} cells"
-            tiles.append(("no conclusion", f"on how well the siblings predict the twin: {few}"))
-        else:
-            ends = f", 95 %: {merged.r_interval[0]:.2f} to {merged.r_interval[1]:.2f}" if merged.r_interval else ""
-            tiles.append((f"r = {merged.r:.2f}", f"merged map against the twin{ends}, over {merged.cells} cells"))
     return tiles
 
 
