@@ -41,8 +41,8 @@ FACTORS = (
     "command_delay",
 )  # fmt: skip
 """What might break it; chosen: worn and covered lines, night, glare, fog, dirt, and a slow car."""
-ROADS, SEGMENTS, STEPS, SEED = 1, 3, 4, 1
-"""Of the sensitivity: roads of 75 m, segments of 25 m, levels of strength, seed."""
+ROADS, STEPS, SEED = 1, 4, 1
+"""Of the sensitivity: short roads, levels of strength, seed."""
 MOST_SEARCHED = 2
 """Conditions that the campaign varies; chosen: the axes of one map."""
 SEARCH = {"population": 4, "iterations": 6, "runs": 1, "min_angle": 150}
@@ -112,7 +112,6 @@ def measure_sensitivity(folder: Path, workers: int, *, progress: Progress, say: 
         settings,
         factors_named(FACTORS),
         roads=ROADS,
-        segments=SEGMENTS,
         levels=STEPS,
         seed=SEED,
         folder=folder / "drives",
