@@ -20,7 +20,7 @@ from ds_cli import application, evaluations, main
 from ds_cli.options import SHIPPED_SIMULATORS
 from ds_cli.output import duration
 from ds_cli.twin import FitProgress
-from ds_cli.verbs import VERBS, overview
+from ds_cli.verbs import GROUPS, VERBS, overview
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign import executor
 from ds_orchestrator.campaign.config import parse_config
@@ -104,6 +104,14 @@ def test_the_overview_says_of_every_verb_what_its_own_help_says() -> None:
         assert command.help.splitlines()[0] == verb.summary, name
         assert tuple(getattr(command, "commands", ())) == verb.verbs, name
     assert tuple(SIMULATORS) == SHIPPED_SIMULATORS
+
+
+def test_the_first_group_carries_a_user_and_the_others_have_the_rest() -> None:
+    six = ["check", "drive", "test", "sensitivity", "compare", "report"]
+    assert [verb.name for verb in GROUPS[0][1] if verb.name != "check"] == six[1:]
+    assert "check" not in VERBS or GROUPS[0][1][0].name == "check"
+    assert set(VERBS) >= {"campaign", "runs", "suite", "maps", "evaluate", "predict", "road", "bag", "doctor"}
+    assert sum(len(verbs) for _, verbs in GROUPS) == len(VERBS)
 
 
 def test_a_help_text_imports_nothing_heavy() -> None:

@@ -1,4 +1,4 @@
-"""`ds campaign compare`, `ds suite`, `ds runs` and `ds campaign init` as commands, with drives that are made up."""
+"""`ds compare`, `ds suite`, `ds runs` and `ds campaign init` as commands, with drives that are made up."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path
 
 def test_a_network_drives_the_tests_of_a_campaign_once(tmp_path: Path, engine: list[OfDriver]) -> None:
     old, out = campaign(tmp_path / "old"), tmp_path / "out"
-    done = ds("campaign", "compare", old, "--driver", "other", "--out", out, "--json")
+    done = ds("compare", old, "--driver", "other", "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     # 8 tests on 3 simulators; the reference drives only the three that check whether it repeats.
@@ -322,6 +322,30 @@ def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, en
     again = ds("campaign", "init", file)
     assert again.returncode == 2 and "exists already" in again.stderr
     assert ds("campaign", "init", file, "--force", "--size", "huge").returncode == 2
+
+
+def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
+    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder holds the configuration that `ds campaign init` writes, and what `ds campaign run` makes of it."""
+    monkeypatch.chdir(tmp_path)
+    configs: list[tuple[CampaignConfig, Path]] = []
+
+    def run(config: CampaignConfig, out: Path, **_: object) -> Result:
+        configs.append((config, out))
+        return Result(document={}, show=lambda: None)
+
+    monkeypatch.setattr("ds_cli.campaign.run.campaign", run)
+    assert ds("test", "autopilot", "--sims", "bullet,donkey").returncode == 0
+    assert ds("campaign", "init", "own.yaml", "--driver", "autopilot", "--sims", "bullet,donkey").returncode == 0
+    (config, out), written = configs[0], Path("autopilot_test/campaign.yaml")
+    assert out == written.parent and written.read_text() == Path("own.yaml").read_text()
+    assert config.engine == "local" and config.identity() == read_config(written).identity()
+    # The same test goes on; another one does not write over it.
+    assert ds("test", "autopilot", "--sims", "bullet,donkey", "--engine", "graph").returncode == 0
+    assert (configs[1][0].engine, configs[1][0].workers) == ("graph", 1)
+    other = ds("test", "autopilot", "--sims", "bullet,donkey", "--size", "medium")
+    assert other.returncode == 2 and "holds another test: choose another --out" in other.stderr
 
 
 def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing(

@@ -27,7 +27,8 @@ def _complete_simulator(incomplete: str) -> list[str]:
     return [name for name in SHIPPED_SIMULATORS if name.startswith(incomplete)]
 
 
-def _complete_driver(incomplete: str) -> list[str]:
+def complete_driver(incomplete: str) -> list[str]:
+    """Drivers for tab completion."""
     return [
         name
         for name in ("autopilot", "dave2", "dave2_b", "dave2_short", "chauffeur", "epoch")
@@ -86,7 +87,7 @@ DriverName = Annotated[
     str,
     typer.Option(
         help="Driver: autopilot, dave2, a .safetensors or .yaml file, or module:Class.",
-        autocompletion=_complete_driver,
+        autocompletion=complete_driver,
     ),
 ]
 Backend = Annotated[
@@ -182,11 +183,20 @@ def with_engine_without_ros(
     settings: DriveSettings, workers: int | None, engine: str | None, cluster: Path | None
 ) -> DriveSettings:
     """The settings with an engine: `local` with a process for each processor, unless the options say otherwise."""
+    chosen = {
+        "engine": "local",
+        "workers": usual_workers(engine),
+        "cluster": cluster_of(cluster),
+        **_chosen(workers, engine),
+    }
+    return replace(settings, **chosen)
+
+
+def usual_workers(engine: str | None) -> int:
+    """Workers where nothing says how many: a process for each processor, but one graph of nodes."""
     from ds_orchestrator.campaign.config import MOST_WORKERS
 
-    usual = 1 if engine == "graph" else min(len(os.sched_getaffinity(0)), MOST_WORKERS)
-    chosen = {"engine": "local", "workers": usual, "cluster": cluster_of(cluster), **_chosen(workers, engine)}
-    return replace(settings, **chosen)
+    return 1 if engine == "graph" else min(len(os.sched_getaffinity(0)), MOST_WORKERS)
 
 
 def _chosen(workers: int | None, engine: str | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`ds demo`, `ds campaign init, run, resume`: campaigns, from their configuration to their report."""
+"""`ds test`, `ds demo`, `ds campaign init, run, resume`: campaigns, from their configuration to their report."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ from ds_cli.options import (
     Trust,
     Workers,
     cluster_of,
+    complete_driver,
     simulators_of,
+    usual_workers,
     with_engine,
 )
 from ds_cli.output import Interrupted, Result, duration, end, say
@@ -48,6 +50,11 @@ DEMO_WORKERS = 2
 
 DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
 """Answers if somebody only presses Enter."""
+
+SimulatorsOfTemplate = Annotated[
+    str, typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}.")
+]
+SizeOfTemplate = Annotated[str, typer.Option(help="Search: small, medium or paper.")]
 
 app = typer.Typer()
 campaign_app = typer.Typer()
@@ -168,11 +175,8 @@ def campaign_init_command(
     driver: Annotated[
         str | None, typer.Option(help="Network: a name, a .safetensors or .yaml file, or module:Class.")
     ] = None,
-    sims: Annotated[
-        str | None,
-        typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}."),
-    ] = None,
-    size: Annotated[str | None, typer.Option(help="Search: small, medium or paper.")] = None,
+    sims: SimulatorsOfTemplate | None = None,
+    size: SizeOfTemplate | None = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
     """Write a commented configuration for a network, after three questions or from three options.
@@ -180,8 +184,6 @@ def campaign_init_command(
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.template import template
-    from ds_orchestrator.engines.preflight import check_driver
 
     ask = sys.stdin.isatty()
     driver = driver or (typer.prompt("Network", DRIVER, err=True) if ask else DRIVER)
@@ -189,12 +191,58 @@ def campaign_init_command(
     size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
     if file.exists() and not force:
         raise ConfigError(f"{file} exists already: choose another file, or --force")
+    file.write_text(_template_of(driver, sims, size), "utf-8")
+    print(file)
+    say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
+
+
+def _template_of(driver: str, sims: str, size: str) -> str:
+    """A commented configuration; the driver and the simulators exist."""
+    from ds_orchestrator.campaign.template import template
+    from ds_orchestrator.engines.preflight import check_driver
+
     names = simulators_of(sims)
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 else (names, None)
-    file.write_text(template(driver, siblings, twin, size), "utf-8")
-    print(file)
-    say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
+    return template(driver, siblings, twin, size)
+
+
+@app.command("test")
+def search_command(
+    network: Annotated[
+        str,
+        typer.Argument(
+            help="Network: a name, a .safetensors or .yaml file, or module:Class.", autocompletion=complete_driver
+        ),
+    ],
+    sims: SimulatorsOfTemplate = SIMULATORS,
+    size: SizeOfTemplate = SIZE,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there goes on."),
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Search roads on which a network fails, and report where and why.
+
+    As `ds campaign init` and `ds campaign run` do, without ROS unless --engine says otherwise. The configuration is
+    campaign.yaml in the folder. The last line is the path of the HTML report.
+    """
+    from ds_orchestrator.campaign.config import ConfigError, read_config
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.registry import label_of
+
+    text = _template_of(network, sims, size)
+    folder = out or Path(f"{label_of(Path(network).stem)}_test")
+    make_folder(folder)
+    file = folder / "campaign.yaml"
+    if file.exists() and file.read_text("utf-8") != text:
+        raise ConfigError(f"{folder} holds another test: choose another --out")
+    file.write_text(text, "utf-8")
+    config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
+    end(campaign(config, folder), as_json)
 
 
 @campaign_app.command("run")

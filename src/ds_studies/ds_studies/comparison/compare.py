@@ -104,7 +104,7 @@ def tests_of_campaigns(reference: tuple[Path, CampaignData], candidate: tuple[Pa
         if there != here:
             raise ComparisonError(
                 f"{first_folder} and {second_folder} differ in {key} ({there} and {here}): compare campaigns of one "
-                f"configuration, or `ds campaign compare {first_folder} --driver {second.config.driver}`"
+                f"configuration, or `ds compare {first_folder} --driver {second.config.driver}`"
             )
     one, other = tests_of_campaign(*reference), tests_of_campaign(*candidate)
     first_keys, second_keys = _by_content(one.work), _by_content(other.work)
@@ -244,7 +244,7 @@ def _complete(
     if network.sha256 and (reason := _cannot_drive(network)):
         raise ComparisonError(
             f"{network.driver} has to drive {sum(map(len, missing.values()))} tests, but {reason}: restore it, or "
-            "compare its campaign with a network, as in `ds campaign compare A --driver B`"
+            "compare its campaign with a network, as in `ds compare A --driver B`"
         )
     settings = replace(tests.settings, driver=network.driver)
     progress.say(f"{role} {network.driver}: {sum(map(len, missing.values()))} drives")
