@@ -138,6 +138,9 @@ assert not heavy, heavy
         ("ds campaign ro", "roads"),
         ("ds bag redrive --vi", "--video"),
         ("ds drive --sim bul", "bullet"),
+        ("ds drive --conditions visi", "visibility="),
+        ("ds drive --conditions friction=0.5,visi", "friction=0.5,visibility="),
+        ("ds sensitivity --conditions friction,visi", "friction,visibility"),
     ],
 )
 def test_tab_completes_verbs_options_and_simulators(typed: str, offered: str) -> None:
@@ -145,6 +148,25 @@ def test_tab_completes_verbs_options_and_simulators(typed: str, offered: str) ->
     asked = {"COMP_WORDS": typed, "COMP_CWORD": str(len(words) - 1), "_DS_COMPLETE": "complete_bash"}
     done = subprocess.run(DS, capture_output=True, text=True, timeout=60, env={**os.environ, **asked})
     assert done.stdout.split() == [offered], done.stderr
+
+
+def test_bash_completes_a_condition_after_another_one(tmp_path: Path) -> None:
+    """Bash breaks words at `=`, and puts what it is given in place of the last part."""
+    ds_there = tmp_path / "ds"
+    ds_there.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ds_cli.main "$@"\n')
+    ds_there.chmod(0o755)
+    script = """
+source <(ds completion bash | sed 's#/[^ ]*/ds 2>#ds 2>#')
+COMP_LINE='ds drive --conditions friction=0.5,visi'
+COMP_POINT=${#COMP_LINE} COMP_WORDS=(ds drive --conditions friction = 0.5,visi) COMP_CWORD=5
+_ds_completion
+echo "${COMPREPLY[@]}"
+"""
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, timeout=60, env={**os.environ, "PATH": path}
+    )
+    assert done.stdout.split() == ["0.5,visibility="], done.stderr
 
 
 def test_from_a_cell_or_a_failure_to_its_roads(campaign: Path, tmp_path: Path) -> None:
@@ -274,7 +296,10 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("did you mean 'maps'", ("map",)),
         ("completion", ("completion", "tcsh")),
         ("at least two", ("siblings", "compare", "--sims", "donkey")),
-        ("condition 'rain' is unknown", ("sensitivity", "--sims", "donkey", "--conditions", "rain,visibility")),
+        (
+            "condition 'rain': did you mean visibility (20 m or more) or friction",
+            ("sensitivity", "--sims", "donkey", "--conditions", "rain,visibility"),
+        ),
         ("--levels 5 is not possible: expected 4, 8, 16", ("sensitivity", "--sims", "donkey", "--levels", "5")),
         ("expected two or three different features", ("maps", "out", "--axes", "curvature,curvature")),
         ("unknown feature 'length'", ("maps", "out", "--axes", "length,curvature")),
@@ -286,7 +311,7 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("road 0 is not valid", ("siblings", "compare", "--file", crossing, "--driver", "autopilot")),
         ("--lane", ("drive", "--sim", "donkey", "--lane", "middle")),
         ("unknown condition 'fog'", ("drive", "--sim", "donkey", "--conditions", "fog=1")),
-        ("expected 20 or more m", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
+        ("expected 20 m or more", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
         ("bicycle cannot realise friction", ("drive", "--sim", BICYCLE, "--conditions", "friction=0.5")),
     )
     for named, arguments in cases:

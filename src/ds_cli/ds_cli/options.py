@@ -36,6 +36,19 @@ def complete_driver(incomplete: str) -> list[str]:
     ]
 
 
+def complete_condition(incomplete: str) -> list[str]:
+    """Names of conditions for tab completion, after the complete ones before the last comma."""
+    from ds_sim.conditions.model import FIELDS
+
+    before, comma, begun = incomplete.rpartition(",")
+    return [f"{before}{comma}{name}" for name in FIELDS if name.startswith(begun)]
+
+
+def complete_value(incomplete: str) -> list[str]:
+    """Names of conditions for tab completion, to be followed by a value."""
+    return [f"{name}=" for name in complete_condition(incomplete)]
+
+
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 OutFolder = Annotated[Path, typer.Option(help="Campaign folder; a campaign that was stopped there is resumed.")]
 AttachFlag = Annotated[bool, typer.Option(help="Start no nodes: use those that run in this ROS domain.")]

@@ -178,9 +178,14 @@ COMPLETION_VARIABLE = "_DS_COMPLETE"
 
 _BASH = """\
 _ds_completion() {
-    local IFS=$'\\n'
-    COMPREPLY=( $( env COMP_WORDS="${COMP_WORDS[*]}" COMP_CWORD=$COMP_CWORD _DS_COMPLETE=complete_bash \\
+    local typed="${COMP_LINE:0:COMP_POINT}" last="${COMP_WORDS[COMP_CWORD]}"
+    local words=( $typed ) IFS=$'\\n'
+    [[ $typed == *' ' ]] && words+=( '' )
+    local whole="${words[-1]}"
+    COMPREPLY=( $( env COMP_WORDS="${typed}" COMP_CWORD=$(( ${#words[@]} - 1 )) _DS_COMPLETE=complete_bash \\
         DS 2>/dev/null ) )
+    COMPREPLY=( "${COMPREPLY[@]#"${whole%"${last#=}"}"}" )  # bash breaks words at =, and replaces the last part
+    [[ ${COMPREPLY[0]} == *= ]] && compopt -o nospace 2>/dev/null
     return 0
 }
 complete -o default -F _ds_completion ds ./ds

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from ds_sim.conditions.actuation import COMMAND_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.conditions.scales import between
+from ds_sim.conditions.text import check_known
 
 LEVELS = 16
 """Levels of strength between a simulator's own world (0) and the hardest value; chosen: a threshold to 6 % of the
@@ -86,9 +87,9 @@ def factors_named(names: Sequence[str]) -> list[Factor]:
     factors = all_factors()
     known = list(dict.fromkeys(factor.name for factor in factors))
     for name in names:
+        check_known(name)
         if name not in known:
-            problem = "has no harder end" if name in FIELDS else "is unknown"
-            raise ConditionsError(f"condition {name[:40]!r} {problem}: expected some of {', '.join(known)}")
+            raise ConditionsError(f"condition {name!r} has no harder end: expected some of {', '.join(known)}")
         if list(names).count(name) > 1:
             raise ConditionsError(f"condition {name!r} is named twice: name each once")
     return [factor for factor in factors if factor.name in names]
