@@ -33,6 +33,9 @@ from ds_orchestrator.store.model import DriveArrays
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_sim.session import RunRecord
+from ds_studies.sensitivity.analysis import Sensitivity
+from ds_studies.sensitivity.factors import factors_named
+from ds_studies.sensitivity.measurement import RoadResult, Threshold
 
 
 class OfDriver(MadeUpEngine):
@@ -313,6 +316,38 @@ def test_the_template_names_every_key_and_is_what_was_asked_for(tmp_path: Path, 
     assert all(f"{key}:" in text for key in CampaignConfig.model_fields)
     assert all(f"{key}:" in text for key in type(asked.search).model_fields)
     assert f"{asked.executions_at_most} drives" in text.splitlines()[0]
+
+
+def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(tmp_path: Path, engine: list[OfDriver]) -> None:
+    """From the simulator's own world to where the median simulator fails; each end of a signed condition counts."""
+    levels: dict[str, list[int | None]] = {
+        "visibility": [2, 4, 8], "camera_yaw": [6, None, 8], "lens_dirt": [8, 12, None],
+        "illuminance": [10, None, None], "shadow_depth": [1, 1, 1],
+    }  # fmt: skip
+    factors = factors_named(list(levels))
+    thresholds = {
+        (number, name): Threshold(
+            simulator=name, factor=factor, verdict="fails" if level else "completes",
+            roads=[RoadResult(completes=(level or 17) - 1, fails=level)],
+        )
+        for number, factor in enumerate(factors)
+        for name, level in zip("abc", levels[factor.name], strict=True)
+    }  # fmt: skip
+    found = Sensitivity(driver="", simulators="abc", factors=factors, needed=1, roads={}, thresholds=thresholds)
+    (tmp_path / "sensitivity.json").write_text(json.dumps(found.document()))
+    file = tmp_path / "campaign.yaml"
+    options = ("--driver", "autopilot", "--sims", "bullet,donkey", "--sensitivity", tmp_path)
+    assert ds("campaign", "init", file, *options).returncode == 0
+    searched = {name: (one.low, one.high) for name, one in read_config(file).search.conditions.items()}
+    # Visibility is even in 1 / m: level 4 of 16 up to 20 m is 80 m; yaw is even, level 8 of 16 up to 0.15 rad.
+    assert searched == {"visibility": (80.0, 1000.0), "camera_yaw": (-0.075, 0.075)}
+    assert "    # lens_dirt: {low: 0, high: 0.375}" in file.read_text() and "illuminance" not in file.read_text()
+    for content in ("{}", "[", '{"thresholds": [{"condition": "visibility"}]}', None):
+        (tmp_path / "sensitivity.json").write_text(content or "") if content else (
+            tmp_path / "sensitivity.json"
+        ).unlink()
+        bad = ds("campaign", "init", file, "--force", *options)
+        assert bad.returncode == 2 and "sensitivity" in bad.stderr and len(bad.stderr.splitlines()) == 1, bad.stderr
 
 
 def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, engine: list[OfDriver]) -> None:

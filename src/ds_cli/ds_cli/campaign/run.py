@@ -55,6 +55,10 @@ SimulatorsOfTemplate = Annotated[
     str, typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}.")
 ]
 SizeOfTemplate = Annotated[str, typer.Option(help="Search: small, medium or paper.")]
+SensitivityFolder = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Search the two most sensitive conditions of this `ds sensitivity --out`, too."),
+]
 
 app = typer.Typer()
 campaign_app = typer.Typer()
@@ -177,6 +181,7 @@ def campaign_init_command(
     ] = None,
     sims: SimulatorsOfTemplate | None = None,
     size: SizeOfTemplate | None = None,
+    sensitivity: SensitivityFolder = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
     """Write a commented configuration for a network, after three questions or from three options.
@@ -191,20 +196,21 @@ def campaign_init_command(
     size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
     if file.exists() and not force:
         raise ConfigError(f"{file} exists already: choose another file, or --force")
-    file.write_text(_template_of(driver, sims, size), "utf-8")
+    file.write_text(_template_of(driver, sims, size, sensitivity), "utf-8")
     print(file)
     say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
 
 
-def _template_of(driver: str, sims: str, size: str) -> str:
+def _template_of(driver: str, sims: str, size: str, sensitivity: Path | None) -> str:
     """A commented configuration; the driver and the simulators exist."""
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.preflight import check_driver
+    from ds_studies.sensitivity.ranges import read_ranges
 
     names = simulators_of(sims)
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 else (names, None)
-    return template(driver, siblings, twin, size)
+    return template(driver, siblings, twin, size, read_ranges(sensitivity) if sensitivity else None)
 
 
 @app.command("test")
@@ -217,6 +223,7 @@ def search_command(
     ],
     sims: SimulatorsOfTemplate = SIMULATORS,
     size: SizeOfTemplate = SIZE,
+    sensitivity: SensitivityFolder = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there goes on."),
@@ -234,7 +241,7 @@ def search_command(
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.registry import label_of
 
-    text = _template_of(network, sims, size)
+    text = _template_of(network, sims, size, sensitivity)
     folder = out or Path(f"{label_of(Path(network).stem)}_test")
     make_folder(folder)
     file = folder / "campaign.yaml"

@@ -22,7 +22,7 @@ VEHICLE_CONDITIONS = COMMAND_CONDITIONS | {"friction", "payload"}
 _START = {"pavement_reflectance": 0.12, "shadow_depth": 0.0}
 """Value at which a condition changes nothing, where that is not its default: worn asphalt, as most looks have it, and
 shadows that take no light."""
-_COMPANIONS = {
+COMPANIONS = {
     "shadow_depth": {"shadow_density": 0.5},
     "low_sun": {"sun_azimuth": math.pi / 2, "sun_elevation": math.radians(10.0)},
 }
@@ -65,7 +65,7 @@ class Factor:
 
     def conditions(self, level: int) -> Conditions:
         """Conditions of a level; level 0 is each simulator's own world."""
-        return Conditions(**_COMPANIONS.get(self.name, {}), **{self.name: self.value(level)}) if level else DEFAULT
+        return Conditions(**COMPANIONS.get(self.name, {}), **{self.name: self.value(level)}) if level else DEFAULT
 
 
 def all_factors() -> list[Factor]:
