@@ -196,13 +196,14 @@ def campaign_init_command(
     size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
     if file.exists() and not force:
         raise ConfigError(f"{file} exists already: choose another file, or --force")
-    file.write_text(_template_of(driver, sims, size, sensitivity), "utf-8")
+    file.write_text(_template_of(driver, sims, size, sensitivity, file), "utf-8")
     print(file)
     say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
 
 
-def _template_of(driver: str, sims: str, size: str, sensitivity: Path | None) -> str:
-    """A commented configuration; the driver and the simulators exist."""
+def _template_of(driver: str, sims: str, size: str, sensitivity: Path | None, file: Path) -> str:
+    """A commented configuration for a file; the driver and the simulators exist."""
+    from ds_orchestrator.campaign.config import moved
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.preflight import check_driver
     from ds_studies.sensitivity.ranges import read_ranges
@@ -210,7 +211,8 @@ def _template_of(driver: str, sims: str, size: str, sensitivity: Path | None) ->
     names = simulators_of(sims)
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 else (names, None)
-    return template(driver, siblings, twin, size, read_ranges(sensitivity) if sensitivity else None)
+    named = moved({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
+    return template(**named, size=size, ranges=read_ranges(sensitivity) if sensitivity else None)
 
 
 @app.command("test")
@@ -241,10 +243,10 @@ def search_command(
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.registry import label_of
 
-    text = _template_of(network, sims, size, sensitivity)
     folder = out or Path(f"{label_of(Path(network).stem)}_test")
-    make_folder(folder)
     file = folder / "campaign.yaml"
+    text = _template_of(network, sims, size, sensitivity, file)
+    make_folder(folder)
     if file.exists() and file.read_text("utf-8") != text:
         raise ConfigError(f"{folder} holds another test: choose another --out")
     file.write_text(text, "utf-8")
