@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import tempfile
 import time
@@ -126,8 +125,10 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None)
 
 
 def _kept(out: Path, done: int) -> str:
+    from ds_sim.installation import ds_command
+
     finished = f"{done} finished execution{'s are' if done != 1 else ' is'} kept; " if done else ""
-    return f"{finished}`ds campaign resume {out}` continues"
+    return f"{finished}`{ds_command('campaign', 'resume', out)}` continues"
 
 
 def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
@@ -189,6 +190,7 @@ def campaign_init_command(
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
     from ds_orchestrator.campaign.config import ConfigError
+    from ds_sim.installation import ds_command
 
     ask = sys.stdin.isatty()
     driver = driver or (typer.prompt("Network", DRIVER, err=True) if ask else DRIVER)
@@ -198,7 +200,7 @@ def campaign_init_command(
         raise ConfigError(f"{file} exists already: choose another file, or --force")
     file.write_text(_template_of(driver, sims, size, sensitivity, file), "utf-8")
     print(file)
-    say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
+    say(f"next: {ds_command('campaign', 'run', file, '--out', file.stem, '--dry-run')}")
 
 
 def _template_of(driver: str, sims: str, size: str, sensitivity: Path | None, file: Path) -> str:

@@ -26,6 +26,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.conditions.model import DEFAULT
+from ds_sim.installation import ds_command
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
@@ -274,7 +275,8 @@ def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
     chosen = select(data, most=min(most, MOST_TESTS))
     if not chosen:
         raise SuiteError(
-            f"{folder} has no test with a verdict on every simulator: run `ds campaign resume {folder}` first"
+            f"{folder} has no test with a verdict on every simulator: run "
+            f"`{ds_command('campaign', 'resume', folder)}` first"
         )
     config = data.config
     done = {(one.test_id, one.simulator): one for one in data.verdicts}
