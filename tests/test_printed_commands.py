@@ -59,8 +59,8 @@ def test_every_verb_in_a_message_exists() -> None:
 
 
 def test_no_message_puts_a_name_into_a_command_without_quoting_it() -> None:
-    """`ds_command` quotes them."""
-    for path in SOURCES:
+    """`ds_command` quotes them; the pages have a function of their own."""
+    for path in (path for path in SOURCES if path.suffix == ".py"):
         assert not re.search(r"(`|next: )(\./)?ds [a-z0-9][^`\n]*\{", path.read_text("utf-8")), path
 
 
