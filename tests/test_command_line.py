@@ -18,7 +18,7 @@ import pytest
 from ds_analysis.common.table import Column, Table
 from ds_cli import application, evaluations, main
 from ds_cli.options import SHIPPED_SIMULATORS
-from ds_cli.output import duration
+from ds_cli.output import countdown, duration
 from ds_cli.twin import FitProgress
 from ds_cli.verbs import GROUPS, VERBS, overview
 from ds_driver.closed_loop.simulation import drive_road, make_driver
@@ -225,6 +225,17 @@ def test_a_fit_says_how_long_it_still_takes() -> None:
     # 2 s an iteration: 3 more, then 4 of 2.5 times that, and 8 of 6 times.
     assert lines[1].endswith(f"about {duration(2.0 * (3 + 10 + 48))} left")
     assert lines[4].endswith(f"about {duration(2.0 * (7.5 + 48))} left")
+
+
+def test_a_countdown_counts_what_this_call_did(capsys: pytest.CaptureFixture[str]) -> None:
+    """Four of eight were done before; the others take 30 s each."""
+    clock = iter([0.0, 0.001, 0.002, 0.003, 0.004, 30.004, 60.004, 90.004, 120.004])
+    progress = countdown(lambda: next(clock))
+    for done in range(1, 9):
+        progress(done, 8, "x")
+    said = capsys.readouterr().err.splitlines()
+    assert said[:4] == [f"{done}/8 x" for done in range(1, 5)]
+    assert said[4:] == ["5/8 x; about 90 s left", "6/8 x; about 60 s left", "7/8 x; about 30 s left", "8/8 x"]
 
 
 def test_road_check_answers_for_every_road_whatever_it_is(tmp_path: Path) -> None:
