@@ -18,9 +18,9 @@ import pytest
 from ds_analysis.common.table import Column, Table
 from ds_cli import application, evaluations, main
 from ds_cli.options import SHIPPED_SIMULATORS
-from ds_cli.output import duration
+from ds_cli.output import countdown, duration
 from ds_cli.twin import FitProgress
-from ds_cli.verbs import VERBS, overview
+from ds_cli.verbs import GROUPS, VERBS, overview
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign import executor
 from ds_orchestrator.campaign.config import parse_config
@@ -106,6 +106,14 @@ def test_the_overview_says_of_every_verb_what_its_own_help_says() -> None:
     assert tuple(SIMULATORS) == SHIPPED_SIMULATORS
 
 
+def test_the_first_group_carries_a_user_and_the_others_have_the_rest() -> None:
+    six = ["check", "drive", "test", "sensitivity", "compare", "report"]
+    assert [verb.name for verb in GROUPS[0][1] if verb.name != "check"] == six[1:]
+    assert "check" not in VERBS or GROUPS[0][1][0].name == "check"
+    assert set(VERBS) >= {"campaign", "runs", "suite", "maps", "evaluate", "predict", "road", "bag", "doctor"}
+    assert sum(len(verbs) for _, verbs in GROUPS) == len(VERBS)
+
+
 def test_a_help_text_imports_nothing_heavy() -> None:
     script = """
 import sys
@@ -130,6 +138,9 @@ assert not heavy, heavy
         ("ds campaign ro", "roads"),
         ("ds bag redrive --vi", "--video"),
         ("ds drive --sim bul", "bullet"),
+        ("ds drive --conditions visi", "visibility="),
+        ("ds drive --conditions friction=0.5,visi", "friction=0.5,visibility="),
+        ("ds sensitivity --conditions friction,visi", "friction,visibility"),
     ],
 )
 def test_tab_completes_verbs_options_and_simulators(typed: str, offered: str) -> None:
@@ -137,6 +148,25 @@ def test_tab_completes_verbs_options_and_simulators(typed: str, offered: str) ->
     asked = {"COMP_WORDS": typed, "COMP_CWORD": str(len(words) - 1), "_DS_COMPLETE": "complete_bash"}
     done = subprocess.run(DS, capture_output=True, text=True, timeout=60, env={**os.environ, **asked})
     assert done.stdout.split() == [offered], done.stderr
+
+
+def test_bash_completes_a_condition_after_another_one(tmp_path: Path) -> None:
+    """Bash breaks words at `=`, and puts what it is given in place of the last part."""
+    ds_there = tmp_path / "ds"
+    ds_there.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ds_cli.main "$@"\n')
+    ds_there.chmod(0o755)
+    script = """
+source <(ds completion bash | sed 's#/[^ ]*/ds 2>#ds 2>#')
+COMP_LINE='ds drive --conditions friction=0.5,visi'
+COMP_POINT=${#COMP_LINE} COMP_WORDS=(ds drive --conditions friction = 0.5,visi) COMP_CWORD=5
+_ds_completion
+echo "${COMPREPLY[@]}"
+"""
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, timeout=60, env={**os.environ, "PATH": path}
+    )
+    assert done.stdout.split() == ["0.5,visibility="], done.stderr
 
 
 def test_from_a_cell_or_a_failure_to_its_roads(campaign: Path, tmp_path: Path) -> None:
@@ -195,6 +225,17 @@ def test_a_fit_says_how_long_it_still_takes() -> None:
     # 2 s an iteration: 3 more, then 4 of 2.5 times that, and 8 of 6 times.
     assert lines[1].endswith(f"about {duration(2.0 * (3 + 10 + 48))} left")
     assert lines[4].endswith(f"about {duration(2.0 * (7.5 + 48))} left")
+
+
+def test_a_countdown_counts_what_this_call_did(capsys: pytest.CaptureFixture[str]) -> None:
+    """Four of eight were done before; the others take 30 s each."""
+    clock = iter([0.0, 0.001, 0.002, 0.003, 0.004, 30.004, 60.004, 90.004, 120.004])
+    progress = countdown(lambda: next(clock))
+    for done in range(1, 9):
+        progress(done, 8, "x")
+    said = capsys.readouterr().err.splitlines()
+    assert said[:4] == [f"{done}/8 x" for done in range(1, 5)]
+    assert said[4:] == ["5/8 x; about 90 s left", "6/8 x; about 60 s left", "7/8 x; about 30 s left", "8/8 x"]
 
 
 def test_road_check_answers_for_every_road_whatever_it_is(tmp_path: Path) -> None:
@@ -266,7 +307,10 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("did you mean 'maps'", ("map",)),
         ("completion", ("completion", "tcsh")),
         ("at least two", ("siblings", "compare", "--sims", "donkey")),
-        ("condition 'rain' is unknown", ("sensitivity", "--sims", "donkey", "--conditions", "rain,visibility")),
+        (
+            "condition 'rain': did you mean visibility (20 m or more) or friction",
+            ("sensitivity", "--sims", "donkey", "--conditions", "rain,visibility"),
+        ),
         ("--levels 5 is not possible: expected 4, 8, 16", ("sensitivity", "--sims", "donkey", "--levels", "5")),
         ("expected two or three different features", ("maps", "out", "--axes", "curvature,curvature")),
         ("unknown feature 'length'", ("maps", "out", "--axes", "length,curvature")),
@@ -278,7 +322,7 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
         ("road 0 is not valid", ("siblings", "compare", "--file", crossing, "--driver", "autopilot")),
         ("--lane", ("drive", "--sim", "donkey", "--lane", "middle")),
         ("unknown condition 'fog'", ("drive", "--sim", "donkey", "--conditions", "fog=1")),
-        ("expected 20 or more m", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
+        ("expected 20 m or more", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
         ("bicycle cannot realise friction", ("drive", "--sim", BICYCLE, "--conditions", "friction=0.5")),
     )
     for named, arguments in cases:

@@ -1,4 +1,4 @@
-"""`ds campaign compare`, `ds suite`, `ds runs` and `ds campaign init` as commands, with drives that are made up."""
+"""`ds compare`, `ds suite`, `ds runs` and `ds campaign init` as commands, with drives that are made up."""
 
 from __future__ import annotations
 
@@ -33,6 +33,9 @@ from ds_orchestrator.store.model import DriveArrays
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_sim.session import RunRecord
+from ds_studies.sensitivity.analysis import Sensitivity
+from ds_studies.sensitivity.factors import factors_named
+from ds_studies.sensitivity.measurement import RoadResult, Threshold
 
 
 class OfDriver(MadeUpEngine):
@@ -84,7 +87,7 @@ def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path
 
 def test_a_network_drives_the_tests_of_a_campaign_once(tmp_path: Path, engine: list[OfDriver]) -> None:
     old, out = campaign(tmp_path / "old"), tmp_path / "out"
-    done = ds("campaign", "compare", old, "--driver", "other", "--out", out, "--json")
+    done = ds("compare", old, "--driver", "other", "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     # 8 tests on 3 simulators; the reference drives only the three that check whether it repeats.
@@ -315,6 +318,38 @@ def test_the_template_names_every_key_and_is_what_was_asked_for(tmp_path: Path, 
     assert f"{asked.executions_at_most} drives" in text.splitlines()[0]
 
 
+def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(tmp_path: Path, engine: list[OfDriver]) -> None:
+    """From the simulator's own world to where the median simulator fails; each end of a signed condition counts."""
+    levels: dict[str, list[int | None]] = {
+        "visibility": [2, 4, 8], "camera_yaw": [6, None, 8], "lens_dirt": [8, 12, None],
+        "illuminance": [10, None, None], "shadow_depth": [1, 1, 1],
+    }  # fmt: skip
+    factors = factors_named(list(levels))
+    thresholds = {
+        (number, name): Threshold(
+            simulator=name, factor=factor, verdict="fails" if level else "completes",
+            roads=[RoadResult(completes=(level or 17) - 1, fails=level)],
+        )
+        for number, factor in enumerate(factors)
+        for name, level in zip("abc", levels[factor.name], strict=True)
+    }  # fmt: skip
+    found = Sensitivity(driver="", simulators="abc", factors=factors, needed=1, roads={}, thresholds=thresholds)
+    (tmp_path / "sensitivity.json").write_text(json.dumps(found.document()))
+    file = tmp_path / "campaign.yaml"
+    options = ("--driver", "autopilot", "--sims", "bullet,donkey", "--sensitivity", tmp_path)
+    assert ds("campaign", "init", file, *options).returncode == 0
+    searched = {name: (one.low, one.high) for name, one in read_config(file).search.conditions.items()}
+    # Visibility is even in 1 / m: level 4 of 16 up to 20 m is 80 m; yaw is even, level 8 of 16 up to 0.15 rad.
+    assert searched == {"visibility": (80.0, 1000.0), "camera_yaw": (-0.075, 0.075)}
+    assert "    # lens_dirt: {low: 0, high: 0.375}" in file.read_text() and "illuminance" not in file.read_text()
+    for content in ("{}", "[", '{"thresholds": [{"condition": "visibility"}]}', None):
+        (tmp_path / "sensitivity.json").write_text(content or "") if content else (
+            tmp_path / "sensitivity.json"
+        ).unlink()
+        bad = ds("campaign", "init", file, "--force", *options)
+        assert bad.returncode == 2 and "sensitivity" in bad.stderr and len(bad.stderr.splitlines()) == 1, bad.stderr
+
+
 def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, engine: list[OfDriver]) -> None:
     file = tmp_path / "campaign.yaml"
     assert ds("campaign", "init", file, "--driver", "autopilot", "--sims", "bullet").returncode == 0
@@ -322,6 +357,30 @@ def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, en
     again = ds("campaign", "init", file)
     assert again.returncode == 2 and "exists already" in again.stderr
     assert ds("campaign", "init", file, "--force", "--size", "huge").returncode == 2
+
+
+def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
+    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder holds the configuration that `ds campaign init` writes, and what `ds campaign run` makes of it."""
+    monkeypatch.chdir(tmp_path)
+    configs: list[tuple[CampaignConfig, Path]] = []
+
+    def run(config: CampaignConfig, out: Path, **_: object) -> Result:
+        configs.append((config, out))
+        return Result(document={}, show=lambda: None)
+
+    monkeypatch.setattr("ds_cli.campaign.run.campaign", run)
+    assert ds("test", "autopilot", "--sims", "bullet,donkey").returncode == 0
+    assert ds("campaign", "init", "own.yaml", "--driver", "autopilot", "--sims", "bullet,donkey").returncode == 0
+    (config, out), written = configs[0], Path("autopilot_test/campaign.yaml")
+    assert out == written.parent and written.read_text() == Path("own.yaml").read_text()
+    assert config.engine == "local" and config.identity() == read_config(written).identity()
+    # The same test goes on; another one does not write over it.
+    assert ds("test", "autopilot", "--sims", "bullet,donkey", "--engine", "graph").returncode == 0
+    assert (configs[1][0].engine, configs[1][0].workers) == ("graph", 1)
+    other = ds("test", "autopilot", "--sims", "bullet,donkey", "--size", "medium")
+    assert other.returncode == 2 and "holds another test: choose another --out" in other.stderr
 
 
 def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing(

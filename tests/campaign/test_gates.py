@@ -180,7 +180,7 @@ def test_damaged_rows_get_one_line(tmp_path: Path, change: str, named: str) -> N
 
 @pytest.mark.parametrize(
     ("text", "named"),
-    [("fog=1", "unknown condition 'fog'"), ("visibility=3", "expected 20 or more m"), (3, "conditions: 3")],
+    [("fog=1", "unknown condition 'fog'"), ("visibility=3", "expected 20 m or more"), (3, "conditions: 3")],
 )
 def test_bad_conditions_are_refused_in_one_line(text: object, named: str) -> None:
     with pytest.raises(ConfigError, match=named):

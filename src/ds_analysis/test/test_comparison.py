@@ -87,8 +87,26 @@ def test_a_network_that_newly_fails_often_is_worse_and_is_not_merged() -> None:
     assert advice_of(found) == "do not merge" and answer_of(found) == "Merge? No: it is worse."
     # Two comparisons: Holm doubles the smaller p.
     assert found.simulators[0].p_adjusted == pytest.approx(2 * binomtest(12, 13, 0.5).pvalue)
-    assert "Worse on bullet: 12 of 40 tests newly fail" in sentences_of(found)[0]
-    assert "donkey (twin)" in sentences_of(found)[1]
+    first, second = sentences_of(found)
+    assert first.startswith("bullet: 12 of 40 tests passed and now fail, 1 the other way: on these it is worse. ")
+    assert "Other such roads: worse, too (p = 0.0068 after Holm)." in first
+    assert second.startswith("donkey (twin): 1 of 40 tests passed and now fails, 1 the other way: on these it is nei")
+
+
+def test_what_happened_is_said_before_what_is_significant() -> None:
+    """Six of six tests that newly fail are no accident, as drives repeat; six are too few for other roads."""
+    found = compared([*pairs("bullet", (6, 0, 0, 0)), *pairs("donkey", (0, 0, 6, 0))])
+    assert answer_of(found) == "Merge? Look first: 6 drives newly fail, none is fixed: on these tests it is worse."
+    said = "bullet: 6 of 6 tests passed and now fail, none the other way: on these it is worse. Whether that holds for "
+    assert sentences_of(found)[0].startswith(said + "other such roads: p = 0.062 after Holm, so it is open; 95 %: ")
+    assert sentences_of(found)[1].startswith(
+        "donkey: the same outcomes on 6 tests. Other such roads: no difference is shown; 95 %"
+    )
+    assert 2 * binomtest(6, 6, 0.5).pvalue == pytest.approx(0.0625)
+    better = compared(pairs("bullet", (0, 1, 0, 0)))
+    assert sentences_of(better)[0].startswith("bullet: 1 of 1 test failed and now passes, none the other way: on these")
+    texts = [markdown_of(found, {}), json.dumps(document_of(found, {}), ensure_ascii=False)]
+    assert all("6 of 6 tests passed and now fail" in text for text in texts)
 
 
 def test_tests_that_were_searched_against_the_reference_show_no_improvement() -> None:
@@ -108,7 +126,9 @@ def test_tests_that_were_searched_against_the_reference_show_what_got_worse() ->
 
 def test_one_newly_failing_test_asks_for_a_look() -> None:
     found = compared(pairs("bullet", (1, 0, 0, 9)))
-    assert advice_of(found) == "look first" and answer_of(found) == "Merge? Look first: 1 drive newly fails."
+    assert advice_of(found) == "look first" and answer_of(found).startswith(
+        "Merge? Look first: 1 drive newly fails, none is"
+    )
     assert "Too few tests change" in cautions_of(found)[-1]
 
 
@@ -212,7 +232,9 @@ def test_the_markdown_answers_first_and_escapes_names() -> None:
     found = compared(pairs("bullet", (12, 1, 3, 24)), source="Tests of my_campaign|x")
     text = markdown_of(found, {"test-0-0000": "worse/test-0-0000.json"}, ["12 tests newly fail"])
     lines = [line for line in text.splitlines() if line]
-    assert lines[1] == "**Merge? No: it is worse.**" and lines[2].startswith("- Worse on bullet")
+    assert lines[1] == "**Merge? No: it is worse.**" and lines[2].startswith(
+        "- bullet: 12 of 40 tests passed and now fail"
+    )
     assert "my\\_campaign\\|x" in text
     assert "ds drive --sim bullet --driver new --road worse/test-0-0000.json --video test-0-0000-bullet.mp4" in text
     rows = [line for line in lines if line.startswith("|")]
@@ -239,7 +261,7 @@ def test_the_page_shows_newly_failing_roads_and_the_map(tmp_path: Path) -> None:
     write_comparison_page(found, page, {"test-0-0000": "worse/test-0-0000.json"}, ["2 tests newly fail"])
     text = page.read_text("utf-8")
     assert text.count("data:image/png;base64,") == 2 and "&lt;b&gt;donkey" in text and "<b>donkey" not in text
-    assert "Pass criterion not met: 2 tests newly fail" in text
+    assert "Pass criterion not met: 2 tests newly fail" in text and "2 of 8 tests passed and now fail, 1 the" in text
     grid = grids_of(found)[0]
     assert [[cell.text for cell in cells] for _, cells in grid.rows] == [["+1 −1/4", "+1/4"]]
     again = tmp_path / "again.html"

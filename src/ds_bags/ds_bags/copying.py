@@ -28,6 +28,7 @@ from ds_bags.messages import typestore
 from ds_bags.reader import BagReader
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic
 from ds_sim.bounded_yaml import BoundedYamlError, load_yaml
+from ds_sim.installation import ds_command
 
 
 class DamagedFileError(BagError):
@@ -214,7 +215,7 @@ def unfinished_file(path: Path) -> Path:
     ):
         found = sorted(folder.glob("*.mcap"))
         if found and (folder / "metadata.yaml").exists():
-            raise BagError(f"{folder} is whole: `ds bag info {folder}` describes it")
+            raise BagError(f"{folder} is whole: `{ds_command('bag', 'info', folder)}` describes it")
         if found:
             return found[0]
     raise BagError(f"{path}: nothing to recover: expected an .mcap file in it, or in {partial_path(path)}")

@@ -31,6 +31,7 @@ from ds_bags.layout import (
 )
 from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.conditions.text import parse_conditions
+from ds_sim.installation import ds_command
 from ds_sim.registry import received_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
@@ -99,7 +100,9 @@ class BagReader:
         if isinstance(error, BagError):
             return error
         text = printable(" ".join(str(error).split())) or type(error).__name__
-        return BagError(f"{self.path} cannot be read ({text}): try `ds bag recover {self.path} --out DIR`")
+        return BagError(
+            f"{self.path} cannot be read ({text}): try `{ds_command('bag', 'recover', self.path, '--out', 'DIR')}`"
+        )
 
     @property
     def connections(self) -> list[Connection]:
@@ -172,11 +175,16 @@ class BagReader:
 def _check_finished(path: Path) -> None:
     if not path.exists():
         if partial_path(path).exists() or image_spool_path(path).exists():
-            raise BagError(f"{path} was never finished: `ds bag recover {path} --out DIR` recovers what was written")
+            raise BagError(
+                f"{path} was never finished: `{ds_command('bag', 'recover', path, '--out', 'DIR')}` recovers what was "
+                "written"
+            )
         raise BagError(f"{path}: no such bag: give the folder of a bag")
     if path.is_dir() and not (path / "metadata.yaml").exists():
         if list(path.glob("*.mcap")):
-            raise BagError(f"{path} has no metadata.yaml: `ds bag recover {path} --out DIR` completes it")
+            raise BagError(
+                f"{path} has no metadata.yaml: `{ds_command('bag', 'recover', path, '--out', 'DIR')}` completes it"
+            )
         raise BagError(f"{path} is no bag: expected a folder with metadata.yaml")
 
 

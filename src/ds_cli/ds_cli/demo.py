@@ -30,6 +30,7 @@ def demo_command(
     from ds_cli.campaign.run import campaign
     from ds_cli.options import with_engine
     from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.installation import ds_command
     from ds_studies import demo
 
     workers = workers or DEMO_WORKERS
@@ -41,7 +42,7 @@ def demo_command(
     say(f"2 of 4: what else breaks it? Open {place / 'sensitivity.html'} in a browser: it fills while you watch")
     with stopped_in(place):
         found = demo.measure_sensitivity(place, workers, progress=countdown(), say=lambda line: say(f"   {line}"))
-    ranges = demo.ranges_of(found)
+    ranges = demo.searched(found)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
     result = campaign(with_engine(demo.campaign_config(ranges), workers, engine), out)
     result.document["fog"], result.document["searched"] = fog, ranges
@@ -51,6 +52,7 @@ def demo_command(
     def show() -> None:
         answer()
         print(f"4 of 4: open {out / 'report.html'}, which begins with the answer")
-        print("   with your own network: ds check my_net.onnx, then ds test my_net.yaml")
+        mine = ds_command("check", "my_net.onnx"), ds_command("test", "my_net.yaml")
+        print(f"   with your own network: {mine[0]}, then {mine[1]}")
 
     end(replace(result, show=show), as_json)

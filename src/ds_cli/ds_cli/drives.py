@@ -24,6 +24,7 @@ from ds_cli.options import (
     MaxAngle,
     Simulator,
     Wait,
+    complete_value,
     driver_named,
 )
 from ds_cli.output import Interrupted, Result, duration, end, say
@@ -263,7 +264,8 @@ def drive_command(
     conditions: Annotated[
         str | None,
         typer.Option(
-            help="Operating conditions, such as line_contrast=0.4,visibility=40; the road file's if left out, or none."
+            help="Operating conditions, such as line_contrast=0.4,visibility=40; the road file's if left out, or none.",
+            autocompletion=complete_value,
         ),
     ] = None,
     bag: Annotated[Path | None, typer.Option(help="Folder of a rosbag2 to write.")] = None,

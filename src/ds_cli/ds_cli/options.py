@@ -27,12 +27,26 @@ def _complete_simulator(incomplete: str) -> list[str]:
     return [name for name in SHIPPED_SIMULATORS if name.startswith(incomplete)]
 
 
-def _complete_driver(incomplete: str) -> list[str]:
+def complete_driver(incomplete: str) -> list[str]:
+    """Drivers for tab completion."""
     return [
         name
         for name in ("autopilot", "dave2", "dave2_b", "dave2_short", "chauffeur", "epoch")
         if name.startswith(incomplete)
     ]
+
+
+def complete_condition(incomplete: str) -> list[str]:
+    """Names of conditions for tab completion, after the complete ones before the last comma."""
+    from ds_sim.conditions.model import FIELDS
+
+    before, comma, begun = incomplete.rpartition(",")
+    return [f"{before}{comma}{name}" for name in FIELDS if name.startswith(begun)]
+
+
+def complete_value(incomplete: str) -> list[str]:
+    """Names of conditions for tab completion, to be followed by a value."""
+    return [f"{name}=" for name in complete_condition(incomplete)]
 
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
@@ -86,7 +100,7 @@ DriverName = Annotated[
     str,
     typer.Option(
         help="Driver: autopilot, dave2, a .safetensors or .yaml file, or module:Class.",
-        autocompletion=_complete_driver,
+        autocompletion=complete_driver,
     ),
 ]
 Backend = Annotated[
@@ -182,11 +196,20 @@ def with_engine_without_ros(
     settings: DriveSettings, workers: int | None, engine: str | None, cluster: Path | None
 ) -> DriveSettings:
     """The settings with an engine: `local` with a process for each processor, unless the options say otherwise."""
+    chosen = {
+        "engine": "local",
+        "workers": usual_workers(engine),
+        "cluster": cluster_of(cluster),
+        **_chosen(workers, engine),
+    }
+    return replace(settings, **chosen)
+
+
+def usual_workers(engine: str | None) -> int:
+    """Workers where nothing says how many: a process for each processor, but one graph of nodes."""
     from ds_orchestrator.campaign.config import MOST_WORKERS
 
-    usual = 1 if engine == "graph" else min(len(os.sched_getaffinity(0)), MOST_WORKERS)
-    chosen = {"engine": "local", "workers": usual, "cluster": cluster_of(cluster), **_chosen(workers, engine)}
-    return replace(settings, **chosen)
+    return 1 if engine == "graph" else min(len(os.sched_getaffinity(0)), MOST_WORKERS)
 
 
 def _chosen(workers: int | None, engine: str | None) -> dict[str, Any]:

@@ -69,13 +69,25 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
-def countdown() -> Callable[[int, int, str], None]:
-    """A function that prints what is done and how long the rest takes at the same pace."""
-    started = time.monotonic()
+KEPT = 0.05
+"""Seconds; what is done within them, at the beginning, was done by an earlier call; chosen: no drive is so short."""
+
+
+def countdown(now: Callable[[], float] = time.monotonic) -> Callable[[int, int, str], None]:
+    """A function that prints what is done and how long the rest takes at the pace of this call.
+
+    Args:
+        now: steady clock, s.
+    """
+    started, kept = now(), 0
 
     def progress(done: int, total: int, line: str) -> None:
-        left = (time.monotonic() - started) / done * (total - done)
-        say(f"{done}/{total} {line}" + (f"; about {duration(left)} left" if done < total else ""))
+        nonlocal kept
+        passed = now() - started
+        if passed < KEPT * (done - kept) and passed < 1.0:
+            kept = done
+        left = passed / (done - kept) * (total - done) if kept < done < total else None
+        say(f"{done}/{total} {line}" + ("" if left is None else f"; about {duration(left)} left"))
 
     return progress
 

@@ -69,9 +69,10 @@ class ScreenListener(Listener):
         with self._lock:
             self.done += 1
             # A test is driven on its own sibling by the search, elsewhere by the stage after that.
-            self._left.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
+            now = time.monotonic()
+            self._left.finished(int(test.sibling != simulator), simulator, now, fresh=fresh)
             self._failures += isinstance(execution, Execution) and execution.outcome.is_failure
-            seconds = self._left.seconds()
+            seconds = self._left.seconds(now)
             left = "" if seconds is None else f"about {duration(seconds)} left"
             self._progress.update(self._task, completed=self.done, failures=self._failures, left=left)
             if not self._console.is_terminal and fresh:

@@ -18,6 +18,7 @@ from ds_cli.options import (
     Seed,
     Simulators,
     Workers,
+    complete_condition,
     driver_named,
     every_or_named,
     with_engine_without_ros,
@@ -35,7 +36,10 @@ def sensitivity_command(
     sims: Simulators = ALL,
     conditions: Annotated[
         str | None,
-        typer.Option(help="Names of conditions, separated by commas; all of docs/conditions.md if left out."),
+        typer.Option(
+            help="Names of conditions, separated by commas; all of docs/conditions.md if left out.",
+            autocompletion=complete_condition,
+        ),
     ] = None,
     roads: Annotated[
         int, typer.Option(min=1, max=100, help="Short roads on each simulator that the driver completes by default.")

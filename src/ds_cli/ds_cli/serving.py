@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ds_cli.options import Lane, MaxAngle, Seed, Simulator
+from ds_cli.options import Lane, MaxAngle, Seed, Simulator, complete_value
 from ds_cli.output import Interrupted, say
 
 app = typer.Typer()
@@ -30,7 +30,10 @@ def serve_donkey_command(
     seed: Seed = 0,
     max_angle: MaxAngle = 270,
     lane: Lane = None,
-    conditions: Annotated[str, typer.Option(help="Operating conditions, such as line_contrast=0.4.")] = "",
+    conditions: Annotated[
+        str,
+        typer.Option(help="Operating conditions, such as line_contrast=0.4.", autocompletion=complete_value),
+    ] = "",
     clients: Annotated[int, typer.Option(min=1, max=64, help="Clients connected at the same time.")] = 8,
     timeout: Annotated[
         float, typer.Option(min=1.0, max=86400.0, help="Disconnect a client that is silent for this many seconds.")

@@ -35,18 +35,21 @@ class Verb(NamedTuple):
 
 GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
-        "Drive",
+        "Your network",
         (
             Verb("drive", "drives", "Drive one road with one driver on one simulator."),
+            Verb("test", "campaign.group", "Search roads on which a network fails, and report where and why."),
             Verb(
                 "sensitivity", "sensitivity", "Find how strong each operating condition must be for a driver to fail."
             ),
-            Verb("serve", "serving", "Serve a simulator to clients of another one's protocol.", ("donkey",)),
-            Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
+            Verb(
+                "compare", "campaign.group", "Compare two networks on the same tests: what got worse, what got better?"
+            ),
+            Verb("report", "campaign.group", "Rebuild a campaign's maps, tables and HTML report."),
         ),
     ),
     (
-        "Test",
+        "Campaigns and suites",
         (
             Verb("demo", "demo", "See where a shipped network fails, why, and what to do next, in five minutes."),
             Verb(
@@ -59,9 +62,11 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
             Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
             Verb("maps", "maps", "Show a campaign's feature maps as coloured grids."),
-            Verb(
-                "evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."
-            ),
+        ),
+    ),
+    (
+        "The real car",
+        (
             Verb(
                 "predict",
                 "prediction.predict",
@@ -73,11 +78,26 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "Choose, record and use a few drives on a real car.",
                 ("propose", "record", "update"),
             ),
-            Verb("report", "campaign.group", "Rebuild a campaign's maps, tables and HTML report."),
+            Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
+            Verb(
+                "sim2real",
+                "sim2real",
+                "Make simulated images look like photographs of a real track.",
+                ("train", "show", "assess", "translate", "reality"),
+            ),
         ),
     ),
     (
-        "Roads and recordings",
+        "Train",
+        (
+            Verb("collect", "networks", "Collect labelled driving data with the autopilot."),
+            Verb("import", "networks", "Import recorded drives of a real car into a data set."),
+            Verb("train", "networks", "Train one network for all simulators of a data set."),
+            Verb("models", "networks", "List the shipped networks and their success rates."),
+        ),
+    ),
+    (
+        "Roads, recordings, simulators",
         (
             Verb(
                 "road",
@@ -91,22 +111,11 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "Inspect, replay, re-simulate, pack and repair rosbag2 recordings.",
                 ("info", "recover", "replay", "redrive", "drive", "pack", "unpack"),
             ),
-        ),
-    ),
-    (
-        "Networks and the twin",
-        (
-            Verb("collect", "networks", "Collect labelled driving data with the autopilot."),
-            Verb("import", "networks", "Import recorded drives of a real car into a data set."),
-            Verb("train", "networks", "Train one network for all simulators of a data set."),
-            Verb("models", "networks", "List the shipped networks and their success rates."),
+            Verb("serve", "serving", "Serve a simulator to clients of another one's protocol.", ("donkey",)),
+            Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
             Verb(
-                "sim2real",
-                "sim2real",
-                "Make simulated images look like photographs of a real track.",
-                ("train", "show", "assess", "translate", "reality"),
+                "evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."
             ),
-            Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
         ),
     ),
     (
@@ -169,9 +178,14 @@ COMPLETION_VARIABLE = "_DS_COMPLETE"
 
 _BASH = """\
 _ds_completion() {
-    local IFS=$'\\n'
-    COMPREPLY=( $( env COMP_WORDS="${COMP_WORDS[*]}" COMP_CWORD=$COMP_CWORD _DS_COMPLETE=complete_bash \\
+    local typed="${COMP_LINE:0:COMP_POINT}" last="${COMP_WORDS[COMP_CWORD]}"
+    local words=( $typed ) IFS=$'\\n'
+    [[ $typed == *' ' ]] && words+=( '' )
+    local whole="${words[-1]}"
+    COMPREPLY=( $( env COMP_WORDS="${typed}" COMP_CWORD=$(( ${#words[@]} - 1 )) _DS_COMPLETE=complete_bash \\
         DS 2>/dev/null ) )
+    COMPREPLY=( "${COMPREPLY[@]#"${whole%"${last#=}"}"}" )  # bash breaks words at =, and replaces the last part
+    [[ ${COMPREPLY[0]} == *= ]] && compopt -o nospace 2>/dev/null
     return 0
 }
 complete -o default -F _ds_completion ds ./ds

@@ -33,7 +33,7 @@ def estimates(known: int = 0) -> list[tuple[float, float]]:
         while ends:
             now, name = heapq.heappop(ends)
             left.finished(number, name, now, fresh=True)
-            said.append((now, left.seconds() or 0.0))
+            said.append((now, left.seconds(now) or 0.0))
     return [(now - moment, seconds) for moment, seconds in said]
 
 
@@ -55,9 +55,23 @@ def test_it_follows_a_machine_that_becomes_slower_and_says_nothing_at_first() ->
     left.expect([{"a": 200}])
     left.begin(0.0)
     left.finished(0, "a", 0.0, fresh=False)
-    assert left.seconds() is None
+    assert left.seconds(0.0) is None
     now = 0.0
     for took in [1.0] * 50 + [4.0] * 50:
         now += took
         left.finished(0, "a", now, fresh=True)
-    assert left.seconds() == pytest.approx(99 * 4.0)
+    assert left.seconds(now) == pytest.approx(99 * 4.0)
+
+
+def test_a_first_long_drive_counts_while_it_is_under_way() -> None:
+    """One simulator excludes a test at once; the other's first drive has taken 40 s and is at half of its road."""
+    left = Eta()
+    left.expect([{"quick": 5, "long": 5}, {"twin": 10}])
+    left.begin(0.0)
+    assert left.seconds(8.0, [("long", 8.0, 0.05)]) is None  # the car still accelerates
+    assert left.seconds(40.0, [("long", 40.0, 0.5)]) == pytest.approx(5 * 80.0 - 40.0 + 10 * 80.0)
+    left.finished(0, "quick", 0.0, fresh=True)
+    # What is under way without feedback takes at least as long as it did so far.
+    assert left.seconds(40.0, [("long", 40.0, None)]) >= 4 * 40.0
+    said = left.seconds(40.0, [("long", 40.0, 0.5)])
+    assert said == pytest.approx(5 * 80.0 - 40.0 + 10 * (0.0 + 80.0) / 2)

@@ -330,7 +330,7 @@ def test_steps_are_within_a_share_of_the_scale_and_reflected() -> None:
     ("searched", "fixed", "problem"),
     [
         ([("rain", 0.0, 1.0)], {}, "unknown condition 'rain'"),
-        ([("visibility", 20.0, math.inf)], {}, "finite range within 20 or more m"),
+        ([("visibility", 20.0, math.inf)], {}, "finite range within 20 m or more"),
         ([("friction", 0.5, 0.2)], {}, "within 0.1 to 1"),
         ([("friction", 0.2, 0.5), ("friction", 0.2, 0.6)], {}, "searched twice"),
         ([("friction", 0.2, 0.5)], {"friction": 0.3}, "fixed and searched"),

@@ -29,14 +29,14 @@ class FirstScreen:
         where: where the driver fails, and how sure that is.
         believe: where the siblings disagree, and which of them the twin agrees with.
         next: what to do now.
-        command: for it, to be typed in the campaign's folder.
+        command: words after `ds`, to be typed in the campaign's folder, which is "." in them.
         worst: id of the test whose replay is shown, or "".
     """
 
     where: str
     believe: str
     next: str
-    command: str
+    command: tuple[str, ...]
     worst: str = ""
 
 
@@ -103,32 +103,29 @@ def _twin_of(data: CampaignData, failed: Failures, tests: Sequence[Test]) -> str
     return f"; the twin {twin} does as they do in {alike} of {len(judged)}"
 
 
-def _next_step(data: CampaignData, failed: Failures) -> tuple[str, str]:
+def _next_step(data: CampaignData, failed: Failures) -> tuple[str, tuple[str, ...]]:
     """What to do now and the command for it, by rule 3 of this module."""
     config = data.config
     missing = len(data.tests) * len(config.simulators) - len(failed) - len(data.excluded)
     if not failed or (missing and not config.elites_only):
-        return "The campaign is not finished: go on with it.", "ds campaign resume ."
+        return "The campaign is not finished: go on with it.", ("campaign", "resume", ".")
     if not any(failed.values()):
         return (
             "Nothing failed, so the limits are not known: find the strength of fog, glare, delay or worn lines that "
             "breaks it, and search there.",
-            f"ds sensitivity --driver {config.driver} --out sensitivity",
+            ("sensitivity", "--driver", config.driver, "--out", "sensitivity"),
         )
     if all(failed.values()):
         return (
             "Everything failed, so these tests are too hard to learn from, or the network is connected wrongly: check "
             "it first.",
-            f"ds check {config.driver}",
+            ("check", config.driver),
         )
     if config.twin is None:
-        return (
-            "Drive on your car the tests that tell most about it.",
-            "ds real propose .",
-        )
+        return "Drive on your car the tests that tell most about it.", ("real", "propose", ".")
     return (
         "Train it on these failures and test it again on new ones: this writes their roads.",
-        "ds campaign roads . --failed --out failures.json",
+        ("campaign", "roads", ".", "--failed", "--out", "failures.json"),
     )
 
 

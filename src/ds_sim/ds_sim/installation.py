@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,6 +29,15 @@ def wheel_version() -> str | None:
         return version(WHEEL)
     except PackageNotFoundError:
         return None
+
+
+def ds_command(*words: object) -> str:
+    """A command that can be typed where `ds` was started, with names of files quoted.
+
+    Args:
+        words: verbs, options and arguments.
+    """
+    return shlex.join([os.environ.get("DS_COMMAND", "ds"), *map(str, words)])
 
 
 def install_command(extra: str) -> str:

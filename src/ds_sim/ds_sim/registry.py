@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -47,6 +48,10 @@ class SimulatorName:
     def __str__(self) -> str:
         return f"{self.base}@{self.file}" if self.file else self.base
 
+    def moved(self, start: Path, end: Path) -> SimulatorName:
+        """The name whose path, relative to one folder, is made relative to another."""
+        return replace(self, file=path_moved(self.file, start, end)) if self.file else self
+
     @property
     def is_shipped(self) -> bool:
         """Whether the simulator's code is part of this project, whatever file it is given."""
@@ -56,6 +61,18 @@ class SimulatorName:
     def could_exist(self) -> bool:
         """Whether the name is of a known form; its class may still be missing."""
         return self.base in SIMULATORS or ":" in self.base
+
+
+def path_moved(path: str, start: Path, end: Path) -> str:
+    """Make a path that is relative to one folder relative to another; absolute ones stay.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from ds_sim.registry import path_moved
+        >>> path_moved("../nets/mine.yaml", Path("runs"), Path("."))
+        'nets/mine.yaml'
+    """
+    return path if os.path.isabs(path) else os.path.relpath(start / path, end)
 
 
 def label_of(name: str) -> str:

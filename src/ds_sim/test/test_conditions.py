@@ -51,9 +51,16 @@ def test_both_ends_of_a_range_are_allowed_and_nothing_beyond(name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("fog=3", "unknown condition 'fog': expected some of line_contrast, "),
-        ("visibility", "visibility has no value, expected visibility=NUMBER: 20 or more m"),
-        ("visibility=thick", "visibility is 'thick', expected 20 or more m"),
+        ("weather=3", "unknown condition 'weather': expected some of line_contrast, "),
+        ("fog=3", "unknown condition 'fog': did you mean visibility (20 m or more)?"),
+        ("Rain=3", "unknown condition 'Rain': did you mean visibility (20 m or more) or friction (0.1 to 1)?"),
+        ("visibilty=60", "unknown condition 'visibilty': did you mean visibility (20 m or more)?"),
+        ("command-delay=1", "unknown condition 'command-delay': did you mean command_delay (0 to 1 s)?"),
+        ("visibility", "visibility has no value, expected visibility=NUMBER: 20 m or more"),
+        ("visibility=thick", "visibility is 'thick', expected 20 m or more"),
+        ("visibility=0.001", "visibility is 0.001, expected 20 m or more"),
+        ("command_delay=120", "command_delay is 120, expected 0 to 1 s"),
+        ("steering_lag=inf", "steering_lag is inf, expected 0 to 1 s"),
         ("friction=4deg", "friction is '4deg', expected 0.1 to 1"),
         ("friction=1,friction=1", "friction is given twice: give it once"),
         ("shadow_depth=0.5", "shadow_depth is 0.5 without shadows: give shadow_density too"),
@@ -65,6 +72,19 @@ def test_bad_text_gets_one_line(text: str, message: str) -> None:
     with pytest.raises(ConditionsError) as caught:
         parse_conditions(text)
     assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("dark", "illuminance"), ("night", "illuminance"), ("sun", "low_sun"), ("glare", "low_sun"),
+        ("latency", "command_delay"), ("dirt", "lens_dirt"), ("noise", "sensor_noise"), ("shadow", "shadow_density"),
+        ("ice", "friction"), ("linecontrast", "line_contrast"), ("camera_roll", "camera_"),
+    ],
+)  # fmt: skip
+def test_a_colloquial_or_misspelt_condition_gets_its_neighbour(word: str, meant: str) -> None:
+    with pytest.raises(ConditionsError, match=f"did you mean .*{meant}"):
+        parse_conditions(f"{word}=1")
 
 
 @pytest.mark.parametrize("document", [[], "friction", {"friction": "low"}, {"friction": True}, {1: 2.0}])

@@ -6,7 +6,8 @@ Every constant was chosen before a result was seen. A stopped demo goes on where
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,21 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.whole_files import write_json
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.campaign.template import MOST_SEARCHED
 from ds_orchestrator.store.folder_files import make_folder
 from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
+from ds_sim.conditions.text import three_digits
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
 from ds_studies.sensitivity.analysis import Progress, Sensitivity, analyse_sensitivity
-from ds_studies.sensitivity.factors import LEVELS, factors_named
+from ds_studies.sensitivity.factors import factors_named
 from ds_studies.sensitivity.page import SensitivityPage
+from ds_studies.sensitivity.ranges import ranges_of
 
 DRIVER = "dave2"
 SIMULATORS, SIBLINGS, TWIN = ("bullet", "softbody", "panda"), ("bullet", "panda"), "donkey"
@@ -43,12 +47,8 @@ FACTORS = (
 """What might break it; chosen: worn and covered lines, night, glare, fog, dirt, and a slow car."""
 ROADS, STEPS, SEED = 1, 4, 1
 """Of the sensitivity: short roads, levels of strength, seed."""
-MOST_SEARCHED = 2
-"""Conditions that the campaign varies; chosen: the axes of one map."""
 SEARCH = {"population": 4, "iterations": 6, "runs": 1, "min_angle": 150}
 """Of the campaign, with mostly winding roads; chosen: 20 tests, 60 drives, in two minutes on two cores."""
-MILDEST = {"visibility": 1000.0}
-"""Mild end of a range, where the simulator's own world has none; chosen: the upper limit of fog (WMO-No. 8)."""
 
 
 def drive_into_fog(folder: Path) -> dict[str, Any]:
@@ -121,39 +121,28 @@ def measure_sensitivity(folder: Path, workers: int, *, progress: Progress, say: 
     )
 
 
-def ranges_of(found: Sensitivity) -> dict[str, dict[str, float]]:
-    """Ranges for a search: for the most sensitive conditions, from mild to where half of the simulators fail."""
-    ranges: dict[str, dict[str, float]] = {}
-    for position in found.order:
-        factor = found.factors[position]
-        levels = [one.fails if one.verdict == "fails" else None for one in _row(found, position)]
-        level = sorted(LEVELS + 1 if one is None else one for one in levels)[(len(levels) - 1) // 2]
-        if level > LEVELS or len(ranges) == MOST_SEARCHED:
-            continue
-        mild, hard = MILDEST.get(factor.name, factor.start), factor.value(level)
-        ranges[factor.name] = {"low": min(mild, hard), "high": max(mild, hard)}
-    return ranges
+Ranges = Mapping[str, tuple[float, float]]
+"""Condition -> smallest and largest value to search."""
 
 
-def _row(found: Sensitivity, position: int) -> list[Any]:
-    return [found.thresholds[position, name] for name in found.simulators]
+def searched(found: Sensitivity) -> Ranges:
+    """Ranges of the most sensitive conditions, as a new campaign takes them."""
+    return dict(islice(ranges_of(found.document()).items(), MOST_SEARCHED))
 
 
-def campaign_config(ranges: dict[str, dict[str, float]]) -> CampaignConfig:
-    """Campaign of the demo, whose conditions come from the sensitivity."""
-    document = {
-        "siblings": list(SIBLINGS), "twin": TWIN, "driver": DRIVER,
-        "search": {**SEARCH, "conditions": ranges},
-    }  # fmt: skip
-    return parse_config(document, "the demo")
-
-
-def searched_in_words(ranges: dict[str, dict[str, float]]) -> str:
-    """Ranges of a search for a terminal: `visibility 80 to 1000 m`."""
+def searched_in_words(ranges: Ranges) -> str:
+    """Ranges for a terminal: `visibility 40 to 1000 m`."""
     return ", ".join(
-        f"{name} {one['low']:.3g} to {one['high']:g}{' ' + FIELDS[name].unit if FIELDS[name].unit else ''}"
-        for name, one in ranges.items()
+        f"{name} {three_digits(low)} to {three_digits(high)} {FIELDS[name].unit}".rstrip()
+        for name, (low, high) in ranges.items()
     )
+
+
+def campaign_config(ranges: Ranges) -> CampaignConfig:
+    """Campaign of the demo."""
+    conditions = {name: {"low": low, "high": high} for name, (low, high) in ranges.items()}
+    search = {**SEARCH, "conditions": conditions}
+    return parse_config({"siblings": list(SIBLINGS), "twin": TWIN, "driver": DRIVER, "search": search}, "the demo")
 
 
 def _road() -> Road:

@@ -185,7 +185,7 @@ def test_every_factor_goes_from_the_own_world_to_the_hardest_value() -> None:
     pitches = factors_named(["camera_pitch"])
     assert [pitch.end for pitch in pitches] == [-0.15, 0.15]
     for bad in (["rain"], ["sun_azimuth"], ["line_cover", "line_cover"]):
-        with pytest.raises(ConditionsError, match="expected some of|name each once"):
+        with pytest.raises(ConditionsError, match="expected some of|name each once|did you mean"):
             factors_named(bad)
 
 

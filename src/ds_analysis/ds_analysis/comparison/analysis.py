@@ -29,7 +29,8 @@ class SimulatorComparison:
         p_adjusted: of `counts`, by Holm over every p-value from which verdicts are made.
         unsearched: over the tests that no network's outcome led to.
         unsearched_p_adjusted: of `unsearched`, likewise.
-        verdict: `worse` by all tests, `better` by tests that do not favour the candidate.
+        verdict: what the tests say about others: `worse` by all tests, `better` by tests that do not favour the
+            candidate.
         margin_change: median change of the smallest lateral distance, m; negative is worse. None without tests.
     """
 
@@ -246,7 +247,8 @@ def answer_of(comparison: Comparison) -> str:
     if advice == "do not merge":
         return "Merge? No: it is worse."
     if advice == "look first":
-        return f"Merge? Look first: {count(newly, 'drive')} newly {'fails' if newly == 1 else 'fail'}."
+        fails = f"Merge? Look first: {count(newly, 'drive')} newly {'fails' if newly == 1 else 'fail'}"
+        return fails + ("." if comparison.fixed else ", none is fixed: on these tests it is worse.")
     if advice == "not decided":
         missing = "drives are missing" if comparison.left_out else "too few tests to tell, though none newly fails"
         return f"Merge? Not decided: {missing}."
@@ -303,7 +305,7 @@ def cautions_of(comparison: Comparison) -> list[str]:
     changed = max((row.counts.newly_fail + row.counts.fixed for row in comparison.simulators), default=0)
     if changed < needed:
         found.append(
-            f"Too few tests change for a conclusion: {changed} at most on one simulator; with "
+            f"Too few tests change for a conclusion about other roads: {changed} at most on one simulator; with "
             f"{count(family, 'comparison')}, a significant difference needs {needed} in the same direction."
         )
     return found
@@ -327,22 +329,32 @@ def _of_selection(comparison: Comparison) -> list[str]:
 
 
 def _sentence(row: SimulatorComparison, comparison: Comparison) -> str:
+    """Say what happened on these tests, which is certain as drives repeat to the bit; then what that says of others."""
     where = f"{row.simulator} (twin)" if row.simulator == comparison.twin else row.simulator
-    of_random = row.verdict == "better" and comparison.origin == "reference"
-    counts = row.unsearched if of_random else row.counts
-    tests = count(counts.tests, "random road" if of_random else "test")
-    fails, are = ("fails" if counts.newly_fail == 1 else "fail"), ("is" if counts.fixed == 1 else "are")
-    changes = f"{counts.newly_fail} of {tests} newly {fails}, {counts.fixed} {are} fixed"
+    said = f"{where}: {_changes(row.counts, 'test')}."
     if row.verdict == "worse":
-        return f"Worse on {where}: {changes} (p = {row.p_adjusted:.2g} after Holm)."
+        return f"{said} Other such roads: worse, too (p = {row.p_adjusted:.2g} after Holm)."
     if row.verdict == "better":
-        return f"Better on {where}: {changes} (p = {row.unsearched_p_adjusted:.2g} after Holm)."
-    assert counts.interval is not None
-    low, high = counts.interval
-    return (
-        f"Not significant on {where}: {changes} (p = {row.p_adjusted:.2g} after Holm); 95 %: {_signed(low)} to "
-        f"{_signed(high)} failures in 100 such tests."
-    )
+        random = "" if comparison.origin in ("random", "both") else f"{_changes(row.unsearched, 'random road')}; "
+        return f"{said} Other such roads: better, too ({random}p = {row.unsearched_p_adjusted:.2g} after Holm)."
+    assert row.counts.interval is not None
+    low, high = (_signed(end) for end in row.counts.interval)
+    found = f"Whether that holds for other such roads: p = {row.p_adjusted:.2g} after Holm, so it is open"
+    if row.counts.newly_fail == row.counts.fixed:
+        found = "Other such roads: no difference is shown"
+    return f"{said} {found}; 95 %: {low} to {high} failures in 100."
+
+
+def _changes(counts: PairedCounts, what: str) -> str:
+    tests, newly, fixed = count(counts.tests, what), counts.newly_fail, counts.fixed
+    if not newly and not fixed:
+        return f"the same {'outcome' if counts.tests == 1 else 'outcomes'} on {tests}"
+    if newly >= fixed:
+        change = f"{newly} of {tests} passed and now {'fails' if newly == 1 else 'fail'}, {fixed or 'none'}"
+    else:
+        change = f"{fixed} of {tests} failed and now {'passes' if fixed == 1 else 'pass'}, {newly or 'none'}"
+    verdict = "worse" if newly > fixed else "better" if newly < fixed else "neither better nor worse"
+    return f"{change} the other way: on these it is {verdict}"
 
 
 def _signed(difference: float) -> str:

@@ -111,7 +111,7 @@ class Criteria:
         """
         if self.fail_on in ("regression", "worse") and not has_reference:
             raise ConfigError(
-                f"--fail-on {self.fail_on} needs outcomes to compare with: use it with `ds campaign compare` or "
+                f"--fail-on {self.fail_on} needs outcomes to compare with: use it with `ds compare` or "
                 "`ds suite run`, or choose --fail-on failure"
             )
 

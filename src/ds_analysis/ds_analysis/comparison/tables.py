@@ -42,13 +42,13 @@ def simulator_table(comparison: Comparison) -> Table:
             Column("candidate", "count"), Column("newly fail", "count"), Column("fixed", "count"),
             Column("difference", "number"), Column("95 %", "number"), Column("p (Holm)", "p"),
             *((Column("random roads"),) if with_random else ()), Column("margin, m", "number"),
-            Column("verdict"),
+            Column("on other roads"),
         ],
         rows=rows,
         notes=[
             "Reference, candidate: tests on which they fail. Difference: the candidate's failure probability minus the "
             "reference's, with its 95 % interval; above 0 is worse. Margin: median change of the smallest distance to "
-            "the lane's edge."
+            "the lane's edge. On other roads: whether such a difference is significant (p below 0.05)."
             + (" Random roads: newly fail, fixed, and all, of tests that no search chose." if with_random else "")
         ],
     )  # fmt: skip
@@ -209,8 +209,8 @@ _READING = (
     "stuck is a failure. Simulators are deterministic: the same network repeats its drives to the bit, so that a test "
     "that newly fails is no accident of one drive.",
     "The twin is the most faithful simulator, the others are cheap ones that are wrong in different ways.",
-    "p: McNemar's exact test on the tests that changed; Holm's adjustment takes the number of simulators into account. "
-    "Significant: below 0.05. 95 % intervals: Jeffreys.",
+    "p says whether that holds for other such roads: McNemar's exact test on the tests that changed; Holm's adjustment "
+    "takes the number of simulators into account. Significant: below 0.05. 95 % intervals: Jeffreys.",
 )
 
 

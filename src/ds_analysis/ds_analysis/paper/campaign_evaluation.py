@@ -27,6 +27,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
 from ds_orchestrator.store.folder_files import read_file
 from ds_orchestrator.store.sqlite_file import StoreError
+from ds_sim.installation import ds_command
 
 CORRELATIONS = Path("maps/correlations.json")
 """File with the comparison with the twin, relative to the campaign folder."""
@@ -67,7 +68,9 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
             found.append({**values, "map": by_name[row["name"]], "value": value})
         return TypeAdapter(list[Correlation]).validate_python(found)
     except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise StoreError(f"{folder / CORRELATIONS} cannot be read: `ds report {folder}` writes it again") from None
+        raise StoreError(
+            f"{folder / CORRELATIONS} cannot be read: `{ds_command('report', folder)}` writes it again"
+        ) from None
 
 
 def network_of(config: CampaignConfig) -> Network | None:

@@ -1,4 +1,4 @@
-"""`ds campaign compare`: whether another network is better, where, and whether anything is worse."""
+"""`ds compare`, also as `ds campaign compare`: what a network does better or worse than another, and where."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ SIMULATORS = "bullet,softbody,donkey"
 TWIN = "donkey"
 """Simulator that acts as the twin of two networks' random roads, if it is among others."""
 
+app = typer.Typer()
 campaign_app = typer.Typer()
 
 
@@ -140,6 +141,7 @@ def network_named(driver: str, simulators: Sequence[str]) -> Network:
     return Network(driver=driver, sha256="" if driver == AUTOPILOT else driver_sha256(driver))
 
 
+@app.command("compare")
 @campaign_app.command("compare")
 def campaign_compare_command(
     first: Annotated[str, typer.Argument(metavar="A", help="Reference: a campaign folder, or a network.")],
@@ -173,7 +175,7 @@ def campaign_compare_command(
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Compare two networks on the same tests: is one better, where, and is anything worse?
+    """Compare two networks on the same tests: what got worse, what got better?
 
     A and B are two campaigns of one configuration, a campaign and a network, or two networks, which drive random roads.
     Tests that one of them has not driven are driven first, without ROS unless --engine says otherwise. Writes
@@ -186,9 +188,7 @@ def campaign_compare_command(
     from ds_studies.comparison.compare import compare
 
     if (second is None) == (driver is None):
-        raise ComparisonError(
-            "expected one candidate, as in `ds campaign compare A B` or `ds campaign compare A --driver B`"
-        )
+        raise ComparisonError("expected one candidate, as in `ds compare A B` or `ds compare A --driver B`")
     candidate = second or str(driver)
     if not is_campaign(candidate):
         candidate = driver_named(candidate, backend, "cpu")

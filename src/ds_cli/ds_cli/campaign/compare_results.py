@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -106,6 +107,7 @@ def write_comparison(
         simulator_table,
     )
     from ds_report.comparison_page import write_comparison_page
+    from ds_sim.installation import ds_command
 
     road_files = write_roads(found, out / "worse")
     document = {**document_of(found, road_files), "unmet": list(unmet), "page": str(out / "comparison.html")}
@@ -134,7 +136,8 @@ def write_comparison(
         if worse.rows:
             worse.show(console)
         for drive in found.newly_failing[:MOST_ROWS]:
-            print(command_of(drive, found.candidate.driver, road_files[drive.test.name]))
+            words = shlex.split(command_of(drive, found.candidate.driver, road_files[drive.test.name]))
+            print(ds_command(*words[1:]))
         for line in (*sentences_of(found), *cautions_of(found)):
             print(line)
         print(answer_of(found))

@@ -1,4 +1,4 @@
-"""`ds campaign`, `suite`, `runs`, `watch` and `report`: collected from the modules of this folder."""
+"""`ds campaign`, `test`, `compare`, `suite`, `runs`, `watch` and `report`: collected from this folder."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ campaign_app = typer.Typer(help="Prepare, run, resume, inspect and compare campa
 for part in (run.campaign_app, inspection.campaign_app, compare.campaign_app):
     campaign_app.add_typer(part)
 app.add_typer(campaign_app, name="campaign")
-for part in (inspection.app, suites.app):
+for part in (run.app, inspection.app, compare.app, suites.app):
     app.add_typer(part)

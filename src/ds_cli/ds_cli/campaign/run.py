@@ -1,8 +1,7 @@
-"""`ds campaign init, run, resume`: campaigns, from their configuration to their report."""
+"""`ds test`, `ds campaign init, run, resume`: campaigns, from their configuration to their report."""
 
 from __future__ import annotations
 
-import shlex
 import sys
 import tempfile
 import time
@@ -32,7 +31,9 @@ from ds_cli.options import (
     Trust,
     Workers,
     cluster_of,
+    complete_driver,
     simulators_of,
+    usual_workers,
     with_engine,
 )
 from ds_cli.output import Interrupted, Result, duration, end, say
@@ -45,6 +46,16 @@ if TYPE_CHECKING:
 DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
 """Answers if somebody only presses Enter."""
 
+SimulatorsOfTemplate = Annotated[
+    str, typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}.")
+]
+SizeOfTemplate = Annotated[str, typer.Option(help="Search: small, medium or paper.")]
+SensitivityFolder = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Search the two most sensitive conditions of this `ds sensitivity --out`, too."),
+]
+
+app = typer.Typer()
 campaign_app = typer.Typer()
 
 
@@ -59,6 +70,7 @@ def campaign(
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.engines.preflight import faster_choice
+    from ds_sim.installation import ds_command
     from ds_studies.whole_campaign import run_campaign
 
     if faster := faster_choice(config.driver, config.engine):
@@ -85,7 +97,7 @@ def campaign(
         for sentence in filter(None, (outcome.answer.where, outcome.answer.believe, outcome.answer.next)):
             print(sentence)
         if outcome.answer.command:
-            print(f"  {_in_folder(outcome.answer.command, out)}")
+            print("  " + ds_command(*(out if word == "." else word for word in outcome.answer.command)))
         print(outcome.report)
 
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
@@ -105,14 +117,11 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None)
     return replace(result, unmet=unmet_in_campaign(criteria, data))
 
 
-def _in_folder(command: str, folder: Path) -> str:
-    """A command of the report, which is typed in the campaign's folder, as it is typed here."""
-    return " ".join(shlex.quote(str(folder)) if word == "." else word for word in command.split(" "))
-
-
 def _kept(out: Path, done: int) -> str:
+    from ds_sim.installation import ds_command
+
     finished = f"{done} finished execution{'s are' if done != 1 else ' is'} kept; " if done else ""
-    return f"{finished}`ds campaign resume {out}` continues"
+    return f"{finished}`{ds_command('campaign', 'resume', out)}` continues"
 
 
 def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
@@ -132,11 +141,9 @@ def campaign_init_command(
     driver: Annotated[
         str | None, typer.Option(help="Network: a name, a .safetensors or .yaml file, or module:Class.")
     ] = None,
-    sims: Annotated[
-        str | None,
-        typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}."),
-    ] = None,
-    size: Annotated[str | None, typer.Option(help="Search: small, medium or paper.")] = None,
+    sims: SimulatorsOfTemplate | None = None,
+    size: SizeOfTemplate | None = None,
+    sensitivity: SensitivityFolder = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
     """Write a commented configuration for a network, after three questions or from three options.
@@ -144,8 +151,7 @@ def campaign_init_command(
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.template import template
-    from ds_orchestrator.engines.preflight import check_driver
+    from ds_sim.installation import ds_command
 
     ask = sys.stdin.isatty()
     driver = driver or (typer.prompt("Network", DRIVER, err=True) if ask else DRIVER)
@@ -153,12 +159,62 @@ def campaign_init_command(
     size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
     if file.exists() and not force:
         raise ConfigError(f"{file} exists already: choose another file, or --force")
+    file.write_text(_template_of(driver, sims, size, sensitivity, file), "utf-8")
+    print(file)
+    say(f"next: {ds_command('campaign', 'run', file, '--out', file.stem, '--dry-run')}")
+
+
+def _template_of(driver: str, sims: str, size: str, sensitivity: Path | None, file: Path) -> str:
+    """A commented configuration for a file; the driver and the simulators exist."""
+    from ds_orchestrator.campaign.config import moved
+    from ds_orchestrator.campaign.template import template
+    from ds_orchestrator.engines.preflight import check_driver
+    from ds_studies.sensitivity.ranges import read_ranges
+
     names = simulators_of(sims)
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 else (names, None)
-    file.write_text(template(driver, siblings, twin, size), "utf-8")
-    print(file)
-    say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
+    named = moved({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
+    return template(**named, size=size, ranges=read_ranges(sensitivity) if sensitivity else None)
+
+
+@app.command("test")
+def search_command(
+    network: Annotated[
+        str,
+        typer.Argument(
+            help="Network: a name, a .safetensors or .yaml file, or module:Class.", autocompletion=complete_driver
+        ),
+    ],
+    sims: SimulatorsOfTemplate = SIMULATORS,
+    size: SizeOfTemplate = SIZE,
+    sensitivity: SensitivityFolder = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there goes on."),
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Search roads on which a network fails, and report where and why.
+
+    As `ds campaign init` and `ds campaign run` do, without ROS unless --engine says otherwise. The configuration is
+    campaign.yaml in the folder. The last line is the path of the HTML report.
+    """
+    from ds_orchestrator.campaign.config import ConfigError, read_config
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.registry import label_of
+
+    folder = out or Path(f"{label_of(Path(network).stem)}_test")
+    file = folder / "campaign.yaml"
+    text = _template_of(network, sims, size, sensitivity, file)
+    make_folder(folder)
+    if file.exists() and file.read_text("utf-8") != text:
+        raise ConfigError(f"{folder} holds another test: choose another --out")
+    file.write_text(text, "utf-8")
+    config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
+    end(campaign(config, folder), as_json)
 
 
 @campaign_app.command("run")

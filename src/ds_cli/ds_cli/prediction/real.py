@@ -12,6 +12,7 @@ from rich.console import Console
 from ds_cli.options import JsonFlag
 from ds_cli.output import Result, answer, say
 from ds_cli.prediction.predict import TestsFolder, cell_labels
+from ds_sim.installation import ds_command
 
 if TYPE_CHECKING:
     from ds_analysis.common.outcome_table import OutcomeTable
@@ -71,7 +72,9 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
 
     drives = read_drives(folder)
     if not drives:
-        raise RecordError(f"{folder} has no real drives: record some with `ds real record {folder} FILE.csv`")
+        raise RecordError(
+            f"{folder} has no real drives: record some with `{ds_command('real', 'record', folder, 'FILE.csv')}`"
+        )
     table, prediction = _fitted(folder)
     found = update(table, prediction, drives, tolerated=tolerated)
     document: dict[str, Any] = found.document()
@@ -224,7 +227,9 @@ def record_command(
     with locked(folder):
         proposed = read_proposed(folder)
         if proposed.scale is None:
-            raise RecordError(f"nothing was proposed for {folder}: run `ds real propose {folder} --drives 6` first")
+            raise RecordError(
+                f"nothing was proposed for {folder}: run `{ds_command('real', 'propose', folder, '--drives', 6)}` first"
+            )
         if is_recording(file):
             new = [_recorded(file, proposed, test, outcome, topic, who=who, when=when)]
         else:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ds_bags.layout import TRANSLATED
 from ds_driver.networks.images import Crop, ImageError, rgb_of_file
 from ds_driver.whole_files import whole_file, write_json, write_whole
+from ds_sim.installation import ds_command
 from ds_sim.registry import label_of, received_simulator, spec_of
 
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
@@ -133,7 +134,7 @@ def read_samples(folder: Path) -> list[Sample]:
     """
     files = sorted(folder.glob("*/*.parquet"))
     if not files:
-        raise DatasetError(f"no drives in {folder}: collect some with `ds collect --out {folder}`")
+        raise DatasetError(f"no drives in {folder}: collect some with `{ds_command('collect', '--out', folder)}`")
     samples: list[Sample] = []
     size = 0
     for file in files:

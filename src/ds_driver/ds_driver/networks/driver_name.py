@@ -12,6 +12,7 @@ from ds_driver.networks.backends import BACKENDS, DEVICES, BackendError
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.user_networks import KINDS, file_of, read_description
 from ds_driver.networks.weights import shipped_networks
+from ds_sim.registry import path_moved
 
 DESCRIPTIONS = (".yaml", ".yml")
 """Suffixes of the description of a network file."""
@@ -87,6 +88,17 @@ class DriverName:
         if device == "cuda":
             return replace(self, backend="torch", device="cuda")
         return self if backend == "auto" else replace(self, backend=backend, device="cpu")
+
+    def moved(self, start: Path, end: Path) -> DriverName:
+        """The name whose paths, relative to one folder, are made relative to another."""
+        from ds_driver.sim2real.stage import shipped_sets
+
+        network, generators = self.network, self.generators
+        if self.file_type in (WEIGHTS, *DESCRIPTIONS):
+            network = path_moved(network, start, end)
+        if generators and generators not in ("none", *shipped_sets()):
+            generators = path_moved(generators, start, end)
+        return replace(self, network=network, generators=generators)
 
     def seeing(self, generators: str) -> DriverName:
         """Let a set of generators translate its images; "" leaves the name as it is."""

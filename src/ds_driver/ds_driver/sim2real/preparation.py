@@ -20,6 +20,7 @@ from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.simulated_frames import SimulatedFrames, check_roads_are_new, simulated_frames
 from ds_driver.sim2real.trainer import SHOWN, Domains
 from ds_driver.whole_files import write_json
+from ds_sim.installation import ds_command
 from ds_sim.registry import spec_of
 from ds_sim.simulator import SimulatorSpec
 
@@ -132,7 +133,9 @@ def read_card(folder: Path) -> dict[str, Any]:
     """
     path = folder / CARD
     if not path.is_file():
-        raise Sim2RealError(f"{folder} holds no training: expected one of `ds sim2real train --out {folder}`")
+        raise Sim2RealError(
+            f"{folder} holds no training: expected one of `{ds_command('sim2real', 'train', '--out', folder)}`"
+        )
     try:
         card = json.loads(path.read_text())
         if not isinstance(card["simulator"], str) or not isinstance(card["crop"]["real"], dict) or not card["settings"]:

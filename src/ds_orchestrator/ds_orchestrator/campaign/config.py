@@ -361,7 +361,7 @@ def read_config(path: Path) -> CampaignConfig:
     """Read and validate a configuration.
 
     Args:
-        path: path of the YAML file.
+        path: path of the YAML file; the paths in it are relative to it.
 
     Raises:
         ConfigError: one line with the key, what is wrong with it, and what is allowed.
@@ -371,7 +371,27 @@ def read_config(path: Path) -> CampaignConfig:
         raise ConfigError(
             f"{path}: empty, expected a campaign's keys (such as {', '.join(CampaignConfig.model_fields)})"
         )
-    return parse_config(raw, str(path))
+    return parse_config(moved(raw, path.parent, Path()), str(path))
+
+
+def moved(raw: Any, start: Path, end: Path) -> Any:
+    """A configuration whose paths, relative to one folder, are made relative to another; anything else stays."""
+    from ds_driver.networks.driver_name import DriverName
+
+    def simulator(name: Any) -> Any:
+        return str(SimulatorName.parse(name).moved(start, end)) if isinstance(name, str) else name
+
+    if not isinstance(raw, dict):
+        return raw
+    found = {key: simulator(value) if key == "twin" else value for key, value in raw.items()}
+    driver, generators, siblings = raw.get("driver"), raw.get("sim2real"), raw.get("siblings")
+    if isinstance(driver, str) and (name := DriverName.parse(driver)) != (there := name.moved(start, end)):
+        found["driver"] = str(there)
+    if isinstance(generators, str):
+        found["sim2real"] = DriverName("", generators).moved(start, end).generators
+    if isinstance(siblings, list):
+        found["siblings"] = [simulator(name) for name in siblings]
+    return found
 
 
 def parse_config(raw: object, source: str, *, received: bool = False) -> CampaignConfig:

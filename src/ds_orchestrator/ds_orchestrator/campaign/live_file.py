@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -31,7 +31,7 @@ that becomes busy."""
 
 
 class Eta:
-    """Estimates how long a campaign still drives, from the durations of its latest executions.
+    """Estimates how long a campaign still drives, from its latest executions and from those under way.
 
     The simulators of a stage work in parallel, the stages one after the other. Times are seconds of a steady clock.
     """
@@ -57,26 +57,44 @@ class Eta:
             took = now - self._last.get(simulator, now)
             self._took.setdefault(simulator, deque(maxlen=REMEMBERED)).append(took)
         self._last[simulator] = now
+        if stage < len(self._expected) and not self._rest(stage):
+            self.begin(now)
 
-    def seconds(self) -> float | None:
-        """Estimate the seconds left; None until an execution has finished in this session."""
-        means = {name: sum(took) / len(took) for name, took in self._took.items()}
-        if not means:
+    def _rest(self, stage: int) -> dict[str, int]:
+        """Executions of a stage that are left, by simulator."""
+        rest = {name: count - self._done.get((stage, name), 0) for name, count in self._expected[stage].items()}
+        return {name: count for name, count in rest.items() if count > 0}
+
+    def seconds(self, now: float, drives: Sequence[tuple[str, float, float | None]] = ()) -> float | None:
+        """Estimate the seconds left; None until an execution has finished in this session, or is well under way.
+
+        Args:
+            now: present time.
+            drives: those under way: simulator, seconds so far, and driven part of the road, in [0, 1], or None.
+        """
+        took = {name: list(seconds) for name, seconds in self._took.items()}
+        at_once = Counter(name for name, _, _ in drives)
+        for name, seconds, part in drives:
+            if part is not None and part >= WELL_UNDER_WAY and len(took.get(name, ())) < at_once[name]:
+                took.setdefault(name, []).append(seconds / part / at_once[name])
+        if not took:
             return None
+        means = {name: sum(seconds) / len(seconds) for name, seconds in took.items()}
         # A simulator that has not driven yet is taken to be as fast as the others.
-        usual = sum(means.values()) / len(means)
-        return sum(
-            max(
-                (
-                    max(count - self._done.get((stage, name), 0), 0) * means.get(name, usual)
-                    for name, count in simulators.items()
-                ),
-                default=0.0,
-            )
-            for stage, simulators in enumerate(self._expected)
-        )
+        usual, left, is_present = sum(means.values()) / len(means), 0.0, True
+        for stage in range(len(self._expected)):
+            of_each, rest = [0.0], self._rest(stage)
+            for name, count in rest.items():
+                waited = now - self._last.get(name, now) if is_present else 0.0
+                mean = max(means.get(name, usual), waited)  # what is under way takes at least as long as it did so far
+                of_each.append(count * mean - waited)
+            left += max(of_each)
+            is_present = is_present and not rest
+        return left
 
 
+WELL_UNDER_WAY = 0.1
+"""Part of a road from which a drive says how long it takes; chosen: beyond the start, in which the car accelerates."""
 EVERY = 1.0
 """Seconds between two writings of the file; chosen: as often as a page asks."""
 FRESH = 10.0
@@ -192,13 +210,12 @@ class LiveFile(Listener):
         with self._lock:
             self._live.done += 1
             self._eta.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
-            self._live.seconds_left = self._eta.seconds()
         self._listener.finished(test, simulator, execution, fresh)
 
     def result(self, name: str) -> None:
         """Set the stage while results are computed."""
         with self._lock:
-            self._live.stage, self._live.seconds_left = name, None
+            self._live.stage, self._eta = name, Eta()
 
     @contextmanager
     def driving(self, simulator: str, road_id: str, seed: int) -> Iterator[LiveDrive]:
@@ -219,8 +236,11 @@ class LiveFile(Listener):
 
     def _write(self) -> None:
         with self._lock:
-            drives = sorted(self._drives.values(), key=lambda drive: drive.began)[:MOST_DRIVES]
-            text = self._live.model_copy(update={"updated": time.time(), "drives": drives}).model_dump_json()
+            now, drives = time.time(), sorted(self._drives.values(), key=lambda drive: drive.began)[:MOST_DRIVES]
+            under_way = [(drive.simulator, now - drive.began, drive.progress) for drive in drives]
+            left = self._eta.seconds(time.monotonic(), under_way) or None
+            found = {"updated": now, "drives": drives, "seconds_left": left}
+            text = self._live.model_copy(update=found).model_dump_json()
         with suppress(OSError):
             write_whole(self._path, text)
 

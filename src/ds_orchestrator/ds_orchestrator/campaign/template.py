@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import yaml
 
@@ -10,17 +10,29 @@ from ds_orchestrator.campaign.config import ConfigError, SearchConfig, parse_con
 from ds_orchestrator.maps.algebra import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import FEATURES
+from ds_sim.conditions.text import three_digits
 from ds_sim.registry import SIMULATORS
 
+WINDING = 150
+"""Smallest maximum angle of a new campaign's random roads, degrees; chosen: half of the largest, as gentle roads
+make no network fail."""
 SIZES = {
-    "small": SearchConfig(population=4, iterations=8, runs=1),
-    "medium": SearchConfig(population=12, iterations=48, runs=1),
+    "small": SearchConfig(population=4, iterations=8, runs=1, min_angle=WINDING),
+    "medium": SearchConfig(population=12, iterations=48, runs=1, min_angle=WINDING),
     "paper": SearchConfig(),
 }
 """Size -> search: that of the tutorial; five times as long; the paper's study of one network (4.2.4)."""
+MOST_SEARCHED = 2
+"""Conditions that a new campaign searches; chosen: with more of them at once nearly every test fails."""
 
 
-def template(driver: str, siblings: Sequence[str], twin: str | None, size: str) -> str:
+def template(
+    driver: str,
+    siblings: Sequence[str],
+    twin: str | None,
+    size: str,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> str:
     """Write a configuration as YAML, with a comment on every key.
 
     Args:
@@ -28,6 +40,7 @@ def template(driver: str, siblings: Sequence[str], twin: str | None, size: str) 
         siblings: names of the simulators that act as siblings.
         twin: name of the simulator that acts as the twin, or None.
         size: one of `SIZES`.
+        ranges: conditions to search, the most sensitive one first; those after `MOST_SEARCHED` become comments.
 
     Raises:
         ConfigError: the size is unknown, or the simulators do not make a campaign.
@@ -37,7 +50,8 @@ def template(driver: str, siblings: Sequence[str], twin: str | None, size: str) 
     search = SIZES[size]
     text = _TEXT.format(
         driver=_scalar(driver), siblings=f"[{', '.join(map(_scalar, siblings))}]", twin=_scalar(twin or "none"),
-        population=search.population, iterations=search.iterations, runs=search.runs,
+        population=search.population, min_angle=search.min_angle,
+        conditions=_conditions(ranges or {}), iterations=search.iterations, runs=search.runs,
         simulators=", ".join(SIMULATORS), searches=" or ".join(SEARCHES), features=", ".join(list(FEATURES)[:6]),
         operators=", ".join(OPERATORS),
     )  # fmt: skip
@@ -45,6 +59,16 @@ def template(driver: str, siblings: Sequence[str], twin: str | None, size: str) 
     drives, tests = config.executions_at_most, config.executions_at_most // len(config.simulators)
     head = f"# {tests} tests, each on {len(config.simulators)} simulators: {drives} drives.\n"
     return head + text
+
+
+def _conditions(ranges: Mapping[str, tuple[float, float]]) -> str:
+    if not ranges:
+        return "  # conditions: {}    # operating conditions to search, as visibility: {low: 20, high: 200}"
+    lines = ["  conditions:    # to search, up to where the median simulator fails; the most sensitive ones first"]
+    for number, (name, ends) in enumerate(ranges.items()):
+        comment = "" if number < MOST_SEARCHED else "# "
+        lines.append("    {}{}: {{low: {}, high: {}}}".format(comment, name, *map(three_digits, ends)))
+    return "\n".join(lines)
 
 
 def _scalar(text: str) -> str:
@@ -66,10 +90,10 @@ search:    # on every sibling
   iterations: {iterations}    # mutants after them
   runs: {runs}    # searches with different seeds
   # method: deephyperion    # {searches}
-  # min_angle: 100    # degrees; larger: more winding roads at the beginning
+  min_angle: {min_angle}    # degrees; larger: more winding roads at the beginning
   # max_angle: 300
   # extent: 6    # m, largest change of a mutant
-  # conditions: {{}}    # operating conditions to search, as visibility: {{low: 20, high: 200}}
+{conditions}
   # mutate_conditions: 0.5    # share of mutations that change a condition
 
 # conditions: none    # of every test, as visibility=60,line_contrast=0.4

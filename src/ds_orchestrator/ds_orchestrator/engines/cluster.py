@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, FilePath, ValidationError
 
 from ds_orchestrator.campaign.config_errors import problems, read_keys
 from ds_sim.installation import install_command
+from ds_sim.registry import path_moved
 
 CONNECT_TIME = 10.0
 """Limit for reaching a scheduler, s; chosen: a loaded one answers in a second."""
@@ -103,13 +104,20 @@ class ClusterOptions(BaseModel):
 
 
 def read_cluster(path: Path) -> ClusterOptions:
-    """Read the file that `--cluster` names, such as `scheduler: tcp://127.0.0.1:8786`.
+    """Read the file that `--cluster` names, such as `scheduler: tcp://127.0.0.1:8786`; its paths are relative to it.
 
     Raises:
         ClusterError: one line with the key, what is wrong with it, and what is allowed.
     """
+    raw = read_keys(path, ClusterError)
+    if isinstance(raw, dict) and isinstance(raw.get("tls"), dict):
+        tls = {
+            key: path_moved(file, path.parent, Path()) if isinstance(file, str) else file
+            for key, file in raw["tls"].items()
+        }
+        raw = {**raw, "tls": tls}
     try:
-        return ClusterOptions.model_validate(read_keys(path, ClusterError))
+        return ClusterOptions.model_validate(raw)
     except ValidationError as error:
         raise ClusterError(f"{path}: {problems(error, ClusterOptions)}") from None
 

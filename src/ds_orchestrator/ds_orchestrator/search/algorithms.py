@@ -14,6 +14,7 @@ from ds_orchestrator.search.features import Cell, cell_of
 from ds_road import MutationError, Road, Side, generate, mutate
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.conditions.scales import between, share_of
+from ds_sim.conditions.text import check_known
 from ds_sim.extension import ExtensionError, is_extension, load_extension
 
 STEP = 0.2
@@ -41,9 +42,8 @@ class SearchedCondition:
     step: float = STEP
 
     def __post_init__(self) -> None:
-        field = FIELDS.get(self.name)
-        if field is None:
-            raise ConditionsError(f"unknown condition {self.name[:40]!r}: expected some of {', '.join(FIELDS)}")
+        check_known(self.name)
+        field = FIELDS[self.name]
         if not (field.low <= self.low < self.high <= field.high and math.isfinite(self.high)):
             raise ConditionsError(
                 f"{self.name} is searched from {self.low:g} to {self.high:g}: expected a finite range within "

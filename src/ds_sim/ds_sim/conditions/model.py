@@ -53,8 +53,8 @@ class Condition:
     @property
     def allowed(self) -> str:
         """Allowed values, as error messages say them."""
-        high = "" if math.isinf(self.high) else f" to {self.high:g}"
-        return f"{self.low:g}{high}{' or more' if not high else ''}{f' {self.unit}' if self.unit else ''}"
+        high, more = ("", " or more") if math.isinf(self.high) else (f" to {self.high:g}", "")
+        return f"{self.low:g}{high}{f' {self.unit}' if self.unit else ''}{more}"
 
 
 def _of(default: float | None, unit: str, low: float, high: float, stronger: str, kind: str, doc: str) -> Any:

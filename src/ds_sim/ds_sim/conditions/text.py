@@ -4,11 +4,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
 
 _UNITS = {"deg": ("rad", math.pi / 180.0), "km/h": ("m/s", 1.0 / 3.6)}
 """Further units that a value may carry -> SI unit, factor."""
+_COLLOQUIAL = {
+    "visibility": "fog foggy mist haze smoke rain snow",
+    "friction": "rain wet snow ice icy slippery grip mu",
+    "illuminance": "dark darkness dim dusk night brightness light lux",
+    "low_sun": "sun sunlight glare backlight dazzle",
+    "veiling_luminance": "glare veil flare stray_light",
+    "shadow_density": "shadow shadows shade",
+    "command_delay": "delay latency dead_time lag network_delay",
+    "steering_lag": "lag steering_delay",
+    "lens_dirt": "dirt dirty dust mud drops smudge",
+    "sensor_noise": "noise grain",
+    "line_contrast": "contrast lines markings paint faded worn",
+    "line_cover": "occlusion missing_lines covered worn",
+    "pavement_reflectance": "pavement asphalt concrete albedo reflectance",
+    "repair_share": "patches repairs",
+    "camera_height": "height mount",
+    "camera_pitch": "pitch tilt",
+    "camera_yaw": "yaw pan",
+    "exposure": "overexposure underexposure gain",
+    "payload": "load mass weight passengers",
+    "tyre_pull": "pull tire_pull wind drift",
+    "speed_limit": "speed velocity",
+}
+"""Condition -> what people type for it; chosen."""
 MAX_TEXT = 4096
 """Characters of a text that is read; chosen: all conditions with full precision take a quarter of that."""
 
@@ -32,7 +57,7 @@ def parse_conditions(text: str) -> Conditions:
     values: dict[str, float] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, equals, value = (word.strip() for word in part.partition("="))
-        _check_known(name)
+        check_known(name)
         if not equals or not value:
             raise ConditionsError(f"{name} has no value, expected {name}=NUMBER: {FIELDS[name].allowed}")
         _check_new(name, values)
@@ -60,7 +85,7 @@ def from_json(document: object) -> Conditions:
     if not isinstance(document, Mapping):
         raise ConditionsError(f"conditions are a {type(document).__name__}, expected names and numbers")
     for name in document:
-        _check_known(name)
+        check_known(name)
     return Conditions(**document)
 
 
@@ -72,7 +97,7 @@ def from_pairs(pairs: Iterable[tuple[str, float]]) -> Conditions:
     """
     values: dict[str, float] = {}
     for name, value in pairs:
-        _check_known(name)
+        check_known(name)
         _check_new(name, values)
         values[name] = value
     return Conditions(**values)
@@ -110,6 +135,21 @@ def _check_new(name: str, values: Mapping[str, float]) -> None:
         raise ConditionsError(f"{name} is given twice: give it once")
 
 
-def _check_known(name: object) -> None:
-    if name not in FIELDS:
-        raise ConditionsError(f"unknown condition {str(name)[:40]!r}: expected some of {', '.join(FIELDS)}")
+def check_known(name: object) -> None:
+    """Check the name of a condition.
+
+    Raises:
+        ConditionsError: there is none of this name; one line with those that are meant, or with all.
+    """
+    if name in FIELDS:
+        return
+    typed = str(name)[:40]
+    word = typed.lower().replace("-", "_").replace(" ", "_")
+    meant = [known for known, words in _COLLOQUIAL.items() if word in words.split()]
+    meant = (
+        meant or get_close_matches(word, FIELDS, 1) or [known for known in FIELDS if len(word) > 3 and word in known]
+    )
+    if not meant:
+        raise ConditionsError(f"unknown condition {typed!r}: expected some of {', '.join(FIELDS)}")
+    ranges = " or ".join(f"{known} ({FIELDS[known].allowed})" for known in meant)
+    raise ConditionsError(f"unknown condition {typed!r}: did you mean {ranges}?")

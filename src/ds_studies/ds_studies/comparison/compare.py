@@ -19,6 +19,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate
+from ds_sim.installation import ds_command
 
 Drives = Mapping[Key, Execution]
 SAME = ("siblings", "twin", "lane", "conditions", "gates", "maxitwo_compatible", "features", "migration", "search")
@@ -72,7 +73,9 @@ def tests_of_campaign(folder: Path, data: CampaignData) -> GivenTests:
     """
     executions = {(one.test_id, one.simulator): one for one in data.verdicts}
     if not executions:
-        raise ComparisonError(f"{folder} has no drive with a verdict: run `ds campaign resume {folder}` first")
+        raise ComparisonError(
+            f"{folder} has no drive with a verdict: run `{ds_command('campaign', 'resume', folder)}` first"
+        )
     work = {name: [t for t in data.tests if (t.test_id, name) in executions] for name in data.config.simulators}
     is_random = data.config.search.method == "random"
     return GivenTests(
@@ -104,7 +107,7 @@ def tests_of_campaigns(reference: tuple[Path, CampaignData], candidate: tuple[Pa
         if there != here:
             raise ComparisonError(
                 f"{first_folder} and {second_folder} differ in {key} ({there} and {here}): compare campaigns of one "
-                f"configuration, or `ds campaign compare {first_folder} --driver {second.config.driver}`"
+                f"configuration, or `{ds_command('compare', first_folder, '--driver', second.config.driver)}`"
             )
     one, other = tests_of_campaign(*reference), tests_of_campaign(*candidate)
     first_keys, second_keys = _by_content(one.work), _by_content(other.work)
@@ -244,7 +247,7 @@ def _complete(
     if network.sha256 and (reason := _cannot_drive(network)):
         raise ComparisonError(
             f"{network.driver} has to drive {sum(map(len, missing.values()))} tests, but {reason}: restore it, or "
-            "compare its campaign with a network, as in `ds campaign compare A --driver B`"
+            "compare its campaign with a network, as in `ds compare A --driver B`"
         )
     settings = replace(tests.settings, driver=network.driver)
     progress.say(f"{role} {network.driver}: {sum(map(len, missing.values()))} drives")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from ds_sim.conditions.actuation import COMMAND_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.conditions.scales import between
+from ds_sim.conditions.text import check_known
 
 LEVELS = 16
 """Levels of strength between a simulator's own world (0) and the hardest value; chosen: a threshold to 6 % of the
@@ -21,7 +22,7 @@ VEHICLE_CONDITIONS = COMMAND_CONDITIONS | {"friction", "payload"}
 _START = {"pavement_reflectance": 0.12, "shadow_depth": 0.0}
 """Value at which a condition changes nothing, where that is not its default: worn asphalt, as most looks have it, and
 shadows that take no light."""
-_COMPANIONS = {
+COMPANIONS = {
     "shadow_depth": {"shadow_density": 0.5},
     "low_sun": {"sun_azimuth": math.pi / 2, "sun_elevation": math.radians(10.0)},
 }
@@ -64,7 +65,7 @@ class Factor:
 
     def conditions(self, level: int) -> Conditions:
         """Conditions of a level; level 0 is each simulator's own world."""
-        return Conditions(**_COMPANIONS.get(self.name, {}), **{self.name: self.value(level)}) if level else DEFAULT
+        return Conditions(**COMPANIONS.get(self.name, {}), **{self.name: self.value(level)}) if level else DEFAULT
 
 
 def all_factors() -> list[Factor]:
@@ -86,9 +87,9 @@ def factors_named(names: Sequence[str]) -> list[Factor]:
     factors = all_factors()
     known = list(dict.fromkeys(factor.name for factor in factors))
     for name in names:
+        check_known(name)
         if name not in known:
-            problem = "has no harder end" if name in FIELDS else "is unknown"
-            raise ConditionsError(f"condition {name[:40]!r} {problem}: expected some of {', '.join(known)}")
+            raise ConditionsError(f"condition {name!r} has no harder end: expected some of {', '.join(known)}")
         if list(names).count(name) > 1:
             raise ConditionsError(f"condition {name!r} is named twice: name each once")
     return [factor for factor in factors if factor.name in names]

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
-from ds_orchestrator.campaign.config import ConditionsText, ConfigError
+from ds_orchestrator.campaign.config import ConditionsText, ConfigError, moved
 from ds_orchestrator.campaign.config_errors import problems
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
@@ -26,6 +26,8 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.conditions.model import DEFAULT
+from ds_sim.installation import ds_command
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 FORMAT = "digital-siblings-suite"
@@ -157,7 +159,7 @@ def road_sha256(control_points: list[list[float]]) -> str:
 
 def write_suite(suite: Suite, path: Path) -> None:
     """Write a suite, one test a line, so that a diff shows what changed."""
-    document = suite.model_dump()
+    document = _moved(suite.model_dump(), Path(), path.parent)
     tests = document.pop("tests")
     head = json.dumps(document, indent=1, allow_nan=False).removesuffix("\n}")
     lines = ",\n".join("  " + json.dumps(test, allow_nan=False) for test in tests)
@@ -188,11 +190,21 @@ def read_suite(path: Path) -> Suite:
             "version, or make the suite again with `ds suite make`"
         )
     try:
-        return Suite.model_validate(raw)
+        return Suite.model_validate(_moved(raw, path.parent, Path()))
     except ValidationError as error:
         raise SuiteError(f"{path}: {problems(error, Suite)}") from None
     except RecursionError:
         raise SuiteError(f"{path}: nested too deeply, expected a suite of `ds suite make`") from None
+
+
+def _moved(raw: Any, start: Path, end: Path) -> Any:
+    """A suite's document whose paths, relative to one folder, are made relative to another."""
+    found = moved(raw, start, end)
+    for test in found["tests"] if isinstance(found.get("tests"), list) else ():
+        if isinstance(test, dict) and isinstance(test.get("outcomes"), dict):
+            outcomes = test["outcomes"].items()
+            test["outcomes"] = {str(SimulatorName.parse(name).moved(start, end)): one for name, one in outcomes}
+    return found
 
 
 TESTS = 30
@@ -263,7 +275,8 @@ def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
     chosen = select(data, most=min(most, MOST_TESTS))
     if not chosen:
         raise SuiteError(
-            f"{folder} has no test with a verdict on every simulator: run `ds campaign resume {folder}` first"
+            f"{folder} has no test with a verdict on every simulator: run "
+            f"`{ds_command('campaign', 'resume', folder)}` first"
         )
     config = data.config
     done = {(one.test_id, one.simulator): one for one in data.verdicts}

@@ -1,0 +1,55 @@
+"""Ranges of conditions for a search, from the result of a sensitivity analysis."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ds_sim.conditions.model import FIELDS, ConditionsError
+from ds_studies.sensitivity.factors import COMPANIONS
+
+MILDEST = {"visibility": 1000.0}
+"""Mild end of a range, where the simulator's own world has none; chosen: the upper limit of fog (WMO-No. 8)."""
+RESULT = "sensitivity.json"
+"""Result of `ds sensitivity` in its folder."""
+
+
+def read_ranges(folder: Path) -> dict[str, tuple[float, float]]:
+    """Read the result of `ds sensitivity --out`; see `ranges_of`.
+
+    Raises:
+        ConditionsError: the folder holds no such result.
+    """
+    path = folder / RESULT
+    try:
+        return ranges_of(json.loads(path.read_text("utf-8")))
+    except OSError:
+        raise ConditionsError(f"{folder} has no {RESULT}: expected the --out of `ds sensitivity`") from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ConditionsError(f"{path} is damaged: run `ds sensitivity` with the same options again") from None
+
+
+def ranges_of(document: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    """Range of every condition that makes a driver fail on at least half of the simulators, most sensitive first.
+
+    It reaches from the value that changes nothing to the strength at which the median simulator first fails; of an even
+    number, the more sensitive one of the two in the middle. A condition with two hard ends reaches to both; one
+    that needs others beside it is left out.
+
+    Args:
+        document: of `Sensitivity.document`.
+    """
+    rows: dict[tuple[str, float], list[dict[str, Any]]] = {}
+    for row in document["thresholds"]:
+        rows.setdefault((row["condition"], row["end"]), []).append(row)
+    ranges: dict[str, tuple[float, float]] = {}
+    for (name, _), of in rows.items():
+        fails = sorted((row for row in of if row["verdict"] == "fails"), key=lambda row: row["share_of_range"])
+        middle = (len(of) - 1) // 2
+        if name not in FIELDS or name in COMPANIONS or middle >= len(fails):
+            continue
+        mild = MILDEST.get(name, fails[middle]["start"])
+        ends = (mild, fails[middle]["first_fails"], *ranges.get(name, ()))
+        ranges[name] = (float(min(ends)), float(max(ends)))
+    return ranges

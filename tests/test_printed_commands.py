@@ -1,0 +1,109 @@
+"""Commands that `ds` prints can be typed as they are: they name verbs that exist, and run where they were printed."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from tests.campaign.engines import MadeUpEngine
+from tests.command_line import ds
+
+from ds_bags.run_writer import write_bag
+from ds_cli.verbs import VERBS
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_orchestrator.campaign.config import read_config
+from ds_orchestrator.campaign.folder import store_of
+from ds_road import Road
+from ds_sim.installation import ds_command
+from ds_sim.registry import make_simulator
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SOURCES = [path for path in REPOSITORY.glob("src/*/ds_*/**/*") if path.suffix in (".py", ".j2", ".js")]
+IN_TEXT = re.compile(r"(?:`|<code>)(?:\./)?ds ([a-z0-9]+)(?: ([a-z]+))?")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder in which `ds` is started; engines drive nothing."""
+
+    @contextmanager
+    def running(*_: object, **__: object) -> Iterator[MadeUpEngine]:
+        yield MadeUpEngine(runs=10_000)
+
+    monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", running)
+    monkeypatch.setattr("ds_studies.whole_campaign.running_engine", running)
+    folder = tmp_path / "a user's folder"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def printed(text: str) -> list[str]:
+    """The words after `ds` of the command in a line."""
+    (command,) = re.findall(r"(?:next: |`)(ds [^`\n]+)", text)
+    return shlex.split(command)[1:]
+
+
+def test_every_verb_in_a_message_exists() -> None:
+    found = {match for path in SOURCES for match in IN_TEXT.findall(path.read_text("utf-8"))}
+    assert len(found) > 30
+    for verb, second in found:
+        assert verb in VERBS, verb
+        assert not second or not VERBS[verb].verbs or second in VERBS[verb].verbs, (verb, second)
+
+
+def test_no_message_puts_a_name_into_a_command_without_quoting_it() -> None:
+    """`ds_command` quotes them; the pages have a function of their own."""
+    for path in (path for path in SOURCES if path.suffix == ".py"):
+        assert not re.search(r"(`|next: )(\./)?ds [a-z0-9][^`\n]*\{", path.read_text("utf-8")), path
+
+
+def test_init_prints_what_runs_next(here: Path) -> None:
+    (here / "my runs").mkdir()
+    done = ds("campaign", "init", "my runs/it's one.yaml", "--driver", "autopilot")
+    assert done.returncode == 0, done.stderr
+    forecast = ds(*printed(done.stderr))
+    assert forecast.returncode == 0 and "72 drives at most" in forecast.stdout, forecast.stderr
+
+
+def test_a_campaign_without_drives_says_how_it_goes_on(here: Path) -> None:
+    Path("c.yaml").write_text("{driver: autopilot, engine: local, search: {population: 1, iterations: 0, runs: 1}}")
+    Path("my campaign").mkdir()
+    store_of(Path("my campaign"), read_config(Path("c.yaml"))).close()
+    for verb in (("compare", "my campaign", "dave2"), ("suite", "make", "my campaign")):
+        refused = ds(*verb)
+        assert refused.returncode == 2, refused.stderr
+        words = printed(refused.stderr)
+        assert words == ["campaign", "resume", "my campaign"]
+    resumed = ds(*words)
+    assert resumed.returncode == 0, resumed.stderr
+    assert Path(resumed.stdout.splitlines()[-1]).is_file()
+
+
+def test_an_unfinished_bag_says_how_it_is_completed(here: Path) -> None:
+    simulator = make_simulator("donkey")
+    road = Road([(125.0, 25.0 * number) for number in range(9)])
+    run = drive_road(simulator, make_driver("autopilot", simulator.spec), road, 1)
+    write_bag(Path("my bag"), "/ds1", "donkey", run, {"driver": "autopilot"}, "telemetry")
+    Path("my bag/metadata.yaml").unlink()
+    refused = ds("bag", "info", "my bag")
+    assert refused.returncode == 2, refused.stdout
+    done = ds(*printed(refused.stderr))
+    assert done.returncode == 0 and Path("DIR/metadata.yaml").is_file(), done.stderr
+
+
+def test_a_command_begins_as_the_one_that_printed_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert ds_command("report", Path("my out")) == "ds report 'my out'"
+    monkeypatch.setenv("DS_COMMAND", "./ds")
+    assert ds_command("report", "out") == "./ds report out"
+    done = subprocess.run(
+        ["./ds", "campaign", "init", tmp_path / "c.yaml", "--driver", "autopilot"],
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=120, env={**os.environ, "DS_COMMAND": "other"},
+    )  # fmt: skip
+    assert f"next: ./ds campaign run {tmp_path}/c.yaml" in done.stderr, done.stderr
