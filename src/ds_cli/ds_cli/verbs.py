@@ -51,7 +51,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Campaigns and suites",
         (
-            Verb("demo", "demo", "See where a shipped network fails, why, and what to do next, in five minutes."),
+            Verb("demo", "demo", "See where a shipped network fails, why, and what to do next, in about five minutes."),
             Verb(
                 "campaign",
                 "campaign.group",
