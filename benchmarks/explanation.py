@@ -5,9 +5,9 @@
 A made car is a simulator with one part changed: its camera is pitched or raised, its look is dim or its lines have
 faded, its vehicle is slippery or its steering lags, its commands or images are late. A pair is a road and a change with
 which the made car fails, while the simulator as it was, and another one, complete. The other one gives the parts for
-the exchange, so that it differs from the made car in everything, and not in the planted part alone. A pair is recovered
-if the largest share is that of the planted part. Changes and strengths were fixed before any result; the weakest that
-fails is taken.
+the exchange, so it differs from the made car in everything, and not in the planted part alone. A pair is recovered if
+the largest share is that of the planted part. Changes, strengths and this rule were fixed before any share was seen;
+the weaker strength that fails is taken.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import argparse
 import json
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -26,6 +26,7 @@ import numpy as np
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
 from ds_orchestrator.store.model import Test
+from ds_sim.camera.look import Colour
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.parts import AdjustableVehicle, Vehicle
 from ds_sim.road_simulator import RoadSimulator
@@ -35,17 +36,17 @@ from ds_studies.explanation.shares import Explanation, Subset
 from ds_studies.sensitivity.measurement import candidate_roads
 
 PLANTS = {
-    "pitched": ("camera", (0.12, 0.25)),
-    "raised": ("camera", (1.7, 2.5)),
-    "dim": ("look", (0.35, 0.15)),
+    "pitched": ("camera", (0.4, 0.55)),
+    "raised": ("camera", (2.5, 4.0)),
+    "dim": ("look", (0.25, 0.15)),
     "faded": ("look", (0.15, 0.0)),
-    "slippery": ("vehicle", (0.35, 0.2)),
-    "lagging": ("vehicle", (0.5, 1.0)),
-    "late_commands": ("delays", (0.35, 0.7)),
-    "late_images": ("delays", (6.0, 12.0)),
+    "slippery": ("vehicle", (0.12, 0.06)),
+    "lagging": ("vehicle", (1.5, 2.5)),
+    "late_commands": ("delays", (0.7, 1.0)),
+    "late_images": ("delays", (12.0, 18.0)),
 }
 """Change -> its part, and strengths: rad nose down; factors on height, brightness, line contrast and grip; seconds of
-steering lag and dead time; frames of latency."""
+steering lag and dead time; frames of latency. Chosen so that most of the cars fail, before any share was seen."""
 AGAINST = {"bullet": "softbody", "softbody": "bullet"}
 """Simulator that is changed -> simulator that gives the parts for the exchange."""
 SEGMENTS = 3
@@ -116,11 +117,11 @@ class MadeCar(RoadSimulator):
         elif plant == "dim":
             camera = replace(camera, gain=camera.gain * strength)
         elif plant == "faded":
-            edge, centre = (
-                tuple(round(a + strength * (c - a)) for a, c in zip(look.asphalt, line, strict=True))
-                for line in (look.edge_line, look.centre_line)
+            look = replace(
+                look,
+                edge_line=_faded(look.edge_line, look.asphalt, strength),
+                centre_line=_faded(look.centre_line, look.asphalt, strength),
             )
-            look = replace(look, edge_line=edge, centre_line=centre)
         elif plant == "slippery":
             vehicle = ChangedVehicle(vehicle, grip=strength)
         elif plant == "lagging":
@@ -136,6 +137,11 @@ class MadeCar(RoadSimulator):
         """Make the car that `made_name` names."""
         base, plant, strength = str(made).split("+")
         return cls(base, plant, float(strength))
+
+
+def _faded(line: Colour, asphalt: Colour, strength: float) -> Colour:
+    red, green, blue = (round(a + strength * (c - a)) for a, c in zip(asphalt, line, strict=True))
+    return red, green, blue
 
 
 def made_name(base: str, plant: str, strength: float) -> str:
@@ -170,44 +176,43 @@ class Pair(NamedTuple):
 
 
 def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
-    """Find the pairs: drive every made car, and the simulators as they were, on every road."""
+    """Find the pairs: on the first roads that the simulators as they were complete, drive every made car."""
     tests = [
         Test(test_id=f"road-0-{k:04d}", sibling="road", run=0, number=k, road=road, seed=seed)
-        for k, (road, seed) in enumerate(candidate_roads(roads, 1, segments=SEGMENTS)[:roads])
+        for k, (road, seed) in enumerate(candidate_roads(roads, 1, segments=SEGMENTS))
     ]
-    cars = {
-        (base, plant, strength): made_name(base, plant, strength)
-        for base in AGAINST
-        for plant, (_, strengths) in PLANTS.items()
-        for strength in strengths
-    }
-    names = [*AGAINST, *cars.values()]
-    found = drive_tests(
-        replace(settings, siblings=tuple(names)), dict.fromkeys(names, tests), folder, Progress(say=print)
-    ).executions
 
-    def fails(test: Test, name: str) -> bool:
-        return found[test.test_id, name].outcome.is_failure
+    def failed_on(work: Mapping[str, Sequence[Test]], stage: str) -> set[tuple[str, str]]:
+        driven = drive_tests(replace(settings, siblings=tuple(work)), work, folder / stage, Progress(say=print))
+        return {key for key, execution in driven.executions.items() if execution.outcome.is_failure}
 
-    def of(base: str, plant: str, test: Test) -> Iterator[Pair]:
-        part, strengths = PLANTS[plant]
-        for strength in strengths:
-            name = cars[base, plant, strength]
-            if fails(test, name):
-                differing = differing_parts(exchangeable(AGAINST[base]), exchangeable(name))
-                yield Pair(
-                    plant,
-                    strength,
-                    MadeExperiment(
-                        test=test, fails=name, against=AGAINST[base], base=base, planted=part,
-                        parts={" and ".join(parts): parts for parts in differing},
-                    ),
-                )  # fmt: skip
-                return
+    failed = failed_on(dict.fromkeys(AGAINST, tests), "as_they_were")
+    tests = [test for test in tests if not any((test.test_id, base) in failed for base in AGAINST)][:roads]
+    keys = [(test, base, plant) for test in tests for base in AGAINST for plant in PLANTS]
+    found: dict[tuple[Test, str, str], float] = {}
+    for stage in range(2):
+        left = {key: PLANTS[key[2]][1][stage] for key in keys if key not in found}
+        work: dict[str, list[Test]] = {}
+        for (test, base, plant), strength in left.items():
+            work.setdefault(made_name(base, plant, strength), []).append(test)
+        failed = failed_on(work, f"made_{stage}")
+        found |= {
+            (test, base, plant): strength
+            for (test, base, plant), strength in left.items()
+            if (test.test_id, made_name(base, plant, strength)) in failed
+        }
+    print(f"{len(found)} of {len(keys)} made cars fail on {len(tests)} roads", flush=True)
+    return [
+        Pair(plant, found[test, base, plant], _experiment(test, base, plant, found[test, base, plant]))
+        for test, base, plant in keys
+        if (test, base, plant) in found
+    ]
 
-    driven = [test for test in tests if not any(fails(test, name) for name in AGAINST)]
-    print(f"{len(driven)} of {len(tests)} roads are completed by {' and '.join(AGAINST)}", flush=True)
-    return [pair for test in driven for base in AGAINST for plant in PLANTS for pair in of(base, plant, test)]
+
+def _experiment(test: Test, base: str, plant: str, strength: float) -> MadeExperiment:
+    name, against = made_name(base, plant, strength), AGAINST[base]
+    parts = {" and ".join(parts): parts for parts in differing_parts(exchangeable(against), exchangeable(name))}
+    return MadeExperiment(test=test, fails=name, against=against, base=base, planted=PLANTS[plant][0], parts=parts)
 
 
 def row(pair: Pair, found: Explanation) -> dict[str, object]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ds_analysis.common.statistics import Array
 from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
@@ -23,7 +24,12 @@ SPEED = 6.0
 
 
 def failed(
-    path: np.ndarray, steering: np.ndarray, road: Road, *, outcome: Outcome = Outcome.OUT_OF_BOUNDS, speed: float = SPEED
+    path: Array,
+    steering: Array,
+    road: Road,
+    *,
+    outcome: Outcome = Outcome.OUT_OF_BOUNDS,
+    speed: float = SPEED,
 ) -> Execution:
     """A drive along a path, which ends where it leaves the lane."""
     tracker = LaneTracker(road.lane_centre)
@@ -45,12 +51,12 @@ def made_test(road: Road, **conditions: float) -> Test:
                 conditions=Conditions(**conditions))  # fmt: skip
 
 
-def straight_on(road: Road) -> np.ndarray:
+def straight_on(road: Road) -> Array:
     start = road.lane_centre[0]
     return start + np.arange(0.0, 80.0, SPEED * FRAME_TIME)[:, None] * np.array([0.0, 1.0])
 
 
-def steering_from(arc: float, amount: float, noise: float = 0.01) -> np.ndarray:
+def steering_from(arc: float, amount: float, noise: float = 0.01) -> Array:
     """Nothing up to an arc length, then an amount."""
     arcs = np.arange(0.0, 80.0, SPEED * FRAME_TIME)
     return np.where(arcs < arc, 0.0, amount) + noise * np.sin(np.arange(len(arcs)))
@@ -94,8 +100,8 @@ def test_cutting_straight_slow_and_odd_commands_are_told_apart() -> None:
     under = made_test(RIGHT, visibility=40.0)
     straight = reason_of(under, failed(drift, noise, RIGHT))
     assert straight.kind == "leaves a straight" and straight.text.endswith("under visibility 40 m")
-    for steering, led in ((np.full(300, 0.3), "always steers the same"),
-                          (np.where(np.arange(300) % 3 > 0, 1.0, -0.2), "is at full lock half of the time")):  # fmt: skip
+    locked = np.where(np.arange(300) % 3 > 0, 1.0, -0.2)
+    for steering, led in ((np.full(300, 0.3), "always steers the same"), (locked, "is at full lock half of the time")):
         assert reason_of(made_test(RIGHT), failed(drift, steering, RIGHT)).led == led
     slow = failed(straight_on(RIGHT)[:100], noise, RIGHT, outcome=Outcome.TIMEOUT, speed=0.9)
     found = reason_of(made_test(RIGHT), slow)
@@ -114,4 +120,8 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
     groups = groups_of(reasons_of(data))
     assert [(len(group.reasons), group.by_simulator) for group in groups] == [(8, {"bullet": 8}), (1, {"bullet": 1})]
-    assert [reason.test_id for reason in reasons_of(data, most=3)] == ["bullet-0-0000", "bullet-0-0003", "bullet-0-0006"]
+    assert [reason.test_id for reason in reasons_of(data, most=3)] == [
+        "bullet-0-0000",
+        "bullet-0-0003",
+        "bullet-0-0006",
+    ]

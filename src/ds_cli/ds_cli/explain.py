@@ -76,9 +76,7 @@ def explain_command(
     tables = [*([groups_table(found)] if test is None else []), *map(shares_table, explained)]
     document = {
         "groups": [{"kind": g.kind, "failures": len(g.reasons), "on": g.by_simulator} for g in found],
-        "tests": [
-            {"reason": reason, **one.document()} for reason, one in zip(experiments, explained, strict=True)
-        ],
+        "tests": [{"reason": reason, **one.document()} for reason, one in zip(experiments, explained, strict=True)],
     }
     if out is not None:
         (out / "explanation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")

@@ -67,9 +67,7 @@ def failure_section(data: CampaignData) -> FailureSection | None:
     first = {name: _largest_on(groups, name) for name in data.config.simulators}
     if len({kind for kind in first.values() if kind}) > 1:
         sentences += [f"On {name}, it most often {kind}." for name, kind in first.items() if kind]
-    return FailureSection(
-        sentences=sentences, groups=[_shown(group, data, rank) for group in groups[:MOST_GROUPS]]
-    )
+    return FailureSection(sentences=sentences, groups=[_shown(group, data, rank) for group in groups[:MOST_GROUPS]])
 
 
 def _largest_on(groups: Sequence[FailureGroup], simulator: str) -> str:

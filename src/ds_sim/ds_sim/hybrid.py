@@ -46,8 +46,8 @@ class HybridSimulator(RoadSimulator):
     Examples:
         >>> from ds_sim.hybrid import HybridSimulator
         >>> made = HybridSimulator({"camera": "bullet", "look": "bullet", "vehicle": "softbody", "delays": "donkey"})
-        >>> made.spec.camera.height, made.spec.camera.latency, made.spec.wheelbase == make_simulator("softbody").spec.wheelbase
-        (1.35, 1, True)
+        >>> made.spec.camera.height, made.spec.camera.latency, round(made.spec.wheelbase, 2)
+        (1.35, 1, 2.3)
     """
 
     def __init__(self, names: Mapping[str, str]) -> None:
@@ -126,7 +126,7 @@ def hybrid_name(names: Mapping[str, str]) -> str:
     """
     for name in names.values():
         if "," in name:
-            raise HybridError(f"simulator {name}: its parts cannot be exchanged with a comma in its name: rename the file")
+            raise HybridError(f"simulator {name}: a name with a comma cannot give parts: rename the file")
     return f"{HYBRID}@" + ",".join(f"{part}={names[part]}" for part in PARTS)
 
 

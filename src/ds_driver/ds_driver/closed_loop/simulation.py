@@ -185,7 +185,6 @@ class InterleavedDrives:
                 records.append((key, drive.session.run))
         return records
 
-
     def _keep(self, name: str, simulator: Simulator) -> None:
         """Keep a simulator for the next drive; close the one that has been idle longest if there are many."""
         self._idle[name] = [*self._idle.pop(name, []), simulator]
