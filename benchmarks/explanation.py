@@ -31,7 +31,7 @@ from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.parts import AdjustableVehicle, Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
-from ds_studies.explanation.experiment import Experiment, explain
+from ds_studies.explanation.experiment import Experiment, drive_experiments
 from ds_studies.explanation.shares import Explanation, Subset
 from ds_studies.sensitivity.measurement import candidate_roads
 
@@ -239,8 +239,8 @@ def main() -> None:
     settings = DriveSettings(siblings=(), driver=options.driver, gates="none", workers=options.workers)
     chosen = pairs(options.roads, settings, options.out / "made_cars")
     experiments = [pair.experiment for pair in chosen]
-    explained = explain(experiments, settings, options.out / "exchanges", Progress(say=print))
-    rows = [row(pair, found) for pair, found in zip(chosen, explained, strict=True)]
+    found = drive_experiments(experiments, settings, options.out / "exchanges", Progress(say=print))
+    rows = [row(pair, pair.experiment.explained(found)) for pair in chosen]
     (options.out / "result.json").write_text(json.dumps(rows, indent=1) + "\n")
     for plant in (*PLANTS, ""):
         of = [one for one in rows if plant in ("", one["plant"])]

@@ -79,6 +79,7 @@ def test_a_car_that_goes_straight_on_in_a_bend_is_late_wrong_or_weak(road: Road,
     cases = {
         "steers late": steering_from(leaves - 2.0, sign * 0.4),
         "steers the wrong way": steering_from(bend - 2.0, -sign * 0.4),
+        "steers in, then lets go": steering_from(bend - 2.0, sign * 0.3) + steering_from(leaves - 4.0, -sign * 0.5),
         "steers in time, but too little": steering_from(bend - 2.0, sign * 0.05),
     }
     for led, steering in cases.items():

@@ -72,7 +72,7 @@ def explain_command(
     drives = None if out is None else out / "drives"
     with stopped_in(drives):
         progress = Progress(listen=ScreenListener, say=say)
-        explained = explain(list(experiments.values()), settings, drives, progress) if experiments else []
+        explained = [explain(one, settings, drives, progress) for one in experiments.values()]
     tables = [*([groups_table(found)] if test is None else []), *map(shares_table, explained)]
     document = {
         "groups": [{"kind": g.kind, "failures": len(g.reasons), "on": g.by_simulator} for g in found],

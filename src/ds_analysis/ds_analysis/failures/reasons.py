@@ -28,6 +28,9 @@ LATE = 0.25
 from which it steers late; chosen: half of the room to the lane's edge is gone then."""
 BEGINS = 0.5
 """Share of its mean steering into a bend from which a driver has begun to steer; chosen: halfway there."""
+LET_GO = 0.25
+"""Time for which a driver steers less than half of its peak at last, from which it has let go, s; chosen: 1.7 m at
+25 km/h."""
 _STEP = 0.5
 _HABITS = {
     "constant": "always steers the same",
@@ -162,8 +165,12 @@ def _steering_into_bend(road: Road, arc: Array, steering: Array, side: int) -> t
     gone = places[(places >= begin) & (places <= arc[first + start])]
     # A car that goes straight on while the lane turns is off by the lane's heading, summed up along the way.
     heading = np.cumsum(side * lane_curvature(road.lane_centre, gone)) * _STEP
-    late = float(heading.sum()) * _STEP >= LATE * road.lane_width
-    return ("steers late", start * FRAME_TIME) if late else ("steers in time, but too little", 0.0)
+    if float(heading.sum()) * _STEP >= LATE * road.lane_width:
+        return "steers late", start * FRAME_TIME
+    held = np.flatnonzero(into >= BEGINS * np.max(into))[-1]
+    if (len(into) - 1 - held) * FRAME_TIME >= LET_GO:
+        return "steers in, then lets go", 0.0
+    return "steers in time, but too little", 0.0
 
 
 def condition_words(conditions: Conditions) -> str:

@@ -16,6 +16,7 @@ from ds_orchestrator.engines.drive_tests import GivenDrives, Progress, drive_tes
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
+from ds_sim.registry import label_of
 from ds_studies.explanation.shares import CONDITIONS, Explanation, Subset, loss_of, subsets
 
 _PLAIN = "plain-"
@@ -119,19 +120,33 @@ def experiments_on(data: CampaignData, groups: Sequence[FailureGroup], most: int
     return found
 
 
-def explain(
-    experiments: Sequence[Experiment], settings: DriveSettings, folder: Path | None, progress: Progress
-) -> list[Explanation]:
-    """Drive experiments; errors are as in `ds_orchestrator.engines.drive_tests.drive_tests`.
+def explain(experiment: Experiment, settings: DriveSettings, folder: Path | None, progress: Progress) -> Explanation:
+    """Drive one experiment, and share out the difference.
 
     Args:
-        experiments: what to drive.
-        settings: driver and engine; simulators are those of the experiments.
-        folder: of the drives, where a stopped call goes on; None keeps nothing.
+        experiment: what to drive.
+        settings: driver and engine; see `drive_experiments`.
+        folder: for a folder of the drives, where a stopped call goes on; None keeps nothing.
         progress: who hears of it.
 
     Raises:
         ExplanationError: a drive ended in an error.
+    """
+    name = label_of(f"{experiment.test.test_id}-{experiment.fails}-{experiment.against}")
+    with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_explain_") as place:
+        return experiment.explained(drive_experiments([experiment], settings, Path(place) / name, progress))
+
+
+def drive_experiments(
+    experiments: Sequence[Experiment], settings: DriveSettings, folder: Path, progress: Progress
+) -> GivenDrives:
+    """Drive experiments, which may have drives in common; errors are those of `drive_tests`.
+
+    Args:
+        experiments: what to drive.
+        settings: driver and engine; simulators are those of the experiments, and nothing is gated or recorded.
+        folder: of the drives.
+        progress: who hears of it.
     """
     work: dict[str, list[Test]] = {}
     for experiment in experiments:
@@ -140,6 +155,4 @@ def explain(
             if test not in work.setdefault(name, []):
                 work[name].append(test)
     settings = replace(settings, siblings=tuple(work), twin=None, gates="none", record="none", conditions=DEFAULT)
-    with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_explain_") as place:
-        found = drive_tests(settings, work, Path(place), progress)
-        return [experiment.explained(found) for experiment in experiments]
+    return drive_tests(settings, work, folder, progress)
