@@ -94,7 +94,7 @@ class Explanation:
     @property
     def left_over(self) -> float:
         """Share of the difference that no exchange of parts explains; 0 where the simulators consist of their parts."""
-        return 1.0 - sum(self.shares.values())
+        return (1.0 - self.losses[frozenset(self.parts)]) / self.difference
 
     @property
     def only_together(self) -> float:
