@@ -85,9 +85,9 @@ def test_a_planted_delay_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     found_out = ds("explain", folder, "--workers", 2, "--trust", late, "--out", tmp_path / "out", "--json")
     (found,) = json.loads(found_out.stdout)["tests"]
     assert (found["fails"], found["against"]) == (late, "bullet") and found["left_over"] == 0.0
-    assert found["shares"] == {"delays": 1.0, "vehicle": 0.0} and len(found["drives"]) == 4
+    assert found["shares"] == pytest.approx({"delays": 1.0, "vehicle": 0.0}) and len(found["drives"]) == 4
     assert found["sentence"].endswith("With the delays of bullet alone it completes there.")
-    assert (tmp_path / "out" / "explanation.png").exists()
+    assert (tmp_path / "out" / "explanation.json").exists()
 
 
 def test_conditions_are_removed_and_what_a_driver_does_not_see_has_no_share(tmp_path: Path) -> None:

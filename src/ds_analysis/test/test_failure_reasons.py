@@ -120,7 +120,7 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     config = CampaignConfig(siblings=["bullet"], driver="autopilot")
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
     groups = groups_of(reasons_of(data))
-    assert [(len(group.reasons), group.by_simulator) for group in groups] == [(8, {"bullet": 8}), (1, {"bullet": 1})]
+    assert [(len(group.reasons), group.on) for group in groups] == [(8, {"bullet": 8}), (1, {"bullet": 1})]
     assert [reason.test_id for reason in reasons_of(data, most=3)] == [
         "bullet-0-0000",
         "bullet-0-0003",

@@ -28,7 +28,7 @@ def explain_command(
         int, typer.Option(min=0, max=20, help="Largest groups of failures to explain; 0 only lists all groups.")
     ] = 3,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped experiment goes on there.")
+        Path | None, typer.Option(help="Folder for tables and drives; a stopped experiment goes on there.")
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
@@ -43,15 +43,13 @@ def explain_command(
     all combinations, and each part gets its share of the failure.
     """
     from ds_analysis.common.table import write_tables
-    from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of
+    from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.store.folder_files import make_folder
-    from ds_sim.camera.encodings import png
     from ds_studies.explanation.experiment import experiment_on, experiments_on, explain
-    from ds_studies.explanation.tables import draw_shares, groups_table, shares_table
     from ds_studies.whole_campaign import check_trust
 
     if test is None and (sim is not None or against is not None):
@@ -73,16 +71,14 @@ def explain_command(
     with stopped_in(drives):
         progress = Progress(listen=ScreenListener, say=say)
         explained = [explain(one, settings, drives, progress) for one in experiments.values()]
-    tables = [*([groups_table(found)] if test is None else []), *map(shares_table, explained)]
+    tables = [*([groups_table(found)] if test is None else []), *(one.table() for one in explained)]
     document = {
-        "groups": [{"kind": g.kind, "failures": len(g.reasons), "on": g.by_simulator} for g in found],
+        "groups": [{"kind": g.kind, "failures": len(g.reasons), "on": g.on} for g in found],
         "tests": [{"reason": reason, **one.document()} for reason, one in zip(experiments, explained, strict=True)],
     }
     if out is not None:
         (out / "explanation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         write_tables(tables, out)
-        if explained:
-            (out / "explanation.png").write_bytes(png(draw_shares(explained)))
 
     def show() -> None:
         console = Console()
@@ -90,7 +86,7 @@ def explain_command(
             tables[0].show(console)
         for reason, one in zip(experiments, explained, strict=True):
             print(f"\nOn {one.fails} the driver {reason}.\n{one.sentence}")
-            shares_table(one).show(console)
+            one.table().show(console)
         if groups and not experiments:
             print("No failed test is completed by another simulator, so there is nothing to exchange.")
         if out is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ds_analysis.failures.reasons import FailureGroup, groups_of, reasons_of
+from ds_analysis.failures.reasons import FailureGroup, Reason, groups_of, reasons_of
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_report.camera_pictures import worst_first
 from ds_report.findings import count
@@ -15,39 +15,17 @@ MOST_GROUPS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShownGroup:
-    """One group of failures, for a page.
-
-    Attributes:
-        kind: what they have in common, in words that follow "the driver".
-        failures: their number.
-        where: simulators and their numbers.
-        test_id: test of the group that fails on most simulators and worst, whose replay is in the page.
-        simulator: where that test failed in this way.
-        reason: of that failure, whole.
-        address: of its replay within the page; "" if its test is in no map.
-    """
-
-    kind: str
-    failures: int
-    where: str
-    test_id: str
-    simulator: str
-    reason: str
-    address: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class FailureSection:
     """Why tests failed, for a page.
 
     Attributes:
         sentences: the largest group, and that of each simulator where they differ.
-        groups: the largest first.
+        groups: the largest first, each with the failure whose test fails on most simulators and worst, which a large
+            campaign's page keeps, and the address of its replay; "" if that test is in no map.
     """
 
     sentences: Sequence[str]
-    groups: Sequence[ShownGroup]
+    groups: Sequence[tuple[FailureGroup, Reason, str]]
 
 
 def failure_section(data: CampaignData) -> FailureSection | None:
@@ -56,35 +34,22 @@ def failure_section(data: CampaignData) -> FailureSection | None:
     if not reasons:
         return None
     groups, failed = groups_of(reasons), sum(e.outcome.is_failure for e in data.executions)
-    failing = {reason.test_id for reason in reasons}
-    order = worst_first((test for test in data.tests if test.test_id in failing), data.executions)
-    rank = {test_id: k for k, test_id in enumerate(order)}
     sentences = [
         f"Most often the driver {groups[0].kind}: {len(groups[0].reasons)} of {count(len(reasons), 'failure')}."
     ]
     if len(reasons) < failed:
         sentences[0] += f" Read from the records of {len(reasons)} of {failed} failures."
-    first = {name: _largest_on(groups, name) for name in data.config.simulators}
-    if len({kind for kind in first.values() if kind}) > 1:
-        sentences += [f"On {name}, it most often {kind}." for name, kind in first.items() if kind]
-    return FailureSection(sentences=sentences, groups=[_shown(group, data, rank) for group in groups[:MOST_GROUPS]])
-
-
-def _largest_on(groups: Sequence[FailureGroup], simulator: str) -> str:
-    on = [(group.by_simulator.get(simulator, 0), group.kind) for group in groups]
-    number, kind = max(on, key=lambda one: one[0])
-    return kind if number else ""
-
-
-def _shown(group: FailureGroup, data: CampaignData, rank: dict[str, int]) -> ShownGroup:
-    worst = min(group.reasons, key=lambda reason: rank[reason.test_id])
-    cell = data.cells.get(worst.test_id)
-    return ShownGroup(
-        kind=group.kind,
-        failures=len(group.reasons),
-        where=", ".join(f"{number} on {name}" for name, number in group.by_simulator.items()),
-        test_id=worst.test_id,
-        simulator=worst.simulator,
-        reason=worst.text,
-        address="" if cell is None else f"#cell={'-'.join(map(str, cell))}&test={worst.test_id}",
-    )
+    first = {name: max(groups, key=lambda group: group.on.get(name, 0)) for name in data.config.simulators}
+    first = {name: group for name, group in first.items() if name in group.on}
+    if len({group.kind for group in first.values()}) > 1:
+        sentences += [f"On {name}, it most often {group.kind}." for name, group in first.items()]
+    failing = {reason.test_id for reason in reasons}
+    order = worst_first((test for test in data.tests if test.test_id in failing), data.executions)
+    rank = {test_id: k for k, test_id in enumerate(order)}
+    shown = []
+    for group in groups[:MOST_GROUPS]:
+        worst = min(group.reasons, key=lambda reason: rank[reason.test_id])
+        cell = data.cells.get(worst.test_id)
+        address = "" if cell is None else f"#cell={'-'.join(map(str, cell))}&test={worst.test_id}"
+        shown.append((group, worst, address))
+    return FailureSection(sentences=sentences, groups=shown)

@@ -11,6 +11,7 @@ import shapely
 
 from ds_analysis.common.driven_road import lateral_profile
 from ds_analysis.common.statistics import Array
+from ds_analysis.common.table import Column, Table
 from ds_analysis.siblings.failure_patterns import LOOK_BACK, STRAIGHT_BELOW, departure
 from ds_driver.control.command_habits import command_habits
 from ds_orchestrator.campaign.folder import CampaignData
@@ -84,9 +85,14 @@ class FailureGroup:
     reasons: tuple[Reason, ...]
 
     @property
-    def by_simulator(self) -> dict[str, int]:
+    def on(self) -> dict[str, int]:
         """Simulator -> number of its failures, the most first."""
         return dict(Counter(reason.simulator for reason in self.reasons).most_common())
+
+    @property
+    def where(self) -> str:
+        """The same in words: `9 on bullet, 2 on donkey`."""
+        return ", ".join(f"{number} on {name}" for name, number in self.on.items())
 
 
 def reasons_of(data: CampaignData, most: int = MOST_FAILURES) -> list[Reason]:
@@ -107,6 +113,13 @@ def groups_of(reasons: Sequence[Reason]) -> list[FailureGroup]:
         groups.setdefault(reason.kind, []).append(reason)
     found = [FailureGroup(kind=kind, reasons=tuple(of)) for kind, of in groups.items()]
     return sorted(found, key=lambda group: -len(group.reasons))
+
+
+def groups_table(groups: Sequence[FailureGroup]) -> Table:
+    """Tabulate groups of failures, one row each."""
+    columns = [Column("the driver"), Column("failures", "count"), Column("where"), Column("for example")]
+    rows = [(group.kind, len(group.reasons), group.where, group.reasons[0].test_id) for group in groups]
+    return Table(name="failures", title="Failures by what led there", columns=columns, rows=rows)
 
 
 def reason_of(test: Test, execution: Execution) -> Reason:

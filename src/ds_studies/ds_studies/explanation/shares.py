@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import chain, combinations
 from typing import Any
 
+from ds_analysis.common.table import Column, Table
 from ds_orchestrator.store.model import Execution
 
 Subset = frozenset[str]
@@ -126,6 +127,24 @@ class Explanation:
                 for subset, loss in self.losses.items()
             ],
         }  # fmt: skip
+
+    def table(self) -> Table:
+        """Tabulate the parts of the explanation, the largest share first, then what is left over."""
+        columns = [
+            Column("part"), Column("share", "number"), Column(f"alone on {self.against}"),
+            Column(f"{self.fails} without it"),
+        ]  # fmt: skip
+        rows = [
+            (part, share, "fails" if self.brings(part) else "completes", "completes" if self.cures(part) else "fails")
+            for part, share in self.shares.items()
+        ]
+        return Table(
+            name=f"explanation_{self.test_id}_{self.fails}",
+            title=f"{self.test_id}: fails on {self.fails}, not on {self.against}",
+            columns=columns,
+            rows=[*rows, ("left over", self.left_over, "", "")],
+            notes=[f"{len(self.losses)} drives; {self.only_together:.2f} of the difference comes about only together."],
+        )
 
     @property
     def sentence(self) -> str:
