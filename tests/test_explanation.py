@@ -74,14 +74,16 @@ def test_the_sentence_says_what_is_the_cause_what_is_not_and_what_cures() -> Non
     assert "No single part of b makes it complete there." in twice.sentence
     gone = explanation({nothing: 0.5, camera: 0.5, vehicle: 0.5, both: 0.75})
     assert "do not repeat" in gone.sentence and gone.left_over == pytest.approx(0.5)
+    assert "do not repeat" in explanation(dict.fromkeys(subsets(("camera", "vehicle")), 1.0)).document()["sentence"]
 
 
 def test_a_planted_delay_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
     late = made_name("bullet", "late_commands", 0.6)
     folder = campaign(tmp_path / "c", ["bullet", late])
-    refused = ds("explain", folder, "--test", "bullet-0-0000")
-    assert refused.returncode == 2 and "--trust" in refused.stderr
+    for more in ((), ("--test", "bullet-0-0000")):
+        refused = ds("explain", folder, *more)
+        assert refused.returncode == 2 and "--trust" in refused.stderr
     found_out = ds("explain", folder, "--workers", 2, "--trust", late, "--out", tmp_path / "out", "--json")
     (found,) = json.loads(found_out.stdout)["tests"]
     assert (found["fails"], found["against"]) == (late, "bullet") and found["left_over"] == 0.0

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from ds_cli.options import Cluster, EngineName, Folder, JsonFlag, Trust, Workers, with_engine_without_ros
-from ds_cli.output import Result, answer, say, stopped_in
+from ds_cli.output import Result, end, say, stopped_in
 
 app = typer.Typer()
 
@@ -56,6 +56,8 @@ def explain_command(
         raise ConfigError("--sim and --against choose the simulators of one test: give --test, too")
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
+        if test is not None or groups:  # something is driven, and so made
+            check_trust(data.config, trust or ())
         found = groups_of(reasons_of(data))
         if test is None:
             experiments = experiments_on(data, found, groups) if groups else {}
@@ -63,7 +65,6 @@ def explain_command(
             one = experiment_on(data, test, sim, against)
             failed = next(e for e in data.executions if (e.test_id, e.simulator) == (test, one.fails))
             experiments = {reason_of(one.test, failed).text: one}
-    check_trust(data.config, trust or ())
     settings = with_engine_without_ros(data.config.drive_settings(), workers, engine, cluster)
     if out is not None:
         make_folder(out)
@@ -92,4 +93,4 @@ def explain_command(
         if out is not None:
             print(out)
 
-    answer(Result(document=document, show=show), as_json)
+    end(Result(document=document, show=show, error=not all(one.repeats for one in explained)), as_json)

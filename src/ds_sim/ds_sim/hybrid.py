@@ -47,7 +47,7 @@ class HybridSimulator(RoadSimulator):
         >>> from ds_sim.hybrid import HybridSimulator
         >>> made = HybridSimulator({"camera": "bullet", "look": "bullet", "vehicle": "softbody", "delays": "donkey"})
         >>> made.spec.camera.height, made.spec.camera.latency, round(made.spec.wheelbase, 2)
-        (1.35, 1, 2.3)
+        (1.35, 1, 2.53)
     """
 
     def __init__(self, names: Mapping[str, str]) -> None:

@@ -83,8 +83,8 @@ class Explanation:
 
     @property
     def difference(self) -> float:
-        """Loss to be shared out: that of a failure over that of the drive without any of its parts."""
-        return 1.0 - self.losses[frozenset()]
+        """Loss to be shared out: that of a failure over that of the drive without any of its parts; 1 if that fails."""
+        return 1.0 - self.losses[frozenset()] or 1.0
 
     @property
     def shares(self) -> dict[str, float]:
