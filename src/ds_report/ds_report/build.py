@@ -63,6 +63,7 @@ def write_all(
         Path of the report.
     """
     from ds_analysis.common.heatmap import write_maps
+    from ds_report.failure_section import failure_section
     from ds_report.html_report import write_report
     from ds_report.sections import answer_section, further_map, sibling_section
 
@@ -120,6 +121,7 @@ def write_all(
         network=network_of(data.config),
         siblings=siblings,
         answer=answer_section(folder, data),
+        failures=failure_section(data),
         further_maps=further_maps,
         trusted=trusted,
     )

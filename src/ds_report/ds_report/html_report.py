@@ -37,6 +37,7 @@ from ds_report.camera_pictures import (
     translates,
     worst_first,
 )
+from ds_report.failure_section import FailureSection
 from ds_report.findings import count, summarise
 from ds_report.first_screen import first_screen
 from ds_report.page_data import in_words, page_data
@@ -62,6 +63,7 @@ def write_report(
     network: Network | None = None,
     siblings: SiblingSection | None = None,
     answer: AnswerSection | None = None,
+    failures: FailureSection | None = None,
     further_maps: Sequence[FurtherMap] = (),
     trusted: Collection[str] = (),
 ) -> Path:
@@ -77,6 +79,7 @@ def write_report(
         network: network in the paper whose numbers are shown for comparison, or None.
         siblings: what each sibling adds, or None.
         answer: what is predicted of a car, or None.
+        failures: why tests failed, or None.
         further_maps: maps over other features than the configured ones.
         trusted: user-defined simulators whose code may run; others have no pictures.
 
@@ -123,6 +126,7 @@ def write_report(
         of_paper=network is not None,
         siblings=siblings,
         answer=answer,
+        failures=failures,
         further_maps=further_maps,
         outcomes=_outcome_table(config, executions),
         verdicts=_VERDICTS,

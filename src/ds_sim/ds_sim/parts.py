@@ -59,6 +59,17 @@ class AdjustableVehicle(Protocol):
         ...
 
 
+@runtime_checkable
+class DelayedVehicle(Protocol):
+    """Vehicle with a dead time of its own from a command to its actuators; any other has none.
+
+    Attributes:
+        command_delay: the dead time of the runs to come, s; it may be set.
+    """
+
+    command_delay: float
+
+
 def check_ranges(
     parameters: Any, limits: Mapping[str, tuple[float, float]], usual: tuple[float, float] = (0.0, math.inf)
 ) -> None:

@@ -49,7 +49,7 @@ class RoadSimulator:
         adjustable = VEHICLE_CONDITIONS if isinstance(vehicle, AdjustableVehicle) else frozenset()
         realised = COMMAND_CONDITIONS | adjustable | conditions_of(self.scene)
         self._spec = replace(spec, conditions=tuple(name for name in FIELDS if name in realised))
-        self._limits = limits or OracleLimits()
+        self.limits = limits or OracleLimits()
         self._run: _Run | None = None
 
     @property
@@ -87,7 +87,7 @@ class RoadSimulator:
             self.scene.load(road, sensor_rng)  # also of scenes that take no conditions
         run = _Run(
             tracker=tracker,
-            oracle=Oracle(tracker.length, self._limits),
+            oracle=Oracle(tracker.length, self.limits),
             half_lane=road.lane_width / 2,
             actuation=actuation_of(conditions, self._spec.max_steering_angle),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +30,15 @@ class DonkeyVehicle:
     def parameters(self) -> DonkeyParameters:
         """Parameters of the car."""
         return self._model.parameters
+
+    @property
+    def command_delay(self) -> float:
+        """Dead time from a command to its pulse, s; setting it changes the runs to come."""
+        return self._nominal.command_delay
+
+    @command_delay.setter
+    def command_delay(self, seconds: float) -> None:
+        self._nominal = replace(self._nominal, command_delay=seconds)
 
     def adjust(self, *, friction: float, payload: float) -> None:
         """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""

@@ -97,6 +97,8 @@ class Phase(IntEnum):
 NotePhase = Callable[[Phase, int], None]
 """Called with what begins, and with the key of the drive that it is for; -1 for all drives."""
 ALL_DRIVES = -1
+MOST_IDLE = 8
+"""Simulators that are kept between drives; chosen: twice a worker's drives at a time. One keeps some 40 MB."""
 
 
 class InterleavedDrives:
@@ -178,10 +180,17 @@ class InterleavedDrives:
         for key, drive in list(self._active.items()):
             if not drive.session.driving:
                 del self._active[key]
-                self._idle.setdefault(drive.simulator, []).append(drive.session.simulator)
+                self._keep(drive.simulator, drive.session.simulator)
                 assert drive.session.run is not None
                 records.append((key, drive.session.run))
         return records
+
+    def _keep(self, name: str, simulator: Simulator) -> None:
+        """Keep a simulator for the next drive; close the one that has been idle longest if there are many."""
+        self._idle[name] = [*self._idle.pop(name, []), simulator]
+        if sum(map(len, self._idle.values())) > MOST_IDLE:
+            oldest = next(name for name, idle in self._idle.items() if idle)
+            self._idle[oldest].pop(0).close()
 
 
 def _network(driver: str) -> NetworkDriver:

@@ -20,12 +20,12 @@ function later(action, milliseconds) {
   };
 }
 
-/** Open the cell that the address names; null if it names none. */
+/** Open the cell, and the test, that the address names; null if it names none. */
 function openFromAddress() {
-  const found = /^#cell=([\d-]+)$/.exec(location.hash);
+  const found = /^#cell=([\d-]+)(?:&test=(.+))?$/.exec(location.hash);
   if (found && found[1] in placeIndex) {
-    document.getElementById("maps").scrollIntoView({ behavior: "instant" });
-    return choose(found[1]);
+    document.getElementById(found[2] ? "cell" : "maps").scrollIntoView({ behavior: "instant" });
+    return choose(found[1], { testId: found[2] ? decodeURIComponent(found[2]) : null });
   }
   return null;
 }

@@ -1,0 +1,253 @@
+"""How often `ds explain` names the cause, on made cars whose one planted difference is known.
+
+    python -m benchmarks.explanation --out explanation        # about 20 minutes of processor time
+
+A made car is a simulator with one part changed: its camera is pitched or raised, its look is dim or its lines have
+faded, its vehicle is slippery or its steering lags, its commands or images are late. A pair is a road and a change with
+which the made car fails, while the simulator as it was, and another one, complete. The other one gives the parts for
+the exchange, so it differs from the made car in everything, and not in the planted part alone. A pair is recovered if
+the largest share is that of the planted part. Changes, strengths and this rule were fixed before any share was seen;
+the weaker strength that fails is taken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.store.model import Test
+from ds_sim.camera.look import Colour
+from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
+from ds_sim.parts import AdjustableVehicle, Vehicle
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import FRAME_TIME, Command, VehicleState
+from ds_studies.explanation.experiment import Experiment, drive_experiments
+from ds_studies.explanation.shares import Explanation, Subset
+from ds_studies.sensitivity.measurement import candidate_roads
+
+PLANTS = {
+    "pitched": ("camera", (0.4, 0.55)),
+    "raised": ("camera", (2.5, 4.0)),
+    "dim": ("look", (0.25, 0.15)),
+    "faded": ("look", (0.15, 0.0)),
+    "slippery": ("vehicle", (0.12, 0.06)),
+    "lagging": ("vehicle", (1.5, 2.5)),
+    "late_commands": ("delays", (0.7, 1.0)),
+    "late_images": ("delays", (12.0, 18.0)),
+}
+"""Change -> its part, and strengths: rad nose down; factors on height, brightness, line contrast and grip; seconds of
+steering lag and dead time; frames of latency. Chosen so that most of the cars fail, before any share was seen."""
+AGAINST = {"bullet": "softbody", "softbody": "bullet"}
+"""Simulator that is changed -> simulator that gives the parts for the exchange."""
+SEGMENTS = 3
+"""Segments of 25 m of a road; chosen: a straight one and two bends, to save time."""
+
+
+class ChangedVehicle:
+    """Vehicle on worse tyres, or whose steering follows with a first-order lag."""
+
+    def __init__(self, vehicle: Vehicle, grip: float = 1.0, lag: float = 0.0) -> None:
+        self._vehicle, self._grip, self._lag, self._steering = vehicle, grip, lag, 0.0
+
+    def adjust(self, *, friction: float, payload: float) -> None:
+        """Change grip and load for the runs to come."""
+        assert isinstance(self._vehicle, AdjustableVehicle)
+        self._vehicle.adjust(friction=self._grip * friction, payload=payload)
+
+    def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
+        """Build the physics from scratch."""
+        self._steering = 0.0
+        self._vehicle.reset(x, y, yaw, rng)
+
+    def advance(self, command: Command) -> None:
+        """Advance by one step."""
+        share = 1.0 if not self._lag else min(FRAME_TIME / self._lag, 1.0)
+        self._steering += share * (command.steering - self._steering)
+        self._vehicle.advance(Command(min(max(self._steering, -1.0), 1.0), command.throttle))
+
+    def state(self) -> VehicleState:
+        """Current state."""
+        return self._vehicle.state()
+
+    def close(self) -> None:
+        """Release the model's resources."""
+        self._vehicle.close()
+
+
+class LateVehicle(ChangedVehicle):
+    """Vehicle that receives its commands late by whole frames."""
+
+    def __init__(self, vehicle: Vehicle, seconds: float) -> None:
+        super().__init__(vehicle)
+        self.command_delay = seconds
+        self._sent = deque[Command]()
+
+    def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
+        """Build the physics from scratch."""
+        self._sent = deque([Command(0.0, 0.0)] * round(self.command_delay / FRAME_TIME))
+        super().reset(x, y, yaw, rng)
+
+    def advance(self, command: Command) -> None:
+        """Advance by one step."""
+        self._sent.append(command)
+        super().advance(self._sent.popleft())
+
+
+class MadeCar(RoadSimulator):
+    """Copy of a simulator with one part changed."""
+
+    def __init__(self, base: str, plant: str, strength: float) -> None:
+        own = exchangeable(base)
+        spec, vehicle = own.spec, own.vehicle
+        camera, look = spec.camera, spec.look
+        if plant == "pitched":
+            camera = replace(camera, pitch=camera.pitch + strength)
+        elif plant == "raised":
+            camera = replace(camera, height=camera.height * strength)
+        elif plant == "dim":
+            camera = replace(camera, gain=camera.gain * strength)
+        elif plant == "faded":
+            look = replace(
+                look,
+                edge_line=_faded(look.edge_line, look.asphalt, strength),
+                centre_line=_faded(look.centre_line, look.asphalt, strength),
+            )
+        elif plant == "slippery":
+            vehicle = ChangedVehicle(vehicle, grip=strength)
+        elif plant == "lagging":
+            vehicle = ChangedVehicle(vehicle, lag=strength)
+        elif plant == "late_commands":
+            vehicle = LateVehicle(vehicle, strength)
+        else:
+            camera = replace(camera, latency=round(strength))
+        super().__init__(replace(spec, camera=camera, look=look), vehicle)
+
+    @classmethod
+    def from_file(cls, made: Path) -> MadeCar:
+        """Make the car that `made_name` names."""
+        base, plant, strength = str(made).split("+")
+        return cls(base, plant, float(strength))
+
+
+def _faded(line: Colour, asphalt: Colour, strength: float) -> Colour:
+    red, green, blue = (round(a + strength * (c - a)) for a, c in zip(asphalt, line, strict=True))
+    return red, green, blue
+
+
+def made_name(base: str, plant: str, strength: float) -> str:
+    """Name a made car, as every engine takes it."""
+    return f"benchmarks.explanation:MadeCar@{base}+{plant}+{strength:g}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeExperiment(Experiment):
+    """Experiment in which all parts but the planted one have the name of the simulator as it was, to drive less.
+
+    Attributes:
+        base: simulator that was changed.
+        planted: its changed part.
+    """
+
+    base: str
+    planted: str
+
+    def drive(self, of_failing: Subset) -> tuple[str, Test]:
+        """Simulator and test of a drive; see `Experiment`."""
+        own = {part: self.fails if part == self.planted else self.base for part in PARTS}
+        return hybrid_name({part: own[part] if part in of_failing else self.against for part in PARTS}), self.test
+
+
+class Pair(NamedTuple):
+    """A road on which a made car fails."""
+
+    plant: str
+    strength: float
+    experiment: MadeExperiment
+
+
+def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
+    """Find the pairs: on the first roads that the simulators as they were complete, drive every made car."""
+    tests = [
+        Test(test_id=f"road-0-{k:04d}", sibling="road", run=0, number=k, road=road, seed=seed)
+        for k, (road, seed) in enumerate(candidate_roads(roads, 1, segments=SEGMENTS))
+    ]
+
+    def failed_on(work: Mapping[str, Sequence[Test]], stage: str) -> set[tuple[str, str]]:
+        driven = drive_tests(replace(settings, siblings=tuple(work)), work, folder / stage, Progress(say=print))
+        return {key for key, execution in driven.executions.items() if execution.outcome.is_failure}
+
+    failed = failed_on(dict.fromkeys(AGAINST, tests), "as_they_were")
+    tests = [test for test in tests if not any((test.test_id, base) in failed for base in AGAINST)][:roads]
+    keys = [(test, base, plant) for test in tests for base in AGAINST for plant in PLANTS]
+    found: dict[tuple[Test, str, str], float] = {}
+    for stage in range(2):
+        left = {key: PLANTS[key[2]][1][stage] for key in keys if key not in found}
+        work: dict[str, list[Test]] = {}
+        for (test, base, plant), strength in left.items():
+            work.setdefault(made_name(base, plant, strength), []).append(test)
+        failed = failed_on(work, f"made_{stage}")
+        found |= {
+            (test, base, plant): strength
+            for (test, base, plant), strength in left.items()
+            if (test.test_id, made_name(base, plant, strength)) in failed
+        }
+    print(f"{len(found)} of {len(keys)} made cars fail on {len(tests)} roads", flush=True)
+    return [
+        Pair(plant, found[test, base, plant], _experiment(test, base, plant, found[test, base, plant]))
+        for test, base, plant in keys
+        if (test, base, plant) in found
+    ]
+
+
+def _experiment(test: Test, base: str, plant: str, strength: float) -> MadeExperiment:
+    name, against = made_name(base, plant, strength), AGAINST[base]
+    parts = {" and ".join(parts): parts for parts in differing_parts(exchangeable(against), exchangeable(name))}
+    return MadeExperiment(test=test, fails=name, against=against, base=base, planted=PLANTS[plant][0], parts=parts)
+
+
+def row(pair: Pair, found: Explanation) -> dict[str, object]:
+    """Describe one pair."""
+    planted, outcome = pair.experiment.planted, found.outcome_shares
+    return {
+        "test": found.test_id, "base": pair.experiment.base, "plant": pair.plant, "strength": pair.strength,
+        "planted": planted, "repeats": found.repeats, "largest": next(iter(found.shares)), "shares": found.shares,
+        "recovered": found.repeats and next(iter(found.shares)) == planted,
+        "recovered_by_outcome": found.repeats and max(outcome, key=lambda part: outcome[part]) == planted,
+        "outcome_shares": outcome, "cures": [part for part in found.parts if found.cures(part)],
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Measure the rate of recovery, and print one line for each change and one for all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for drives and result.json; goes on there")
+    parser.add_argument("--roads", type=int, default=2)
+    parser.add_argument("--driver", default="dave2_short")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.getcwd(), os.environ.get("PYTHONPATH"))))
+    settings = DriveSettings(siblings=(), driver=options.driver, gates="none", workers=options.workers)
+    chosen = pairs(options.roads, settings, options.out / "made_cars")
+    experiments = [pair.experiment for pair in chosen]
+    found = drive_experiments(experiments, settings, options.out / "exchanges", Progress(say=print))
+    rows = [row(pair, pair.experiment.explained(found)) for pair in chosen]
+    (options.out / "result.json").write_text(json.dumps(rows, indent=1) + "\n")
+    for plant in (*PLANTS, ""):
+        of = [one for one in rows if plant in ("", one["plant"])]
+        by_outcome = sum(bool(one["recovered_by_outcome"]) for one in of)
+        recovered = sum(bool(one["recovered"]) for one in of)
+        print(f"{plant or 'all':14} {len(of):3} pairs, {recovered:3} recovered, {by_outcome:3} by the outcome alone")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Why tests failed, from their own records."""

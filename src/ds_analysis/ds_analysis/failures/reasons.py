@@ -1,0 +1,192 @@
+"""How a failed drive left its lane or did not finish, and what led there, from its own record."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from ds_analysis.common.driven_road import lateral_profile
+from ds_analysis.common.statistics import Array
+from ds_analysis.common.table import Column, Table
+from ds_analysis.siblings.failure_patterns import LOOK_BACK, STRAIGHT_BELOW, departure
+from ds_driver.control.command_habits import command_habits
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.store.model import Execution, Test
+from ds_road import Road
+from ds_road.geometry import lane_curvature
+from ds_sim.conditions.model import FIELDS, Conditions
+from ds_sim.conditions.text import three_digits
+from ds_sim.simulator import FRAME_TIME, Outcome
+
+MOST_FAILURES = 2_000
+"""Failures of a campaign whose records are read; chosen as for the report's other statistics: 2 ms each."""
+LATE = 0.25
+"""Share of a lane's width by which a car that goes straight on has left the middle when the driver begins to steer,
+from which it steers late; chosen: half of the room to the lane's edge is gone then."""
+BEGINS = 0.5
+"""Share of its mean steering into a bend from which a driver has begun to steer; chosen: halfway there."""
+LET_GO = 0.25
+"""Time for which a driver steers less than half of its peak at last, from which it has let go, s; chosen: 1.7 m at
+25 km/h."""
+_STEP = 0.5
+_HABITS = {
+    "constant": "always steers the same",
+    "saturated": "is at full lock half of the time",
+    "crawls": "crawls",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reason:
+    """Why one drive failed, in words that follow "the driver".
+
+    Attributes:
+        test_id: the test.
+        simulator: where it failed.
+        how: how it left the lane, or did not finish.
+        led: what led there; "" if the record does not tell.
+        numbers: where, when and how fast.
+        conditions: of the test where they are not the default.
+    """
+
+    test_id: str
+    simulator: str
+    how: str
+    led: str
+    numbers: str
+    conditions: str
+
+    @property
+    def kind(self) -> str:
+        """What failures of one group have in common."""
+        return f"{self.how}: {self.led}" if self.led else self.how
+
+    @property
+    def text(self) -> str:
+        """The whole reason."""
+        under = f", under {self.conditions}" if self.conditions else ""
+        return f"{self.kind} ({self.numbers}){under}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailureGroup:
+    """Failures of one kind.
+
+    Attributes:
+        kind: as `Reason.kind`.
+        reasons: its failures, in the campaign's order.
+    """
+
+    kind: str
+    reasons: tuple[Reason, ...]
+
+    @property
+    def on(self) -> dict[str, int]:
+        """Simulator -> number of its failures, the most first."""
+        return dict(Counter(reason.simulator for reason in self.reasons).most_common())
+
+    @property
+    def where(self) -> str:
+        """The same in words: `9 on bullet, 2 on donkey`."""
+        return ", ".join(f"{number} on {name}" for name, number in self.on.items())
+
+
+def reasons_of(data: CampaignData, most: int = MOST_FAILURES) -> list[Reason]:
+    """Give the reason of every failure of a campaign; of evenly spread ones where there are more than `most`.
+
+    Failures without frames, of a campaign restored from a table, are left out.
+    """
+    tests = {test.test_id: test for test in data.tests}
+    failed = [e for e in data.executions if e.outcome.is_failure and e.test_id in tests]
+    chosen = failed[:: -(-len(failed) // most)] if failed else []
+    return [reason_of(tests[e.test_id], e) for e in chosen if len(e.trajectory) > 1]
+
+
+def groups_of(reasons: Sequence[Reason]) -> list[FailureGroup]:
+    """Group failures by kind, the largest group first, equal ones by their first failure."""
+    groups: dict[str, list[Reason]] = {}
+    for reason in reasons:
+        groups.setdefault(reason.kind, []).append(reason)
+    found = [FailureGroup(kind=kind, reasons=tuple(of)) for kind, of in groups.items()]
+    return sorted(found, key=lambda group: -len(group.reasons))
+
+
+def groups_table(groups: Sequence[FailureGroup]) -> Table:
+    """Tabulate groups of failures, one row each."""
+    columns = [Column("the driver"), Column("failures", "count"), Column("where"), Column("for example")]
+    rows = [(group.kind, len(group.reasons), group.where, group.reasons[0].test_id) for group in groups]
+    return Table(name="failures", title="Failures by what led there", columns=columns, rows=rows)
+
+
+def reason_of(test: Test, execution: Execution) -> Reason:
+    """Give the reason of one failed drive, which has at least two frames."""
+    road, trajectory, steering = test.road, execution.trajectory, execution.steering
+    arc = np.maximum.accumulate(
+        shapely.line_locate_point(shapely.LineString(road.lane_centre), shapely.points(trajectory[:, :2]))
+    )
+    kmh = 3.6 * float(np.mean(trajectory[:, 3]))
+    numbers = f"{arc[-1]:.0f} m along the road, {kmh:.0f} km/h on average"
+    side = 0
+    if execution.outcome is Outcome.TIMEOUT:
+        how = "is too slow to finish"
+    elif execution.outcome is Outcome.STUCK:
+        how = "stops on the road"
+    else:
+        profile = lateral_profile(arc, trajectory[:, 4], road.lane_width / 2)
+        kind = departure(road, profile, execution.max_lateral_position)
+        side = 1 if "right bend" in kind else -1 if "left bend" in kind else 0
+        bend = f"a {'right' if side > 0 else 'left'} bend"
+        how = f"runs wide in {bend}" if kind.startswith("wide") else f"cuts {bend}" if side else "leaves a straight"
+    habits = command_habits(steering, trajectory[:, 3])
+    led = _HABITS[habits[0].kind] if habits else ""
+    if not led and how.startswith("cuts"):
+        led = "steers too much"
+    elif not led and side and len(steering):
+        led, since = _steering_into_bend(road, arc[:-1], steering, side)
+        numbers += f", steers {since:.1f} s after the bend began" if led == "steers late" else ""
+    return Reason(
+        test_id=test.test_id, simulator=execution.simulator, how=how, led=led, numbers=numbers,
+        conditions=condition_words(test.conditions),
+    )  # fmt: skip
+
+
+def _steering_into_bend(road: Road, arc: Array, steering: Array, side: int) -> tuple[str, float]:
+    """Say how a driver that runs wide steers into the bend.
+
+    Args:
+        road: the road.
+        arc: (steps,) arc length at which each command was given, m, increasing.
+        steering: (steps,) commands, right positive.
+        side: 1 for a bend to the right, -1 to the left.
+
+    Returns:
+        In words; and the time from the beginning of the bend to that of the steering, s.
+    """
+    places = np.arange(0.0, max(float(arc[-1]) - LOOK_BACK, 0.0) + _STEP, _STEP)
+    curvature = side * lane_curvature(road.lane_centre, places)
+    outside = np.flatnonzero(curvature < STRAIGHT_BELOW)
+    begin = float(places[outside[-1]]) if len(outside) else 0.0
+    first = int(np.searchsorted(arc, begin))
+    into = side * steering[first:]
+    if not len(into) or float(np.mean(into)) <= 0.0:
+        return "steers the wrong way", 0.0
+    start = int(np.argmax(into >= BEGINS * np.mean(into)))
+    gone = places[(places >= begin) & (places <= arc[first + start])]
+    # A car that goes straight on while the lane turns is off by the lane's heading, summed up along the way.
+    heading = np.cumsum(side * lane_curvature(road.lane_centre, gone)) * _STEP
+    if float(heading.sum()) * _STEP >= LATE * road.lane_width:
+        return "steers late", start * FRAME_TIME
+    held = np.flatnonzero(into >= BEGINS * np.max(into))[-1]
+    if (len(into) - 1 - held) * FRAME_TIME >= LET_GO:
+        return "steers in, then lets go", 0.0
+    return "steers in time, but too little", 0.0
+
+
+def condition_words(conditions: Conditions) -> str:
+    """Write the conditions that are not the default: `visibility 40 m, payload 0.2`."""
+    units = {name: f" {field.unit}" if field.unit else "" for name, field in FIELDS.items()}
+    return ", ".join(f"{name} {three_digits(value)}{units[name]}" for name, value in conditions.changed.items())

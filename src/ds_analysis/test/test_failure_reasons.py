@@ -1,0 +1,128 @@
+"""Reasons of failures, on drives whose cause is known because they were made with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ds_analysis.common.statistics import Array
+from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.store.model import DriveArrays, Execution, Test
+from ds_road import Road
+from ds_sim.conditions.model import Conditions
+from ds_sim.oracle import LaneTracker
+from ds_sim.simulator import FRAME_TIME, Outcome
+
+RIGHT = Road([(100, 0), (100, 25), (100, 50), (100, 75), (118, 93), (143, 93), (168, 93)])
+"""Straight on for some 50 m, then a bend to the right."""
+LEFT = Road([(200 - x, y) for x, y in RIGHT.control_points])
+SPEED = 6.0
+
+
+def failed(
+    path: Array,
+    steering: Array,
+    road: Road,
+    *,
+    outcome: Outcome = Outcome.OUT_OF_BOUNDS,
+    speed: float = SPEED,
+) -> Execution:
+    """A drive along a path, which ends where it leaves the lane."""
+    tracker = LaneTracker(road.lane_centre)
+    lateral = np.array([tracker.update(x, y)[0] for x, y in path])
+    out = np.flatnonzero(np.abs(lateral) > road.lane_width / 2)
+    end = int(out[0]) + 1 if len(out) else len(path)
+    assert outcome is not Outcome.OUT_OF_BOUNDS or len(out)
+    columns = np.column_stack((path, np.zeros(len(path)), np.full(len(path), speed), lateral))[:end]
+    largest = float(np.abs(columns[:, 4]).max())
+    return Execution(
+        test_id="bullet-0-0000", simulator="bullet", outcome=outcome, message="", fitness=2.0 - largest,
+        max_lateral_position=largest, steps=end - 1, simulated_seconds=(end - 1) * FRAME_TIME, trajectory_sha256="",
+        drive=DriveArrays(columns, steering[: end - 1]),
+    )  # fmt: skip
+
+
+def made_test(road: Road, **conditions: float) -> Test:
+    return Test(test_id="bullet-0-0000", sibling="bullet", run=0, number=0, road=road, seed=1,
+                conditions=Conditions(**conditions))  # fmt: skip
+
+
+def straight_on(road: Road) -> Array:
+    start = road.lane_centre[0]
+    return start + np.arange(0.0, 80.0, SPEED * FRAME_TIME)[:, None] * np.array([0.0, 1.0])
+
+
+def steering_from(arc: float, amount: float, noise: float = 0.01) -> Array:
+    """Nothing up to an arc length, then an amount."""
+    arcs = np.arange(0.0, 80.0, SPEED * FRAME_TIME)
+    return np.where(arcs < arc, 0.0, amount) + noise * np.sin(np.arange(len(arcs)))
+
+
+def first_bend(road: Road, sign: float = 1.0) -> float:
+    """Where the lane turns right (1) or left (-1) as in a radius of 50 m, from the headings of its steps alone."""
+    step = np.diff(road.lane_centre, axis=0)
+    lengths = np.hypot(*step.T)
+    turning = -sign * np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))) / lengths[1:]
+    return float(lengths.cumsum()[np.argmax(turning > 1.0 / 50.0)])
+
+
+@pytest.mark.parametrize(("road", "side"), [(RIGHT, "right"), (LEFT, "left")])
+def test_a_car_that_goes_straight_on_in_a_bend_is_late_wrong_or_weak(road: Road, side: str) -> None:
+    sign = 1.0 if side == "right" else -1.0
+    bend = first_bend(road, sign)
+    path = straight_on(road)
+    leaves = len(failed(path, np.zeros(len(path)), road).steering) * SPEED * FRAME_TIME
+    cases = {
+        "steers late": steering_from(leaves - 2.0, sign * 0.4),
+        "steers the wrong way": steering_from(bend - 2.0, -sign * 0.4),
+        "steers in, then lets go": steering_from(bend - 2.0, sign * 0.3) + steering_from(leaves - 4.0, -sign * 0.5),
+        "steers in time, but too little": steering_from(bend - 2.0, sign * 0.05),
+    }
+    for led, steering in cases.items():
+        reason = reason_of(made_test(road), failed(path, steering, road))
+        assert (reason.how, reason.led) == (f"runs wide in a {side} bend", led)
+    late = reason_of(made_test(road), failed(path, cases["steers late"], road))
+    seconds = float(late.numbers.partition("steers ")[2].split()[0])
+    assert seconds == pytest.approx((leaves - 2.0 - bend) / SPEED, abs=0.5)
+
+
+def test_cutting_straight_slow_and_odd_commands_are_told_apart() -> None:
+    noise = steering_from(0.0, 0.3)
+    lane, across = RIGHT.lane_centre, (RIGHT.right_edge - RIGHT.left_edge) / (4 * RIGHT.lane_width / 2)
+    along = np.concatenate(([0.0], np.hypot(*np.diff(lane, axis=0).T).cumsum()))
+    cut = lane + np.clip((along - first_bend(RIGHT) - 8.0) / 3.0, 0.0, 3.0)[:, None] * across
+    assert reason_of(made_test(RIGHT), failed(cut, noise, RIGHT)).kind == "cuts a right bend: steers too much"
+    drift = straight_on(RIGHT)
+    drift[:, 0] -= np.arange(len(drift)) * 0.03
+    under = made_test(RIGHT, visibility=40.0)
+    straight = reason_of(under, failed(drift, noise, RIGHT))
+    assert straight.kind == "leaves a straight" and straight.text.endswith("under visibility 40 m")
+    locked = np.where(np.arange(300) % 3 > 0, 1.0, -0.2)
+    for steering, led in ((np.full(300, 0.3), "always steers the same"), (locked, "is at full lock half of the time")):
+        assert reason_of(made_test(RIGHT), failed(drift, steering, RIGHT)).led == led
+    slow = failed(straight_on(RIGHT)[:100], noise, RIGHT, outcome=Outcome.TIMEOUT, speed=0.9)
+    found = reason_of(made_test(RIGHT), slow)
+    assert found.kind == "is too slow to finish: crawls" and "3 km/h" in found.numbers
+    assert reason_of(made_test(RIGHT), replace(slow, outcome=Outcome.STUCK)).how == "stops on the road"
+
+
+def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None:
+    path = straight_on(RIGHT)
+    wide, drift = failed(path, steering_from(40.0, -0.4), RIGHT), straight_on(RIGHT)
+    drift[:, 0] -= np.arange(len(drift)) * 0.03
+    straight = failed(drift, steering_from(0.0, 0.2), RIGHT)
+    tests = [replace(made_test(RIGHT), test_id=f"bullet-0-{k:04d}", number=k) for k in range(9)]
+    executions = [replace(straight if k == 0 else wide, test_id=test.test_id) for k, test in enumerate(tests)]
+    config = CampaignConfig(siblings=["bullet"], driver="autopilot")
+    data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
+    groups = groups_of(reasons_of(data))
+    assert [(len(group.reasons), group.on) for group in groups] == [(8, {"bullet": 8}), (1, {"bullet": 1})]
+    assert [reason.test_id for reason in reasons_of(data, most=3)] == [
+        "bullet-0-0000",
+        "bullet-0-0003",
+        "bullet-0-0006",
+    ]

@@ -1,0 +1,96 @@
+"""`ds explain`: why tests fail, from their records, and by exchanging parts between simulators."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ds_cli.options import Cluster, EngineName, Folder, JsonFlag, Trust, Workers, with_engine_without_ros
+from ds_cli.output import Result, end, say, stopped_in
+
+app = typer.Typer()
+
+
+@app.command("explain")
+def explain_command(
+    folder: Folder,
+    test: Annotated[
+        str | None, typer.Option(help="Test that fails; one of each of the largest groups of failures if left out.")
+    ] = None,
+    sim: Annotated[str | None, typer.Option(help="With --test: simulator on which it fails.")] = None,
+    against: Annotated[str | None, typer.Option(help="With --test: simulator on which it completes.")] = None,
+    groups: Annotated[
+        int, typer.Option(min=0, max=20, help="Largest groups of failures to explain; 0 only lists all groups.")
+    ] = 3,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for tables and drives; a stopped experiment goes on there.")
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = None,
+    cluster: Cluster = None,
+    trust: Trust = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Find out why tests of a campaign fail.
+
+    From the record: how the car left its lane, and what led there. By experiment, where another simulator completes the
+    test: it is driven again with camera, look, vehicle, delays and conditions exchanged between the two, each alone and
+    all combinations, and each part gets its share of the failure.
+    """
+    from ds_analysis.common.table import write_tables
+    from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of
+    from ds_cli.progress import ScreenListener
+    from ds_orchestrator.campaign.config import ConfigError
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_studies.explanation.experiment import experiment_on, experiments_on, explain
+    from ds_studies.whole_campaign import check_trust
+
+    if test is None and (sim is not None or against is not None):
+        raise ConfigError("--sim and --against choose the simulators of one test: give --test, too")
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+        if test is not None or groups:  # something is driven, and so made
+            check_trust(data.config, trust or ())
+        found = groups_of(reasons_of(data))
+        if test is None:
+            experiments = experiments_on(data, found, groups) if groups else {}
+        else:
+            one = experiment_on(data, test, sim, against)
+            failed = next(e for e in data.executions if (e.test_id, e.simulator) == (test, one.fails))
+            experiments = {reason_of(one.test, failed).text: one}
+    settings = with_engine_without_ros(data.config.drive_settings(), workers, engine, cluster)
+    if out is not None:
+        make_folder(out)
+    drives = None if out is None else out / "drives"
+    with stopped_in(drives):
+        progress = Progress(listen=ScreenListener, say=say)
+        explained = [explain(one, settings, drives, progress) for one in experiments.values()]
+    tables = [*([groups_table(found)] if test is None else []), *(one.table() for one in explained)]
+    document = {
+        "groups": [{"kind": g.kind, "failures": len(g.reasons), "on": g.on} for g in found],
+        "tests": [{"reason": reason, **one.document()} for reason, one in zip(experiments, explained, strict=True)],
+    }
+    if out is not None:
+        (out / "explanation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_tables(tables, out)
+
+    def show() -> None:
+        console = Console()
+        if test is None:
+            tables[0].show(console)
+        for reason, one in zip(experiments, explained, strict=True):
+            print(f"\nOn {one.fails} the driver {reason}.\n{one.sentence}")
+            one.table().show(console)
+        if groups and not experiments:
+            print("No failed test is completed by another simulator, so there is nothing to exchange.")
+        if out is not None:
+            print(out)
+
+    end(Result(document=document, show=show, error=not all(one.repeats for one in explained)), as_json)

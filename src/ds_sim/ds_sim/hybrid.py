@@ -1,0 +1,171 @@
+"""Simulator whose parts come from several simulators: the vehicle of one, the camera of another, and so on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.conditions.actuation import Actuation
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.parts import DelayedVehicle, Scene
+from ds_sim.registry import make_simulator
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import Command, Observation, Simulator
+
+PARTS = ("camera", "look", "vehicle", "delays")
+"""Parts in which simulators differ. camera: lens, field of view, mounting, rows that the network gets. look: colours,
+textures and light of the world, and the sensor's response, exposure, blur and noise. vehicle: physics, and the
+autopilot's gains for it. delays: camera latency and dead time of commands."""
+SENSOR_LOOK = ("gain", "gamma", "exposure", "blur", "noise", "noise_blur", "noise_colour")
+"""Fields of a `CameraSpec` that belong to the look; `latency` belongs to the delays, all others to the camera."""
+HYBRID = "ds_sim.hybrid:HybridSimulator"
+
+
+class HybridError(ValueError):
+    """Parts that cannot be combined."""
+
+
+class HybridSimulator(RoadSimulator):
+    """Simulator of the parts of other simulators, which it makes for itself.
+
+    A hybrid of one simulator's parts alone drives as that simulator does, byte for byte.
+
+    Args:
+        names: for each of `PARTS`, the name of a simulator; `whole_scene` ones give camera and look together.
+
+    Raises:
+        HybridError: a part is missing, or a simulator cannot give it.
+        ds_sim.registry.UnknownSimulatorError: there is no such simulator.
+
+    Examples:
+        >>> from ds_sim.hybrid import HybridSimulator
+        >>> made = HybridSimulator({"camera": "bullet", "look": "bullet", "vehicle": "softbody", "delays": "donkey"})
+        >>> made.spec.camera.height, made.spec.camera.latency, round(made.spec.wheelbase, 2)
+        (1.35, 1, 2.53)
+    """
+
+    def __init__(self, names: Mapping[str, str]) -> None:
+        if set(names) != set(PARTS):
+            raise HybridError(f"parts {', '.join(names) or 'none'}: expected {', '.join(PARTS)}")
+        made = {name: exchangeable(name) for name in sorted(set(names.values()))}
+        camera, look, vehicle, delays = (made[names[part]] for part in PARTS)
+        spec = replace(
+            vehicle.spec,
+            name=look.spec.name,  # by which a network that translates images knows its generator
+            camera=replace(
+                camera.spec.camera,
+                latency=delays.spec.camera.latency,
+                **{field: getattr(look.spec.camera, field) for field in SENSOR_LOOK},
+            ),
+            look=look.spec.look,
+            crop_top=camera.spec.crop_top,
+            crop_bottom=camera.spec.crop_bottom,
+        )
+        scene: Scene = PaintedScene(replace(spec.camera, latency=0), spec.look)
+        if whole_scene(camera) or whole_scene(look):
+            if camera is not look:
+                raise HybridError(
+                    f"camera of {names['camera']} with the look of {names['look']}: one of them draws its scene as a "
+                    "whole, so take both from the same simulator"
+                )
+            scene = camera.scene
+        super().__init__(spec, vehicle.vehicle, scene=scene, limits=vehicle.limits)
+        self._dead_time = dead_time_of(delays)
+        if isinstance(self.vehicle, DelayedVehicle):
+            self.vehicle.command_delay, self._dead_time = self._dead_time, 0.0
+        self._sent: Actuation | None = None
+        self._latency = spec.camera.latency if scene is not camera.scene else 0
+        self._late: list[NDArray[np.uint8]] = []
+
+    @classmethod
+    def from_file(cls, parts: Path) -> HybridSimulator:
+        """Make the hybrid that `hybrid_name` names; there is no file.
+
+        Raises:
+            HybridError: not such a name.
+        """
+        pairs = [part.partition("=")[::2] for part in str(parts).split(",")]
+        return cls(dict(pairs))
+
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
+        """Build the world from scratch; see `Simulator.load`."""
+        self._late = []
+        self._sent = None
+        if self._dead_time:
+            self._sent = Actuation(Conditions(command_delay=self._dead_time), self.spec.max_steering_angle)
+        return self._arrived(super().load(road, seed=seed, conditions=conditions))
+
+    def step(self, command: Command) -> Observation:
+        """Advance by one step; see `Simulator.step`."""
+        # Actuation keeps dead times only here, for which the speed does not matter.
+        return self._arrived(super().step(command if self._sent is None else self._sent.reached(command, 0.0)))
+
+    def _arrived(self, seen: Observation) -> Observation:
+        """Exchange the image for the one that arrives now, `latency` frames late, at first the very first one."""
+        if not self._latency:
+            return seen
+        self._late = [*self._late, seen.image][-self._latency - 1 :]
+        return replace(seen, image=self._late[0])
+
+
+def hybrid_name(names: Mapping[str, str]) -> str:
+    """Name a hybrid, as `ds_sim.registry.make_simulator` and every engine take it.
+
+    Raises:
+        HybridError: a simulator's name holds a comma.
+
+    Examples:
+        >>> hybrid_name({"camera": "bullet", "look": "bullet", "vehicle": "donkey@a.yaml", "delays": "bullet"})
+        'ds_sim.hybrid:HybridSimulator@camera=bullet,look=bullet,vehicle=donkey@a.yaml,delays=bullet'
+    """
+    for name in names.values():
+        if "," in name:
+            raise HybridError(f"simulator {name}: a name with a comma cannot give parts: rename the file")
+    return f"{HYBRID}@" + ",".join(f"{part}={names[part]}" for part in PARTS)
+
+
+def exchangeable(name: str) -> RoadSimulator:
+    """Make a simulator whose parts can be exchanged.
+
+    Raises:
+        HybridError: it is not made of a vehicle and a scene.
+        ds_sim.registry.UnknownSimulatorError: there is no such simulator.
+    """
+    made: Simulator = make_simulator(name)
+    if not isinstance(made, RoadSimulator):
+        raise HybridError(f"{name} is no RoadSimulator, so its parts cannot be exchanged: docs/add_a_simulator.md")
+    return made
+
+
+def whole_scene(simulator: RoadSimulator) -> bool:
+    """Whether camera and look can be exchanged only together, as in a world drawn by another engine."""
+    return type(simulator.scene) is not PaintedScene
+
+
+def dead_time_of(simulator: RoadSimulator) -> float:
+    """Dead time from a command to the vehicle, s."""
+    return simulator.vehicle.command_delay if isinstance(simulator.vehicle, DelayedVehicle) else 0.0
+
+
+def differing_parts(one: RoadSimulator, other: RoadSimulator) -> Sequence[tuple[str, ...]]:
+    """Parts in which two simulators differ, each as one or more of `PARTS` that can be exchanged only together.
+
+    Physics always count as different, as they cannot be compared.
+    """
+    a, b = one.spec, other.spec
+    neutral = {field: getattr(b.camera, field) for field in (*SENSOR_LOOK, "latency")}
+    same = {
+        "camera": (replace(a.camera, **neutral), a.crop_top, a.crop_bottom) == (b.camera, b.crop_top, b.crop_bottom),
+        "look": a.look == b.look and all(getattr(a.camera, f) == getattr(b.camera, f) for f in SENSOR_LOOK),
+        "vehicle": False,
+        "delays": (a.camera.latency, dead_time_of(one)) == (b.camera.latency, dead_time_of(other)),
+    }
+    if whole_scene(one) or whole_scene(other):
+        return [("camera", "look"), *((part,) for part in ("vehicle", "delays") if not same[part])]
+    return [(part,) for part in PARTS if not same[part]]

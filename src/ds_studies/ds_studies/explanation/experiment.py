@@ -1,0 +1,158 @@
+"""Drives failed tests again with the parts of two simulators exchanged, each alone and all combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ds_analysis.failures.reasons import FailureGroup
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.engines.drive_tests import GivenDrives, Progress, drive_tests
+from ds_orchestrator.store.model import Test
+from ds_sim.conditions.model import DEFAULT
+from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
+from ds_sim.registry import label_of
+from ds_studies.explanation.shares import CONDITIONS, Explanation, Subset, loss_of, subsets
+
+_PLAIN = "plain-"
+"""Begins the id of a test whose conditions were removed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """One failed test, and the simulator that completes it.
+
+    Attributes:
+        test: the test.
+        fails: simulator on which it fails.
+        against: simulator on which it completes.
+        parts: word for what is exchanged -> the parts of simulators in it; none for the test's conditions.
+    """
+
+    test: Test
+    fails: str
+    against: str
+    parts: dict[str, tuple[str, ...]]
+
+    def drive(self, of_failing: Subset) -> tuple[str, Test]:
+        """Simulator and test of the drive that has some parts of the failing simulator, all others of the other."""
+        taken = {part for word in of_failing for part in self.parts[word]}
+        name = hybrid_name({part: self.fails if part in taken else self.against for part in PARTS})
+        if CONDITIONS in self.parts and CONDITIONS not in of_failing:
+            return name, replace(self.test, test_id=_PLAIN + self.test.test_id, conditions=DEFAULT)
+        return name, self.test
+
+    def explained(self, found: GivenDrives) -> Explanation:
+        """Share out the difference.
+
+        Raises:
+            ExplanationError: a drive ended in an error.
+        """
+        losses, failed = {}, {}
+        for subset in subsets(tuple(self.parts)):
+            name, test = self.drive(subset)
+            execution = found.executions.get((test.test_id, name))
+            if execution is None:
+                raise ExplanationError(f"{test.test_id} on {name}: {found.errors[test.test_id, name]}")
+            losses[subset] = loss_of(execution, test.road.lane_width / 2)
+            failed[subset] = execution.outcome.is_failure
+        return Explanation(
+            test_id=self.test.test_id, fails=self.fails, against=self.against, parts=tuple(self.parts), losses=losses,
+            failed=failed,
+        )  # fmt: skip
+
+
+class ExplanationError(RuntimeError):
+    """A drive of an experiment gave no outcome."""
+
+
+def experiment_on(data: CampaignData, test_id: str, fails: str | None = None, against: str | None = None) -> Experiment:
+    """Plan the exchanges for one test of a campaign.
+
+    Args:
+        data: contents of its store.
+        test_id: the test.
+        fails: simulator on which it fails; the first such one if None.
+        against: simulator on which it completes; the one that keeps closest to the lane's middle if None.
+
+    Raises:
+        ConfigError: there is no such test, or it does not fail there, or no other simulator completes it.
+        ValueError: the parts of a simulator cannot be exchanged.
+    """
+    tests = {test.test_id: test for test in data.tests}
+    if test_id not in tests:
+        known = ", ".join(list(tests)[:2]) or "(it has no tests yet)"
+        raise ConfigError(f"the campaign has no test {test_id!r:.60}: expected an id such as {known}")
+    done = {e.simulator: e for e in data.verdicts if e.test_id == test_id}
+    failing = [name for name in data.config.simulators if name in done and done[name].outcome.is_failure]
+    completing = [name for name in data.config.simulators if name in done and name not in failing]
+    for name, among, what in ((fails, failing, "fails"), (against, completing, "completes")):
+        if not among or (name is not None and name not in among):
+            where = f"on {name}" if name is not None else "on any simulator"
+            hint = f": expected {' or '.join(among)}" if among else ", so there is nothing to exchange"
+            raise ConfigError(f"{test_id} never {what} {where}{hint}")
+    fails = fails or failing[0]
+    against = against or min(completing, key=lambda name: done[name].max_lateral_position)
+    differing = differing_parts(exchangeable(against), exchangeable(fails))
+    parts = {" and ".join(together): together for together in differing}
+    if not tests[test_id].conditions.is_default:
+        parts[CONDITIONS] = ()
+    return Experiment(test=tests[test_id], fails=fails, against=against, parts=parts)
+
+
+def experiments_on(data: CampaignData, groups: Sequence[FailureGroup], most: int) -> dict[str, Experiment]:
+    """Plan an experiment for each of the largest groups that has a test which another simulator completes.
+
+    Returns:
+        Kind of the group -> experiment on its first such test, at most `most`.
+    """
+    found: dict[str, Experiment] = {}
+    passed = {execution.test_id for execution in data.verdicts if not execution.outcome.is_failure}
+    for group in groups:
+        reason = next((one for one in group.reasons if one.test_id in passed), None)
+        if reason is not None and len(found) < most:
+            found[group.kind] = experiment_on(data, reason.test_id, reason.simulator)
+    return found
+
+
+def explain(experiment: Experiment, settings: DriveSettings, folder: Path | None, progress: Progress) -> Explanation:
+    """Drive one experiment, and share out the difference.
+
+    Args:
+        experiment: what to drive.
+        settings: driver and engine; see `drive_experiments`.
+        folder: for a folder of the drives, where a stopped call goes on; None keeps nothing.
+        progress: who hears of it.
+
+    Raises:
+        ExplanationError: a drive ended in an error.
+    """
+    name = label_of(f"{experiment.test.test_id}-{experiment.fails}-{experiment.against}")
+    with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_explain_") as place:
+        return experiment.explained(drive_experiments([experiment], settings, Path(place) / name, progress))
+
+
+def drive_experiments(
+    experiments: Sequence[Experiment], settings: DriveSettings, folder: Path, progress: Progress
+) -> GivenDrives:
+    """Drive experiments, which may have drives in common; errors are those of `drive_tests`.
+
+    Args:
+        experiments: what to drive.
+        settings: driver and engine; simulators are those of the experiments, and nothing is gated or recorded.
+        folder: of the drives.
+        progress: who hears of it.
+    """
+    work: dict[str, list[Test]] = {}
+    for experiment in experiments:
+        for subset in subsets(tuple(experiment.parts)):
+            name, test = experiment.drive(subset)
+            if test not in work.setdefault(name, []):
+                work[name].append(test)
+    settings = replace(settings, siblings=tuple(work), twin=None, gates="none", record="none", conditions=DEFAULT)
+    return drive_tests(settings, work, folder, progress)
