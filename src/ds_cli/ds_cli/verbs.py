@@ -37,6 +37,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Drive",
         (
+            Verb("check", "check", "Show what a network sees, and say what is wrong with how it is connected."),
             Verb("drive", "drives", "Drive one road with one driver on one simulator."),
             Verb(
                 "sensitivity", "sensitivity", "Find how strong each operating condition must be for a driver to fail."
