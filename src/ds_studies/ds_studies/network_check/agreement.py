@@ -16,8 +16,8 @@ AGREES = 0.5
 """Correlation with the autopilot from which a network answers with the road; chosen: a quarter of the variance, which
 some 40 independent images give by chance once in a thousand times."""
 FOUND = 0.8
-"""Correlation that another description must reach to be proposed; chosen: above `AGREES`, as the best of many is picked,
-and below what a network that drives has, more than 0.9."""
+"""Correlation that another description must reach to be proposed; chosen: above `AGREES`, as the best of many is
+picked, and below what a network that drives has, more than 0.9."""
 GAIN = 0.5
 """Part of the variance unexplained so far that another description may leave at most; chosen: it has to halve, on the
 whole, and shrink on every simulator, since one that fits by chance does so on some."""

@@ -31,7 +31,7 @@ from ds_studies.network_check.diagnosis import (
 from ds_studies.network_check.recording import Recording
 
 SIZES = ((160, 320), (66, 200), (120, 160), (80, 160), (224, 224), (128, 128), (64, 64))
-"""Rows and columns tried where the file names none: this project's camera, Nvidia's Dave-2, Donkey Car's, and others."""
+"""Rows and columns tried where the file names none: this camera's, Nvidia's Dave-2's, Donkey Car's, and others."""
 Ask = Callable[[str, list[str], str], str]
 """Asks a person to choose: question, choices and proposed choice."""
 
@@ -57,7 +57,9 @@ def form_of(file: Path) -> list[InputSpec]:
             if (rows, columns) in ((None, None), size):
                 colour = "grey" if shape[place] == 1 else "rgb"
                 kind = "uint8" if runner.type == "uint8" else "float32"
-                found.append(InputSpec.model_validate({"size": size, "layout": layout, "colour": colour, "type": kind}))
+                scaled = {"divide": 255.0} if kind == "float32" else {}
+                form = {"size": size, "layout": layout, "colour": colour, "type": kind, **scaled}
+                found.append(InputSpec.model_validate(form))
     if not found:
         shown = "x".join("any" if size is None else str(size) for size in shape)
         raise DriverError(f"{file} expects an input of {shown}: expected one image of 1 or 3 channels, 4 numbers")

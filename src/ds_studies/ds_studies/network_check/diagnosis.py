@@ -16,7 +16,7 @@ from ds_driver.control.command_habits import command_habits
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Pilot
 from ds_driver.networks.user_networks import DescribedNetwork, DescribedNetworkPilot, InputSpec, OutputSpec
-from ds_studies.network_check.agreement import AGREES, Agreement, agreement, readings
+from ds_studies.network_check.agreement import AGREES, GAIN, Agreement, agreement, readings
 from ds_studies.network_check.recording import Recording, speeds_of_throttle
 
 Kind = Literal[
@@ -193,8 +193,8 @@ def ask_open_loop(
 def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
     """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
 
-    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if the network
-    does not answer with the road as it is described, and no single change helps.
+    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if the
+    network does not answer with the road as it is described, and no single change helps.
     """
     tried = [one.every(SHARE_TRIED) for one in recordings]
     known: dict[str, tuple[DescribedNetwork, Agreement]] = {}
@@ -214,7 +214,25 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recordin
     if abs(best[1].correlation) < AGREES:
         first = ranked_combinations(pilot, recordings)[0]
         best = first if first[1].beats(best[1]) else best
+    if scale_kind(best[1].slope) == "scale":
+        # A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
+        others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
+        found = [fitted(best[0].model_copy(update={"input": one})) for one in others]
+        same = [
+            one for one in found if GAIN * one[1].unexplained <= best[1].unexplained and not scale_kind(one[1].slope)
+        ]
+        best = max(same, key=lambda one: abs(one[1].correlation), default=best)
     return best[0]
+
+
+def scale_kind(slope: float) -> Kind | None:
+    """Return in what a network answers, by its slope against the autopilot, without sign; None if as it should."""
+    size = abs(slope)
+    if FAINTEST <= size <= STRONGEST:
+        return None
+    if DEGREES[0] <= size <= DEGREES[1]:
+        return "degrees"
+    return "radians" if RADIANS[0] <= size <= RADIANS[1] else "scale"
 
 
 def ranked_combinations(
@@ -224,9 +242,13 @@ def ranked_combinations(
     tried = [one.every(SHARE_TRIED) for one in recordings]
     few = [one.every(SHARE_SCREENED) for one in tried]
     found = [best_reading(pilot.described_as(one), few) for one in combinations(pilot.description)]
-    found.sort(key=lambda one: -abs(one[1].correlation))
+    found.sort(key=_worst_last)
     finalists = [best_reading(pilot.described_as(one), tried) for one, _ in found[:FINALISTS]]
-    return sorted(finalists, key=lambda one: -abs(one[1].correlation))
+    return sorted(finalists, key=_worst_last)
+
+
+def _worst_last(one: tuple[DescribedNetwork, Agreement]) -> float:
+    return -round(abs(one[1].correlation), 3)  # of equal ones, the first remains
 
 
 def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> tuple[DescribedNetwork, Agreement]:
@@ -312,16 +334,11 @@ def findings_of(
         steering = best.outputs.steering
     agree = f"correlation {abs(fit.correlation):.2f}"
     texts: list[tuple[Kind, str]] = []
-    scale = fit.slope
-    size = abs(fit.slope)
-    if FAINTEST <= size <= STRONGEST:
-        scale = 1.0 if fit.slope > 0.0 else -1.0
-    elif DEGREES[0] <= size <= DEGREES[1]:
-        texts.append(("degrees", f"It answers in degrees: {size:.0f} times the autopilot's steering ({agree})"))
-    elif RADIANS[0] <= size <= RADIANS[1]:
-        texts.append(("radians", f"It answers in radians: {size:.2f} of the autopilot's steering ({agree})"))
-    else:
-        texts.append(("scale", f"It answers {size:.3g} times the autopilot's steering ({agree})"))
+    size, kind = abs(fit.slope), scale_kind(fit.slope)
+    scale = fit.slope if kind else float(np.sign(fit.slope))
+    if kind is not None:
+        unit = "" if kind == "scale" else f"in {kind}: "
+        texts.append((kind, f"It answers {unit}{size:.2g} times the autopilot's steering ({agree})"))
     if fit.slope < 0.0:
         texts.append(("sign", f"It steers right where the autopilot steers left ({agree})"))
     shift = fit.offset if abs(fit.offset) >= OFF_CENTRE * size else 0.0

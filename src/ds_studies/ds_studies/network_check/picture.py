@@ -55,7 +55,7 @@ def draw_check(found: NetworkCheck, recordings: Sequence[Recording]) -> NDArray[
             seen, what = seen_by(pilot, frame)
             for axes, image, title in (
                 (camera, frame.image, f"{short_name(one.simulator)}: its camera"),
-                (network, seen, f"what the network sees: {what}"),
+                (network, seen, f"the network sees: {what}"),
             ):
                 axes.imshow(image)
                 axes.set_axis_off()
