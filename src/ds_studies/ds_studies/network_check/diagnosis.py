@@ -16,7 +16,7 @@ from ds_driver.control.command_habits import command_habits
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Pilot
 from ds_driver.networks.user_networks import DescribedNetwork, DescribedNetworkPilot, InputSpec, OutputSpec
-from ds_studies.network_check.agreement import AGREES, GAIN, Agreement, agreement, readings
+from ds_studies.network_check.agreement import AGREES, FOUND, GAIN, Agreement, agreement, readings
 from ds_studies.network_check.recording import Recording, speeds_of_throttle
 
 Kind = Literal[
@@ -207,7 +207,10 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recordin
 
     best = fitted(pilot.description)
     while True:
-        better = [one for one in map(fitted, single_changes(best[0])) if one[1].beats(best[1])]
+        # Where bins or limits round an answer, more of it correlates better: what spoils its scale is no repair.
+        right = abs(best[1].correlation) >= FOUND and scale_kind(best[1].slope) is None
+        changed = map(fitted, single_changes(best[0]))
+        better = [one for one in changed if one[1].beats(best[1]) and not (right and scale_kind(one[1].slope))]
         if not better:
             break
         best = max(better, key=lambda one: abs(one[1].correlation))
@@ -335,13 +338,15 @@ def findings_of(
     agree = f"correlation {abs(fit.correlation):.2f}"
     texts: list[tuple[Kind, str]] = []
     size, kind = abs(fit.slope), scale_kind(fit.slope)
+    shift = fit.offset if abs(fit.offset) >= OFF_CENTRE * size else 0.0
+    if shift and kind == "radians":
+        kind = "scale"  # more likely 0 to 1 with the middle at a half
     scale = fit.slope if kind else float(np.sign(fit.slope))
     if kind is not None:
         unit = "" if kind == "scale" else f"in {kind}: "
         texts.append((kind, f"It answers {unit}{size:.2g} times the autopilot's steering ({agree})"))
     if fit.slope < 0.0:
         texts.append(("sign", f"It steers right where the autopilot steers left ({agree})"))
-    shift = fit.offset if abs(fit.offset) >= OFF_CENTRE * size else 0.0
     if shift:
         texts.append(("offset", f"It answers {shift:.3g} where the autopilot drives straight on ({agree})"))
     if not texts:
