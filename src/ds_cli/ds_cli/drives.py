@@ -27,7 +27,7 @@ from ds_cli.options import (
     complete_value,
     driver_named,
 )
-from ds_cli.output import Interrupted, Result, duration, end, say
+from ds_cli.output import Interrupted, Result, duration, end, say, warning
 from ds_sim.conditions.model import DEFAULT, Conditions, ConditionsError
 
 if TYPE_CHECKING:
@@ -284,7 +284,10 @@ def drive_command(
     The driver fails when the vehicle leaves its lane. Exit status: 0 the drive has a verdict, 1 it ended in an error,
     2 bad input, 3 the driver failed (only with --fail-on failure).
     """
+    import numpy as np
+
     from ds_cli.roads import one_road
+    from ds_driver.control.command_habits import command_habits
     from ds_orchestrator.campaign.executor import trajectory_sha256
     from ds_orchestrator.graph.supervisor import check_ros
     from ds_sim.conditions.text import parse_conditions, to_json
@@ -318,6 +321,9 @@ def drive_command(
             raise Interrupted(f"the bag is in {bag}") from None
         raise Interrupted from None
     wall = time.monotonic() - started
+    habits = command_habits(
+        np.array([one.steering for one in run.commands]), np.array([one.vehicle.speed for one in run.observations])
+    )
     document: dict[str, Any] = {
         "simulator": sim,
         "driver": whose,
@@ -334,11 +340,14 @@ def drive_command(
         "trajectory_sha256": trajectory_sha256(run),
         "bag": None if bag is None else str(bag),
         "video": None if video is None else str(video),
+        "warnings": [habit.text for habit in habits],
     }
 
     def show() -> None:
         for line in in_words(document, request.road):
             print(line)
+        for habit in habits:
+            print(warning(whose, habit))
 
     unmet = [f"{whose} fails on the road"] if fail_on == "failure" and run.outcome.is_failure else []
     end(Result(document=document, show=show, error=run.outcome.is_error, unmet=unmet), as_json)

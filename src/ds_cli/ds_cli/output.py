@@ -9,9 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from ds_driver.control.command_habits import Habit
 
 NOT_PASSED = 3
 """Exit status if a pass criterion is not met; 1 and 2 say that nothing was decided."""
@@ -60,6 +63,11 @@ class Result:
 def say(line: str) -> None:
     """Print a line of progress."""
     print(line, file=sys.stderr, flush=True)
+
+
+def warning(driver: str, habit: Habit) -> str:
+    """One line about a driver's commands, with the command that tells more."""
+    return f"warning: {driver}: {habit.text} See ds check {driver}"
 
 
 def duration(seconds: float) -> str:

@@ -37,6 +37,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Your network",
         (
+            Verb("check", "check", "Show what a network sees, and say what is wrong with how it is connected."),
             Verb("drive", "drives", "Drive one road with one driver on one simulator."),
             Verb("test", "campaign.group", "Search roads on which a network fails, and report where and why."),
             Verb(

@@ -286,7 +286,7 @@ def test_wrong_types_and_inputs_are_refused(tmp_path: Path) -> None:
         DriverError, match=r"torch cannot run n\.onnx: expected onnx, openvino, openvino-bf16 or openvino-int8"
     ):
         NetworkDriver(save([TensorProto.FLOAT]) + "@torch")
-    with pytest.raises(DriverError, match=r"write a \.yaml"):
+    with pytest.raises(DriverError, match=r"ds check .* writes one"):
         NetworkDriver(str(tmp_path / "n.onnx"))
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ds_cli.options import Folder, JsonFlag, Trust
-from ds_cli.output import Result, answer, say
+from ds_cli.output import Result, answer, say, warning
 
 app = typer.Typer()
 campaign_app = typer.Typer()
@@ -25,13 +25,14 @@ def status(folder: Path) -> Result:
     from ds_analysis.paper.campaign_contents import exclusion_counts, exclusion_lines
     from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
     from ds_orchestrator.campaign.selection import missing_bags, missing_line
-    from ds_orchestrator.campaign.status import Tally
+    from ds_orchestrator.campaign.status import Tally, driver_habits
 
     with closing(open_store(folder)) as store:
         data = CampaignData(config=config_of(store), gates=store.gates())
         stages = Tally.of_store(store, data.config).stages()
         counted, searches, errors = store.outcome_counts(), store.searches(), store.errors()
         missing = missing_bags(folder, store.bags())
+        habits = driver_habits(store)
     config, executions = data.config, sum(counted.values())
     counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
     for (simulator, outcome), number in counted.items():
@@ -46,6 +47,7 @@ def status(folder: Path) -> Result:
         "outcomes": counts,
         "excluded": exclusion_counts(data),
         "missing_bags": missing,
+        "warnings": [habit.text for habit in habits],
         "errors": [
             dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True)) for row in errors
         ],
@@ -65,6 +67,8 @@ def status(folder: Path) -> Result:
             print(line)
         if missing:
             print(missing_line(missing))
+        for habit in habits:
+            print(warning(config.driver, habit))
         if document["errors"]:
             print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
 

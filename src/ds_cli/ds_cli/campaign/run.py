@@ -36,7 +36,7 @@ from ds_cli.options import (
     usual_workers,
     with_engine,
 )
-from ds_cli.output import Interrupted, Result, duration, end, say
+from ds_cli.output import Interrupted, Result, duration, end, say, warning
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.ci_results import Criteria
@@ -69,6 +69,8 @@ def campaign(
     """
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.executor import Stopped
+    from ds_orchestrator.campaign.folder import open_store
+    from ds_orchestrator.campaign.status import driver_habits
     from ds_orchestrator.engines.preflight import faster_choice
     from ds_sim.installation import ds_command
     from ds_studies.whole_campaign import run_campaign
@@ -84,6 +86,9 @@ def campaign(
         known = (out / "campaign.sqlite").is_file()
         raise Interrupted(_kept(out, listener.done) if known else "") from None
     say(f"finished in {duration(time.monotonic() - started)}")
+    with closing(open_store(out)) as store:
+        for habit in driver_habits(store):
+            say(warning(config.driver, habit))
     document: dict[str, Any] = {
         "folder": str(out),
         "report": str(outcome.report),

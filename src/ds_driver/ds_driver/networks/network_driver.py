@@ -27,6 +27,7 @@ from ds_driver.networks.user_networks import (
     UserClassPilot,
     file_of,
     read_description,
+    refuse_weights_alone,
     source_of,
 )
 from ds_driver.networks.weights import generators_in, load_weights, path_of_weights, shipped_networks, weights_sha256
@@ -266,7 +267,8 @@ def _load_network(name: DriverName, stage: Sim2RealStage | None) -> Pilot:
     if name.file_type in DESCRIPTIONS:
         return DescribedNetworkPilot(Path(network), name.backend, name.device)
     if name.file_type in KINDS:
-        raise DriverError(f"{network} has no description of its input: write a .yaml (docs/bring_your_own_network.md)")
+        raise DriverError(f"{network} has no description of its input: `ds check {network}` writes one")
+    refuse_weights_alone(Path(network))
     if name.is_class:
         if name.suffix:
             raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import resource
 import sys
 import threading
@@ -33,6 +34,8 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 NETWORK_MEMORY = 4 * 2**30
 """Bytes beyond what the process has already mapped; chosen: 40 times the largest shipped network."""
+WEIGHTS_ALONE = (".pth", ".ckpt")
+"""File suffixes of PyTorch's weights without their network; nothing here unpickles them."""
 _lock = threading.Lock()
 _inside = 0
 _before = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
@@ -148,12 +151,23 @@ class OutputSpec(_Strict):
         index: index into the flattened output.
         scale: factor applied to the value; negative to flip the sign.
         offset: added after scaling.
+        bins: the output holds scores of bins from -1 to +1; the value is the centre of the bin with the highest score
+            (Donkey Car's `linear_unbin`), and `index` is not used.
     """
 
     output: Annotated[int, Field(ge=0)] | str = 0
     index: Annotated[int, Field(ge=0)] = 0
     scale: float = 1.0
     offset: float = 0.0
+    bins: bool = False
+
+    def value(self, numbers: NDArray[np.float32]) -> float:
+        """Return the value in a flattened output, which is long enough."""
+        if self.bins:
+            found = 2.0 * int(np.argmax(numbers)) / max(numbers.size - 1, 1) - 1.0
+        else:
+            found = float(numbers[self.index])
+        return found * self.scale + self.offset
 
 
 class Outputs(_Strict):
@@ -211,6 +225,7 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
         DriverError: the file is missing, or of an unknown format.
     """
     file = path.parent / description.file
+    refuse_weights_alone(file)
     if file.suffix.lower() not in KINDS or "\0" in description.file or len(description.file) > 4096:
         raise DriverError(
             f"{path}: file {description.file!r:.100}: expected {', '.join(KINDS)}; {GUIDE} says how to convert"
@@ -220,51 +235,86 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
     return file
 
 
+def refuse_weights_alone(file: Path) -> None:
+    """Refuse a file of PyTorch's weights, which only its own program can load.
+
+    Raises:
+        DriverError: it is one; the sentence says how to export the network.
+    """
+    if file.suffix.lower() in WEIGHTS_ALONE:
+        raise DriverError(
+            f"{file} holds weights alone: in the program that defines the network, load them and export it with "
+            f'torch.onnx.export(network.eval(), (torch.zeros(1, 3, ROWS, COLUMNS),), "{file.stem}.onnx", '
+            f"dynamo=False), then `ds check {file.stem}.onnx`"
+        )
+
+
 class DescribedNetworkPilot(Pilot):
-    """Drives with a network file, from the path of its description.
+    """Drives with a network file, from the path of its description, or as `described` in its place.
 
     Raises:
         DriverError: the description or the file cannot be used.
         BackendError: the backend cannot run the network.
     """
 
-    def __init__(self, path: Path, backend: str = "auto", device: str = "cpu") -> None:
-        self._spec = read_description(path)
-        self.sees_crop_only = self._spec.input.crop == "simulator"
-        file = file_of(path, self._spec)
+    def __init__(
+        self, path: Path, backend: str = "auto", device: str = "cpu", described: DescribedNetwork | None = None
+    ) -> None:
+        self.description = described or read_description(path)
+        self.sees_crop_only = self.description.input.crop == "simulator"
+        file = file_of(path, self.description)
         # The address space does not reflect the memory used on a GPU.
         self._bounded = nullcontext if device == "cuda" else limited_memory
         try:
             with self._bounded():
-                self._runner = _runner(file, backend, device, self._samples)
+                self._runner = runner_of(file, backend, device, self._samples)
                 self._check(file.name)
         except MemoryError:
             raise DriverError(f"{file.name} needs more memory than a network may take: make it smaller") from None
 
+    def described_as(self, description: DescribedNetwork) -> DescribedNetworkPilot:
+        """Return a pilot with the same loaded network, of the same input shape, and another description."""
+        other = copy.copy(self)
+        other.description = description
+        return other
+
     def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
-        batch = self.batch(frame)
-        with self._bounded():
-            outputs = self._runner.compute(batch)
-        throttle = self._spec.outputs.throttle
+        outputs, spec = self.outputs(frame), self.description.outputs
         return Prediction(
-            self._number(outputs, "steering", self._spec.outputs.steering),
-            None if throttle is None else self._number(outputs, "throttle", throttle),
+            self._number(outputs, "steering", spec.steering),
+            None if spec.throttle is None else self._number(outputs, "throttle", spec.throttle),
         )
 
-    def batch(self, frame: Frame) -> NDArray[Any]:
-        """Convert a frame to the input of the network, with a batch of one."""
-        spec = self._spec.input
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Return the names of the outputs; () if the file has none."""
+        return self._runner.outputs
+
+    def outputs(self, frame: Frame) -> list[NDArray[np.float32]]:
+        """Compute all outputs of the network for a frame."""
+        batch = self.batch(frame)
+        with self._bounded():
+            return self._runner.compute(batch)
+
+    def seen(self, frame: Frame) -> NDArray[np.uint8]:
+        """Return what the network sees of a frame, (rows, columns, channels) uint8, before pixels are scaled."""
+        spec = self.description.input
         image = checked(frame.image)
         crop = frame.crop if spec.crop == "simulator" else Crop()
         if isinstance(spec.crop, Rows):
             crop = Crop(spec.crop.top, spec.crop.bottom)
         image = image[crop.top : IMAGE_HEIGHT - crop.bottom]
         if image.shape[:2] != spec.size:
-            image = cv2.resize(image, spec.size[::-1], interpolation=_RESIZING[spec.resize])
+            image = np.asarray(cv2.resize(image, spec.size[::-1], interpolation=_RESIZING[spec.resize]), np.uint8)
         if spec.colour != "rgb":
-            image = cv2.cvtColor(image, _COLOURS[spec.colour])
-        pixels: NDArray[Any] = image.reshape(*spec.size, -1)
+            image = np.asarray(cv2.cvtColor(image, _COLOURS[spec.colour]), np.uint8)
+        return image.reshape(*spec.size, -1)
+
+    def batch(self, frame: Frame) -> NDArray[Any]:
+        """Convert a frame to the input of the network, with a batch of one."""
+        spec = self.description.input
+        pixels: NDArray[Any] = self.seen(frame)
         if spec.type == "float32":
             subtract, divide = (np.asarray(number, np.float32) for number in (spec.subtract, spec.divide))
             pixels = (pixels.astype(np.float32) - subtract) / divide
@@ -277,7 +327,7 @@ class DescribedNetworkPilot(Pilot):
 
     def _check(self, name: str) -> None:
         """Compare the file with the description, and warm up with a black image."""
-        runner, spec = self._runner, self._spec.input
+        runner, spec = self._runner, self.description.input
         if runner.shape is not None and (
             len(runner.shape) != 4 or any(a not in (None, b) for a, b in zip(runner.shape, spec.shape, strict=True))
         ):
@@ -307,12 +357,13 @@ class DescribedNetworkPilot(Pilot):
             found = outputs[spec.output]
         else:
             raise DriverError(f"no output {spec.output} for {what}: the network has {len(outputs)}, counted from 0")
-        if spec.index >= found.size:
+        if spec.index >= found.size or (spec.bins and found.size < 2):
             raise DriverError(f"there is no index {spec.index} for {what}: the output has {found.size} numbers")
-        return float(found.reshape(-1)[spec.index]) * spec.scale + spec.offset
+        return spec.value(found.reshape(-1))
 
 
-def _runner(file: Path, backend: str, device: str, samples: Samples) -> Runner:
+def runner_of(file: Path, backend: str = "auto", device: str = "cpu", samples: Samples = lambda: []) -> Runner:
+    """Load a network file, whatever its description says; see `DescribedNetworkPilot`."""
     kind = KINDS[file.suffix.lower()]
     possible = _BACKENDS_OF[kind]
     chosen = possible[0] if backend == "auto" else backend

@@ -9,6 +9,9 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
+from ds_driver.control.command_habits import Habit, command_habits
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, STAGES, CampaignData, config_of, open_store, read_campaign
 from ds_orchestrator.maps.campaign_maps import elites_of
@@ -145,6 +148,21 @@ def _tests_of(config: CampaignConfig) -> int:
 def stages_of(data: CampaignData) -> list[Stage]:
     """List every stage of a campaign that was read, in the order in which they run."""
     return Tally.of(data).stages()
+
+
+DRIVES_SAMPLED = 24
+"""Drives that are decoded to look at a driver's commands; chosen: they take 20 ms, and every drive shows a habit."""
+
+
+def driver_habits(store: Store) -> tuple[Habit, ...]:
+    """Find what is unusual in a campaign's commands, in a bounded sample of its drives; nothing if one is damaged."""
+    try:
+        drives = [one.drive for one in store.sampled_executions(DRIVES_SAMPLED)]
+        steering = [np.empty(0), *(one.steering for one in drives)]
+        speeds = [np.empty(0), *(one.trajectory[:, 3] for one in drives)]
+    except StoreError:
+        return ()  # what reads all drives says so
+    return command_habits(np.concatenate(steering), np.concatenate(speeds))
 
 
 def is_driven(store: Store, config: CampaignConfig) -> bool:

@@ -306,6 +306,10 @@ class Store:
         """
         return self._executions("WHERE rowid > ?", (after,)) if after else self._executions("", ())
 
+    def sampled_executions(self, most: int) -> list[Execution]:
+        """At most so many executions, spread evenly over the order in which they were stored."""
+        return self._executions("WHERE rowid % ? = 0", (max(-(-self.last_rows()[1] // most), 1),))
+
     def last_rows(self) -> tuple[int, int]:
         """Numbers of the last rows of tests and of executions; an execution that replaces another one has a new row."""
         last = "SELECT coalesce(max(rowid), 0) FROM"

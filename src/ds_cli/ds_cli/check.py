@@ -1,0 +1,88 @@
+"""`ds check`: what a network sees, and whether it is connected rightly, before anything is driven."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ds_cli.options import ALL, JsonFlag, Seed, Simulators, every_or_named
+from ds_cli.output import Result, countdown, end, say
+
+app = typer.Typer()
+
+
+@app.command("check")
+def check_command(
+    network: Annotated[
+        str,
+        typer.Argument(
+            metavar="NETWORK",
+            help="Network: a .yaml file, an .onnx, .pt or .tflite file without one, a shipped name, or module:Class.",
+        ),
+    ],
+    sims: Simulators = ALL,
+    out: Annotated[Path, typer.Option(help="Folder for the picture, check.png.")] = Path("check"),
+    seed: Seed = 1,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show what a network sees on each simulator, and say what is wrong with how it is connected.
+
+    The autopilot drives, and the network is only asked about the images. For a file without description, one is
+    written beside it. Exit status: 0 connected rightly, 2 bad input, 3 not connected rightly.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from ds_driver.networks.network_driver import load_pilot
+    from ds_driver.networks.user_networks import KINDS
+    from ds_orchestrator.store.folder_files import make_folder
+    from ds_sim.camera.encodings import png
+    from ds_studies.network_check.description import describe, form_of
+    from ds_studies.network_check.diagnosis import check_network
+    from ds_studies.network_check.picture import draw_check
+    from ds_studies.network_check.recording import record
+
+    names, file = every_or_named(sims), Path(network)
+    bare = file.suffix.lower() in KINDS
+    forms = form_of(file) if bare else []
+    if not bare:
+        load_pilot(network)  # refuses what cannot be used before anything is driven
+    make_folder(out)
+    recordings = record(names, seed, countdown())
+    if bare:
+        network = str(file.with_suffix(".yaml"))
+        say(f"choosing a description for {file}")
+        text = describe(file, forms, recordings, _ask if sys.stdin.isatty() else None)
+        with Path(network).open("x", encoding="utf-8") as written:
+            written.write(text)
+        say(f"wrote {network}: its comments say what was chosen, and why")
+    say(f"asking {network} about {sum(len(one.frames) for one in recordings)} images")
+    found = check_network(network, recordings, seed)
+    picture = out / "check.png"
+    picture.write_bytes(png(draw_check(found, recordings)))
+
+    def show() -> None:
+        table = Table(title=f"{network} against the autopilot on {found.images} images")
+        for column in ("simulator", "correlation", "slope", "answers", "at full lock", "ms an image"):
+            table.add_column(column, justify="left" if column == "simulator" else "right")
+        for one in found.answers:
+            table.add_row(
+                one.simulator, f"{one.correlation:.2f}", f"{one.slope:.3g}", f"{one.lowest:.3g} to {one.highest:.3g}",
+                f"{one.at_full_lock:.0%}", f"{one.milliseconds:.1f}",
+            )  # fmt: skip
+        Console().print(table)
+        print(found.verdict)
+        for finding in found.findings:
+            print(finding)
+        print(picture)
+
+    document = {**found.document(), "picture": str(picture)}
+    unmet = [] if not found.findings else [f"{network} needs another description or training"]
+    end(Result(document=document, show=show, unmet=unmet), as_json)
+
+
+def _ask(question: str, choices: list[str], best: str) -> str:
+    return str(typer.prompt(f"{question} ({', '.join(choices)})", best, err=True))

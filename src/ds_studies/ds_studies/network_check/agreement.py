@@ -1,0 +1,106 @@
+"""How well a network's answers agree with the autopilot's steering, and which number among its outputs agrees best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.networks.pilot import DriverError
+from ds_driver.networks.user_networks import DescribedNetworkPilot, OutputSpec
+from ds_studies.network_check.recording import Recording
+
+AGREES = 0.5
+"""Correlation with the autopilot from which a network answers with the road; chosen: a quarter of the variance, which
+some 40 independent images give by chance once in a thousand times."""
+FOUND = 0.8
+"""Correlation that another description must reach to be proposed; chosen: above `AGREES`, as the best of many is
+picked, and below what a network that drives has, more than 0.9."""
+GAIN = 0.5
+"""Part of the variance unexplained so far that another description may leave at most; chosen: it has to halve, on the
+whole, and shrink on every simulator, since one that fits by chance does so on some."""
+MOST_NUMBERS = 64
+"""Numbers among the outputs that are tried as steering."""
+FEWEST_BINS = 5
+"""Size of an output from which it may be scores of bins; chosen: Donkey Car has 15, and three are a colour."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Answers n of a network against the autopilot's steering a, by the regression n = slope * a + offset.
+
+    Attributes:
+        correlation: over all images; 0 for a constant answer.
+        slope: of the regression.
+        offset: of the regression: the answer while the autopilot drives straight on.
+        by_simulator: correlation on each simulator alone.
+    """
+
+    correlation: float
+    slope: float
+    offset: float
+    by_simulator: tuple[float, ...]
+
+    @property
+    def unexplained(self) -> float:
+        """Part of the variance that the autopilot's steering does not explain."""
+        return 1.0 - self.correlation**2
+
+    def beats(self, other: Agreement) -> bool:
+        """Whether this one is so much better that it cannot be chance; see `FOUND` and `GAIN`."""
+        pairs = zip(self.by_simulator, other.by_simulator, strict=True)
+        return (
+            abs(self.correlation) >= FOUND
+            and self.unexplained <= GAIN * other.unexplained
+            and all(abs(mine) > abs(its) for mine, its in pairs)
+        )
+
+
+def agreement(answers: NDArray[np.float64], recordings: Sequence[Recording]) -> Agreement:
+    """Compare answers to all images, in their order, with the autopilot's steering.
+
+    Args:
+        answers: (images,) finite numbers.
+        recordings: of all simulators.
+    """
+    wanted = np.concatenate([one.steering for one in recordings])
+    ends = np.cumsum([len(one.steering) for one in recordings])[:-1]
+    parts = zip(np.split(answers, ends), (one.steering for one in recordings), strict=True)
+    slope = float(np.cov(answers, wanted)[0, 1] / wanted.var(ddof=1))
+    offset = float(answers.mean() - slope * wanted.mean())
+    return Agreement(_correlation(answers, wanted), slope, offset, tuple(_correlation(*part) for part in parts))
+
+
+def _correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    spread = float(one.std() * other.std())
+    # Rounding makes the spread of a constant some 1e-17, not 0.
+    return 0.0 if spread < 1e-12 else float(np.mean((one - one.mean()) * (other - other.mean())) / spread)
+
+
+def readings(
+    pilot: DescribedNetworkPilot, recordings: Sequence[Recording]
+) -> Iterator[tuple[OutputSpec, NDArray[np.float64]]]:
+    """Yield what could be the steering, first what the description says, with its value for every image.
+
+    The others are every number of every output, and the highest bin of an output. Nothing is yielded where the network
+    refuses its input or answers NaN.
+    """
+    try:
+        rows = [pilot.outputs(frame) for one in recordings for frame in one.frames]
+    except DriverError:
+        return
+    stacked = [np.stack([row[k].reshape(-1) for row in rows]) for k in range(len(rows[0]))]
+    if not all(np.isfinite(output).all() for output in stacked):
+        return
+    described = pilot.description.outputs.steering
+    place = described.output if isinstance(described.output, int) else pilot.output_names.index(described.output)
+    specs = [(place, described)]
+    for k, output in enumerate(stacked):
+        name = described.output if k == place else k
+        if output.shape[1] >= FEWEST_BINS:
+            specs.append((k, OutputSpec(output=name, bins=True)))
+        specs += [(k, OutputSpec(output=name, index=i)) for i in range(output.shape[1])][:MOST_NUMBERS]
+    for k, spec in specs:
+        yield spec, np.array([spec.value(row) for row in stacked[k]])

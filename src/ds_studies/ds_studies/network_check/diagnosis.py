@@ -1,0 +1,424 @@
+"""Finds out what is wrong with the description of a network, by comparing its answers with the autopilot's steering."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.control.command_habits import command_habits
+from ds_driver.networks.network_driver import load_pilot
+from ds_driver.networks.pilot import Pilot
+from ds_driver.networks.user_networks import DescribedNetwork, DescribedNetworkPilot, InputSpec, OutputSpec
+from ds_studies.network_check.agreement import AGREES, FOUND, GAIN, Agreement, agreement, readings
+from ds_studies.network_check.recording import Recording, speeds_of_throttle
+
+Kind = Literal[
+    "degrees", "radians", "scale", "offset", "sign", "colour", "crop", "pixels", "output", "bins", "crawls", "constant",
+    "saturated", "unrelated",
+]  # fmt: skip
+FAINTEST = 0.58
+"""Slope against the autopilot below which the scale is wrong; chosen: the geometric middle of the weakest shipped
+network's, 0.73, and of one that answers in radians up to 25 degrees, 0.46 at most."""
+STRONGEST = 1 / FAINTEST
+"""Slope from which it is wrong on the other side."""
+DEGREES = (10.0, 90.0)
+"""Slopes at which an answer is taken to be in degrees; chosen: full lock of any car, with an error of a half."""
+RADIANS = (0.2, FAINTEST)
+"""Slopes at which an answer is taken to be in radians; chosen: full lock from 12 degrees, as above."""
+OFF_CENTRE = 0.2
+"""Steering while the autopilot drives straight on from which there is an offset; chosen: ten times a good network's."""
+SHARE_TRIED = 6
+"""One image of so many is shown to other descriptions, about 25 for each simulator; one of `SHARE_SCREENED` times as
+many where all combinations are tried."""
+SHARE_SCREENED = 3
+FINALISTS = 4
+"""Combinations that are shown the former again."""
+PIXELS: tuple[tuple[Any, Any], ...] = (
+    (0.0, 255.0),
+    (127.5, 127.5),
+    (0.0, 1.0),
+    ([123.675, 116.28, 103.53], [58.395, 57.12, 57.375]),
+)
+"""What is subtracted from a pixel and what it is divided by, tried: 0 to 1, -1 to 1, 0 to 255, and ImageNet's."""
+CROPS: tuple[Any, ...] = ("simulator", "none", {"top": 60, "bottom": 25}, {"top": 60, "bottom": 0}, {"top": 80})
+"""Crops tried: the paper's, none, Udacity's on images of this size, and the lower half and a little more."""
+INPUT_KINDS: dict[str, tuple[Kind, str]] = {
+    "colour": ("colour", "its colours are in another order than described"),
+    "crop": ("crop", "it expects another part of the image than described"),
+    "subtract": ("pixels", "its pixels are scaled otherwise than described"),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong.
+
+    Attributes:
+        kind: what.
+        text: one sentence, with the numbers that show it.
+        line: line of YAML that fixes it, with its place; "" where none does.
+    """
+
+    kind: Kind
+    text: str
+    line: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text}: write `{self.line}`" if self.line else self.text
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answers:
+    """Answers of the network on one simulator, as described."""
+
+    simulator: str
+    correlation: float
+    slope: float
+    lowest: float
+    highest: float
+    at_full_lock: float
+    milliseconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkCheck:
+    """What was found out about a network.
+
+    Attributes:
+        driver: its name.
+        images: number of images that it was shown.
+        correlation: of its steering with the autopilot's.
+        answers: on each simulator.
+        findings: what is wrong; empty for a network that is connected rightly.
+        steering: simulator -> its answers to all images.
+        fixed: the description with every line applied; None without a description, or without a line.
+    """
+
+    driver: str
+    images: int
+    correlation: float
+    answers: Sequence[Answers]
+    findings: Sequence[Finding]
+    steering: dict[str, NDArray[np.float64]]
+    fixed: DescribedNetwork | None
+
+    @property
+    def verdict(self) -> str:
+        """One line."""
+        if self.findings:
+            return f"{self.driver} is not connected rightly."
+        weak = [one.simulator for one in self.answers if one.correlation < AGREES]
+        but = f", but not with the road on {', '.join(weak)}" if weak else ""
+        return f"{self.driver} is connected rightly{but}: correlation {self.correlation:.2f} with the autopilot."
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {
+            "driver": self.driver,
+            "connected_rightly": not self.findings,
+            "verdict": self.verdict,
+            "images": self.images,
+            "correlation": self.correlation,
+            "simulators": [asdict(one) for one in self.answers],
+            "findings": [asdict(one) for one in self.findings],
+        }
+
+
+def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> NetworkCheck:
+    """Ask a network about recorded images, and diagnose how it is connected.
+
+    Args:
+        driver: any name that `ds_driver.networks.network_driver.load_pilot` takes.
+        recordings: of all simulators.
+        seed: of the road on which its throttle is tried, if it has one.
+
+    Raises:
+        ds_driver.networks.pilot.DriverError: it cannot be loaded, or gives no valid answer.
+    """
+    pilot = load_pilot(driver)
+    steering, throttle, milliseconds = ask_open_loop(pilot, recordings)
+    described = pilot.description if isinstance(pilot, DescribedNetworkPilot) else None
+    best, answers = described, np.concatenate(list(steering.values()))
+    if isinstance(pilot, DescribedNetworkPilot):
+        best = best_description(pilot, recordings)
+        if best != described:
+            other = ask_open_loop(pilot.described_as(best), recordings)[0]
+            answers = np.concatenate(list(other.values()))
+    findings, fixed = findings_of(described, best, answers, recordings)
+    if throttle is not None and (crawling := _crawling(pilot, throttle, recordings, seed, described)):
+        findings.append(crawling[0])
+        if fixed is not None:
+            outputs = fixed.outputs.model_copy(update={"throttle": crawling[1]})
+            fixed = fixed.model_copy(update={"outputs": outputs})
+    rows = []
+    for one in recordings:
+        here, part = steering[one.simulator], agreement(steering[one.simulator], [one])
+        rows.append(Answers(
+            simulator=one.simulator, correlation=part.correlation, slope=part.slope, lowest=float(here.min()),
+            highest=float(here.max()), at_full_lock=float(np.mean(np.abs(here) >= 1.0)),
+            milliseconds=milliseconds[one.simulator],
+        ))  # fmt: skip
+    whole = agreement(np.concatenate(list(steering.values())), recordings)
+    return NetworkCheck(
+        driver=driver, images=len(answers), correlation=whole.correlation, answers=rows, findings=findings,
+        steering=steering, fixed=fixed if findings else None,
+    )  # fmt: skip
+
+
+def ask_open_loop(
+    pilot: Pilot, recordings: Sequence[Recording]
+) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64] | None, dict[str, float]]:
+    """Return unclipped steering by simulator, all throttles, and ms of processor time per image by simulator."""
+    steering, throttle, milliseconds = {}, [], {}
+    for one in recordings:
+        began = time.process_time()
+        found = []
+        for frame in one.frames:
+            if frame.step == 0:
+                pilot.start()
+            found.append(pilot.predict(frame))
+        milliseconds[one.simulator] = 1e3 * (time.process_time() - began) / len(one.frames)
+        steering[one.simulator] = np.array([each.steering for each in found])
+        throttle += [each.throttle for each in found if each.throttle is not None]
+    return steering, np.array(throttle) if throttle else None, milliseconds
+
+
+def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
+    """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
+
+    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if the
+    network does not answer with the road as it is described, and no single change helps.
+    """
+    tried = [one.every(SHARE_TRIED) for one in recordings]
+    known: dict[str, tuple[DescribedNetwork, Agreement]] = {}
+
+    def fitted(changed: DescribedNetwork) -> tuple[DescribedNetwork, Agreement]:
+        key = changed.model_dump_json()
+        if key not in known:
+            known[key] = best_reading(pilot.described_as(changed), tried)
+        return known[key]
+
+    best = fitted(pilot.description)
+    while True:
+        # Where bins or limits round an answer, more of it correlates better: what spoils its scale is no repair.
+        right = abs(best[1].correlation) >= FOUND and scale_kind(best[1].slope) is None
+        changed = map(fitted, single_changes(best[0]))
+        better = [one for one in changed if one[1].beats(best[1]) and not (right and scale_kind(one[1].slope))]
+        if not better:
+            break
+        best = max(better, key=lambda one: abs(one[1].correlation))
+    if abs(best[1].correlation) < AGREES:
+        first = ranked_combinations(pilot, recordings)[0]
+        best = first if first[1].beats(best[1]) else best
+    if scale_kind(best[1].slope) == "scale":
+        # A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
+        others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
+        found = [fitted(best[0].model_copy(update={"input": one})) for one in others]
+        same = [
+            one for one in found if GAIN * one[1].unexplained <= best[1].unexplained and not scale_kind(one[1].slope)
+        ]
+        best = max(same, key=lambda one: abs(one[1].correlation), default=best)
+    return best[0]
+
+
+def scale_kind(slope: float) -> Kind | None:
+    """Return in what a network answers, by its slope against the autopilot, without sign; None if as it should."""
+    size = abs(slope)
+    if FAINTEST <= size <= STRONGEST:
+        return None
+    if DEGREES[0] <= size <= DEGREES[1]:
+        return "degrees"
+    return "radians" if RADIANS[0] <= size <= RADIANS[1] else "scale"
+
+
+def ranked_combinations(
+    pilot: DescribedNetworkPilot, recordings: Sequence[Recording]
+) -> list[tuple[DescribedNetwork, Agreement]]:
+    """Try all combinations of the parts of the input; return the best ones, the best first."""
+    tried = [one.every(SHARE_TRIED) for one in recordings]
+    few = [one.every(SHARE_SCREENED) for one in tried]
+    found = [best_reading(pilot.described_as(one), few) for one in combinations(pilot.description)]
+    found.sort(key=_worst_last)
+    finalists = [best_reading(pilot.described_as(one), tried) for one, _ in found[:FINALISTS]]
+    return sorted(finalists, key=_worst_last)
+
+
+def _worst_last(one: tuple[DescribedNetwork, Agreement]) -> float:
+    return -round(abs(one[1].correlation), 3)  # of equal ones, the first remains
+
+
+def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> tuple[DescribedNetwork, Agreement]:
+    """Return the description with the number among the outputs that agrees best; the described one unless beaten."""
+    found = [(spec, agreement(answers, recordings)) for spec, answers in readings(pilot, recordings)]
+    nothing = Agreement(0.0, 0.0, 0.0, (0.0,) * len(recordings))
+    if not found:
+        return pilot.description, nothing
+    described, *others = found
+    better = [one for one in others if one[1].beats(described[1])]
+    spec, fit = max(better, key=lambda one: abs(one[1].correlation)) if better else described
+    return with_steering(pilot.description, spec), fit
+
+
+def with_steering(network: DescribedNetwork, spec: OutputSpec) -> DescribedNetwork:
+    """Return a description with another steering."""
+    return network.model_copy(update={"outputs": network.outputs.model_copy(update={"steering": spec})})
+
+
+def inputs(given: InputSpec) -> dict[str, list[dict[str, Any]]]:
+    """List what can be unknown about an input of known shape: the values of each part, the given one first."""
+    colours = ("grey",) if given.colour == "grey" else ("rgb", "bgr", "yuv")
+    pixels = PIXELS if given.type == "float32" else ()
+    if given.colour == "grey":
+        pixels = tuple(one for one in pixels if isinstance(one[0], float))
+    parts: dict[str, list[dict[str, Any]]] = {
+        "colour": [{"colour": one} for one in colours],
+        "crop": [{"crop": one} for one in CROPS],
+        "subtract": [{"subtract": one, "divide": other} for one, other in pixels],
+    }
+    raw = given.model_dump()
+    for part, values in parts.items():
+        mine = {key: raw[key] for key in (("subtract", "divide") if part == "subtract" else (part,))}
+        parts[part] = [mine, *(one for one in values if with_input(given, one) != given)]
+    return parts
+
+
+def with_input(given: InputSpec, changed: dict[str, Any]) -> InputSpec:
+    """Return an input with some keys changed."""
+    return InputSpec.model_validate({**given.model_dump(), **changed})
+
+
+def single_changes(network: DescribedNetwork) -> Iterator[DescribedNetwork]:
+    """Yield descriptions with one part of the input changed."""
+    for values in inputs(network.input).values():
+        for one in values[1:]:
+            yield network.model_copy(update={"input": with_input(network.input, one)})
+
+
+def combinations(network: DescribedNetwork) -> Iterator[DescribedNetwork]:
+    """Yield descriptions with all combinations of the parts of the input."""
+    for parts in product(*inputs(network.input).values()):
+        changed = {key: value for part in parts for key, value in part.items()}
+        yield network.model_copy(update={"input": with_input(network.input, changed)})
+
+
+def findings_of(
+    described: DescribedNetwork | None,
+    best: DescribedNetwork | None,
+    answers: NDArray[np.float64],
+    recordings: Sequence[Recording],
+) -> tuple[list[Finding], DescribedNetwork | None]:
+    """Say what is wrong: how the best description differs, then scale, sign and offset of its answers to all images."""
+    fit = agreement(answers, recordings)
+    habits = command_habits(np.clip(answers, -1.0, 1.0), np.full(len(answers), np.inf))
+    kinds = {habit.kind: habit.text for habit in habits}
+    if np.ptp(answers) == 0.0 or ("constant" in kinds and abs(fit.correlation) < AGREES and "saturated" not in kinds):
+        return [
+            Finding("constant", f"It answers {answers[0]:.3g} to every image: train it again, or look at its file")
+        ], best
+    agreeing = [k for k, one in enumerate(fit.by_simulator) if abs(one) >= AGREES]
+    if abs(fit.correlation) < AGREES and not agreeing:
+        text = f"It answers, but not with the road: correlation {fit.correlation:.2f} with the autopilot"
+        return [Finding("unrelated", f"{text} under every description that was tried")], best
+    if abs(fit.correlation) < AGREES:  # it was made for some of the simulators
+        ends = np.cumsum([len(one.steering) for one in recordings])[:-1]
+        parts = np.split(answers, ends)
+        fit = agreement(np.concatenate([parts[k] for k in agreeing]), [recordings[k] for k in agreeing])
+    found: list[Finding] = []
+    steering = OutputSpec()
+    if described is not None and best is not None:
+        found += _differences(described, best)
+        steering = best.outputs.steering
+    agree = f"correlation {abs(fit.correlation):.2f}"
+    texts: list[tuple[Kind, str]] = []
+    size, kind = abs(fit.slope), scale_kind(fit.slope)
+    shift = fit.offset if abs(fit.offset) >= OFF_CENTRE * size else 0.0
+    if shift and kind == "radians":
+        kind = "scale"  # more likely 0 to 1 with the middle at a half
+    scale = fit.slope if kind else float(np.sign(fit.slope))
+    if kind is not None:
+        unit = "" if kind == "scale" else f"in {kind}: "
+        texts.append((kind, f"It answers {unit}{size:.2g} times the autopilot's steering ({agree})"))
+    if fit.slope < 0.0:
+        texts.append(("sign", f"It steers right where the autopilot steers left ({agree})"))
+    if shift:
+        texts.append(("offset", f"It answers {shift:.3g} where the autopilot drives straight on ({agree})"))
+    if not texts:
+        if "saturated" in kinds:
+            found.append(Finding("saturated", f"In the mean it agrees with the autopilot, but {kinds['saturated']}"))
+        return found, best
+    changed = _times(steering, 1.0 / scale, shift)
+    if described is None:
+        line = f"steering * {changed.scale:g}" + (f" + {changed.offset:g}" if changed.offset else "")
+    else:
+        line = output_line("steering", changed)
+    found += [Finding(kind, text, line) for kind, text in texts]
+    return found, with_steering(best, changed) if best is not None else None
+
+
+def _differences(described: DescribedNetwork, best: DescribedNetwork) -> Iterator[Finding]:
+    before, after = described.input.model_dump(), best.input.model_dump()
+    for key, (kind, text) in INPUT_KINDS.items():
+        keys = ("subtract", "divide") if key == "subtract" else (key,)
+        if any(before[one] != after[one] for one in keys):
+            yield Finding(kind, f"It follows the road once {text}", f"input: {flow({one: after[one] for one in keys})}")
+    old, new = described.outputs.steering, best.outputs.steering
+    if old != new:
+        text = "It answers scores of bins instead of a number" if new.bins else "Its steering is another number"
+        yield Finding("bins" if new.bins else "output", text, output_line("steering", new))
+
+
+def _crawling(
+    pilot: Pilot,
+    throttle: NDArray[np.float64],
+    recordings: Sequence[Recording],
+    seed: int,
+    described: DescribedNetwork | None,
+) -> tuple[Finding, OutputSpec | None] | None:
+    """Try the network's throttle while the autopilot steers; return what is wrong, and the throttle to describe."""
+    speeds = np.concatenate([speeds_of_throttle(pilot, one.simulator, seed) for one in recordings])
+    crawls = [habit for habit in command_habits(np.linspace(-0.5, 0.5, len(speeds)), speeds) if habit.kind == "crawls"]
+    if not crawls:
+        return None
+    wanted, mean = float(np.mean(np.concatenate([one.throttle for one in recordings]))), float(throttle.mean())
+    text = (
+        f"Its throttle crawls: {3.6 * speeds.mean():.1f} km/h, as it answers {mean:.3g} in the mean and the autopilot "
+        f"{wanted:.2f}"
+    )
+    spec = described.outputs.throttle if described else None
+    if mean <= 0.0:
+        return Finding("crawls", f"{text}; leave throttle out, and the paper's equation 2 drives"), None
+    if spec is None:
+        return Finding("crawls", text, f"throttle * {_digits(wanted / mean):g}"), None
+    changed = _times(spec, wanted / mean)
+    return Finding("crawls", text, output_line("throttle", changed)), changed
+
+
+def _times(spec: OutputSpec, factor: float, shift: float = 0.0) -> OutputSpec:
+    """Return an output whose value, less a shift, is multiplied by a factor."""
+    return spec.model_copy(
+        update={"scale": _digits(spec.scale * factor), "offset": _digits((spec.offset - shift) * factor)}
+    )
+
+
+def _digits(value: float) -> float:
+    """Round to two significant digits, as more are not known, and avoid -0."""
+    return float(f"{value:.2g}") + 0.0
+
+
+def flow(value: Any) -> str:
+    """Write a value as YAML in one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {flow(part)}" for key, part in value.items()) + "}"
+    return value if isinstance(value, str) and value.isidentifier() else json.dumps(value)
+
+
+def output_line(name: str, spec: OutputSpec) -> str:
+    """Write one output of a description as a line of YAML, without defaults."""
+    return f"outputs: {flow({name: spec.model_dump(exclude_defaults=True)})}"

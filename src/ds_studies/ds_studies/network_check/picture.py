@@ -1,0 +1,70 @@
+"""Draws what a network sees on each simulator, and its steering beside the autopilot's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.networks.images import prepare
+from ds_driver.networks.network_driver import load_pilot
+from ds_driver.networks.pilot import Frame, Pilot
+from ds_driver.networks.user_networks import DescribedNetworkPilot, UserClassPilot
+from ds_road.figures import COLOURS, WIDTH, draw_figure, short_name
+from ds_studies.network_check.diagnosis import NetworkCheck
+from ds_studies.network_check.recording import EVERY, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FRAME = 15
+"""Number of the image that is shown, of each simulator; chosen: 6 s after the start, in the first bend."""
+_ROW = 190
+"""Pixels of a simulator's row."""
+
+
+def seen_by(pilot: Pilot, frame: Frame) -> tuple[NDArray[np.uint8], str]:
+    """Return what a network sees of a frame, its channels drawn as red, green and blue, and what they are."""
+    stage = getattr(pilot, "stage", None)
+    if stage is not None:
+        frame = stage.seen([frame])[0]
+    if isinstance(pilot, DescribedNetworkPilot):
+        seen, colour = pilot.seen(frame), pilot.description.input.colour
+    elif isinstance(pilot, UserClassPilot):
+        seen, colour = frame.image, "rgb"
+    else:
+        seen, colour = prepare(frame.image, frame.crop), "yuv"
+    rows, columns, channels = seen.shape
+    return np.repeat(seen, 3, axis=2) if channels == 1 else seen, f"{rows} x {columns}, {colour}"
+
+
+def draw_check(found: NetworkCheck, recordings: Sequence[Recording]) -> NDArray[np.uint8]:
+    """Draw a row for each simulator: its camera, what the network sees of that, and both steering commands.
+
+    Returns:
+        (rows, columns, 3) uint8 RGB.
+    """
+    pilot = load_pilot(found.driver)
+
+    def draw(figure: Figure) -> None:
+        rows = figure.subplots(len(recordings), 3, squeeze=False, width_ratios=(1, 1, 1.6))
+        for (camera, network, chart), one in zip(rows, recordings, strict=True):
+            frame = one.frames[min(FRAME, len(one.frames) - 1)]
+            seen, what = seen_by(pilot, frame)
+            for axes, image, title in (
+                (camera, frame.image, f"{short_name(one.simulator)}: its camera"),
+                (network, seen, f"the network sees: {what}"),
+            ):
+                axes.imshow(image)
+                axes.set_axis_off()
+                axes.set_title(title)
+            moments = np.arange(len(one.steering))
+            chart.plot(moments, one.steering, color=COLOURS[5], label="autopilot", linewidth=3, alpha=0.4)
+            chart.plot(moments, found.steering[one.simulator], color=COLOURS[1], label="network", linewidth=1)
+            chart.set_title("steering, -1 left to +1 right")
+            chart.legend(loc="upper right", ncols=2, fontsize=7)
+        rows[-1][2].set_xlabel(f"image, every {EVERY / 20:g} s of four drives")
+
+    return draw_figure(WIDTH, _ROW * len(recordings) + 20, draw)

@@ -1,0 +1,120 @@
+"""Records what the autopilot sees and does on a few short roads, so that a network can be asked about it open-loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.closed_loop.simulation import make_driver
+from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.images import Crop
+from ds_driver.networks.pilot import Frame, Pilot
+from ds_driver.processes import Progress, map_in_processes
+from ds_road import Road
+from ds_sim.registry import simulator_of_process
+from ds_sim.session import Session
+from ds_sim.simulator import Command, SimulatorError
+from ds_studies.sensitivity.measurement import candidate_roads
+
+ROADS = 2
+"""Short roads, each driven in both directions, which balances left and right; chosen: four drives take each simulator
+some seconds, and their bends differ."""
+LONGEST = 240
+"""Frames of a drive, 12 s; chosen: the first two bends."""
+EVERY = 8
+"""Frames from one kept image to the next, 0.4 s; chosen: closer ones look alike."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Images of the autopilot's drives on one simulator.
+
+    Attributes:
+        simulator: its name.
+        frames: images and speeds, drive after drive.
+        steering: (frames,) the autopilot's steering, -1 left to +1 right.
+        throttle: (frames,) its throttle, 0 to 1.
+    """
+
+    simulator: str
+    frames: tuple[Frame, ...]
+    steering: NDArray[np.float64]
+    throttle: NDArray[np.float64]
+
+    def every(self, step: int) -> Recording:
+        """Keep every n-th image."""
+        return Recording(
+            simulator=self.simulator, frames=self.frames[::step], steering=self.steering[::step],
+            throttle=self.throttle[::step],
+        )  # fmt: skip
+
+
+class _Job(NamedTuple):
+    simulator: str
+    road: Road
+    seed: int
+
+
+def record(simulators: Sequence[str], seed: int, progress: Progress) -> list[Recording]:
+    """Let the autopilot drive on every simulator; the same seed gives the same images.
+
+    Raises:
+        SimulatorError: a drive ended in an error.
+    """
+    roads = [(road, number) for road, number in candidate_roads(ROADS, seed) if road.reversed().validity.valid][:ROADS]
+    jobs = [_Job(name, way, number) for name in simulators for road, number in roads for way in (road, road.reversed())]
+    drives: dict[str, list[Recording]] = {}
+    for done, one in enumerate(map_in_processes(_record, jobs), start=1):
+        drives.setdefault(one.simulator, []).append(one)
+        progress(done, len(jobs), f"the autopilot drove on {one.simulator}")
+    return [
+        Recording(
+            simulator=name,
+            frames=tuple(frame for one in parts for frame in one.frames),
+            steering=np.concatenate([one.steering for one in parts]),
+            throttle=np.concatenate([one.throttle for one in parts]),
+        )
+        for name, parts in drives.items()
+    ]
+
+
+def _record(job: _Job) -> Recording:
+    simulator = simulator_of_process(job.simulator)
+    spec, session = simulator.spec, Session(simulator)
+    autopilot, crop = make_driver(AUTOPILOT, spec), Crop(spec.crop_top, spec.crop_bottom)
+    frames, commands = [], []
+    seen = session.start(job.road, job.seed)
+    while seen is not None and session.driving and seen.step < LONGEST:
+        command = autopilot(seen)
+        if seen.step % EVERY == 0:
+            frames.append(Frame(
+                image=seen.image.copy(), speed=seen.vehicle.speed, crop=crop, step=seen.step, simulator=job.simulator
+            ))  # fmt: skip
+            commands.append((command.steering, command.throttle))
+        seen = session.advance(command)
+    if seen is None:
+        raise SimulatorError(f"{job.simulator}: {session.run.message if session.run else 'no run'}")
+    steering, throttle = np.array(commands).T
+    return Recording(simulator=job.simulator, frames=tuple(frames), steering=steering, throttle=throttle)
+
+
+def speeds_of_throttle(pilot: Pilot, simulator: str, seed: int) -> NDArray[np.float64]:
+    """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
+    made = simulator_of_process(simulator)
+    spec, session = made.spec, Session(made)
+    autopilot, crop = make_driver(AUTOPILOT, spec), Crop(spec.crop_top, spec.crop_bottom)
+    seen = session.start(*candidate_roads(1, seed)[0])
+    speeds = []
+    while seen is not None and session.driving and seen.step < LONGEST:
+        speeds.append(seen.vehicle.speed)
+        command = autopilot(seen)
+        frame = Frame(image=seen.image, speed=seen.vehicle.speed, crop=crop, step=seen.step, simulator=simulator)
+        throttle = pilot.predict(frame).throttle
+        if throttle is not None:
+            command = Command(command.steering, min(max(throttle, 0.0), 1.0))
+        seen = session.advance(command)
+    return np.array(speeds)

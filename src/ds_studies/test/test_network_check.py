@@ -1,0 +1,189 @@
+"""`ds check` against planted faults: what it says, and whether the line that it names repairs the description."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+import yaml
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+
+from ds_driver.networks.pilot import DriverError
+from ds_studies.network_check import recording
+from ds_studies.network_check.description import describe, form_of
+from ds_studies.network_check.diagnosis import check_network
+from ds_studies.network_check.recording import Recording, record
+
+ROWS, COLUMNS = 20, 80
+INPUT = {"size": [ROWS, COLUMNS], "crop": {"top": 60, "bottom": 25}, "divide": 255.0}
+"""What the networks of these tests really expect."""
+
+
+@pytest.fixture(scope="module")
+def drives() -> list[Recording]:
+    """Two drives on two simulators, which these networks are fitted to."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "ROADS", 1)
+        patch.setattr(recording, "LONGEST", 160)
+        patch.setattr(recording, "EVERY", 4)
+        patch.setattr(recording, "map_in_processes", map)
+        return record(["softbody", "donkey"], 1, lambda _done, _all, _line: None)
+
+
+def fitted(drives: list[Recording], steering: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Weights (channels, rows, columns) and bias of the linear network of least norm that steers so, without its code.
+
+    The pixels are prepared with OpenCV alone, so that a mistake in the project's preparation is a fault, too.
+    """
+    images = [frame.image[60:135] for one in drives for frame in one.frames]
+    small = [cv2.resize(image, (COLUMNS, ROWS)).transpose(2, 0, 1).reshape(-1) / 255.0 for image in images]
+    pixels = np.array(small)
+    centred = pixels - pixels.mean(axis=0)
+    dual = np.linalg.solve(centred @ centred.T + 0.1 * np.eye(len(centred)), steering - steering.mean())
+    weights = centred.T @ dual
+    return weights.reshape(3, ROWS, COLUMNS), float(steering.mean() - pixels.mean(axis=0) @ weights)
+
+
+Made = Callable[..., Path]
+
+
+@pytest.fixture
+def made(tmp_path: Path, drives: list[Recording]) -> Made:
+    """Write a network that is right but for what is asked for; return its description."""
+
+    def make(
+        *,
+        times: float = 1.0,
+        plus: float = 0.0,
+        bgr: bool = False,
+        bins: int = 0,
+        throttle: float | None = None,
+        steering: NDArray[np.float64] | None = None,
+        **described: Any,
+    ) -> Path:
+        wanted = np.concatenate([one.steering for one in drives])
+        weights, bias = fitted(drives, wanted if steering is None else steering)
+        weights = weights[::-1] if bgr else weights
+        constants = {"w": times * weights.reshape(-1, 1), "b": np.array([[times * bias + plus]])}
+        nodes = [
+            helper.make_node("Flatten", ["image"], ["flat"]),
+            helper.make_node("Gemm", ["flat", "w", "b"], ["number" if bins else "angle"]),
+        ]
+        if bins:
+            constants |= {"centres": np.linspace(-1, 1, bins)[None], "sharp": np.array([[-50.0]])}
+            nodes += [
+                helper.make_node("Sub", ["number", "centres"], ["d"]),
+                helper.make_node("Mul", ["d", "d"], ["dd"]),
+                helper.make_node("Mul", ["dd", "sharp"], ["scores"]),
+                helper.make_node("Softmax", ["scores"], ["angle"]),
+            ]
+        outputs = [helper.make_tensor_value_info("angle", TensorProto.FLOAT, [1, bins or 1])]
+        if throttle is not None:
+            constants |= {"zero": np.zeros((1, 1)), "power": np.array([[throttle]])}
+            nodes += [helper.make_node("Mul", ["angle", "zero"], ["z"]), helper.make_node("Add", ["z", "power"], ["t"])]
+            outputs.append(helper.make_tensor_value_info("t", TensorProto.FLOAT, [1, 1]))
+            described["outputs"] = {"steering": {"output": "angle"}, "throttle": {"output": "t"}}
+        image = helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, ROWS, COLUMNS])
+        held = [numpy_helper.from_array(value.astype(np.float32), name) for name, value in constants.items()]
+        graph = helper.make_graph(nodes, "made", [image], outputs, held)
+        onnx.save(
+            helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), tmp_path / "n.onnx"
+        )
+        path = tmp_path / "n.yaml"
+        outputs_described = described.pop("outputs", {})
+        path.write_text(yaml.safe_dump({
+            "file": "n.onnx", "input": {**INPUT, **described}, "outputs": outputs_described
+        }))  # fmt: skip
+        return path
+
+    return make
+
+
+def kinds(path: Path, drives: list[Recording]) -> list[str]:
+    return [finding.kind for finding in check_network(str(path), drives, 1).findings]
+
+
+def test_a_rightly_described_network_passes(made: Made, drives: list[Recording]) -> None:
+    found = check_network(str(made(throttle=0.3)), drives, 1)
+
+    assert found.findings == [] and "is connected rightly" in found.verdict and found.correlation > 0.9
+    assert [one.simulator for one in found.answers] == ["softbody", "donkey"]
+    assert all(one.milliseconds > 0.0 and one.at_full_lock <= 0.1 for one in found.answers)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ({"times": 25.0}, ["degrees"]),
+        ({"times": 0.4363}, ["radians"]),
+        ({"times": -1.0}, ["sign"]),
+        ({"times": -25.0}, ["degrees", "sign"]),
+        ({"times": 0.001}, ["scale"]),
+        ({"plus": 0.5}, ["offset"]),
+        ({"bgr": True}, ["colour"]),
+        ({"colour": "yuv"}, ["colour"]),
+        ({"crop": "none"}, ["crop"]),
+        ({"divide": 1.0}, ["pixels"]),
+        ({"bins": 15}, ["bins"]),
+        ({"throttle": 0.005}, ["crawls"]),
+        ({"bgr": True, "crop": "none", "times": -25.0}, ["colour", "crop", "degrees", "sign"]),
+    ],
+)
+def test_names_a_planted_fault_and_the_line_that_repairs_it(
+    made: Made, drives: list[Recording], fault: dict[str, Any], expected: list[str]
+) -> None:
+    path = made(**fault)
+
+    found = check_network(str(path), drives, 1)
+
+    assert [finding.kind for finding in found.findings] == expected
+    described = yaml.safe_load(path.read_text())
+    for finding in found.findings:  # as a user would: the line's keys replace those of the file
+        for part, keys in yaml.safe_load(finding.line).items():
+            described[part].update(keys)
+        assert "\n" not in str(finding)
+    path.write_text(yaml.safe_dump(described))
+    assert kinds(path, drives) == []
+
+
+def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[Recording]) -> None:
+    assert kinds(made(times=0.0, plus=0.1), drives) == ["constant"]
+    count = sum(len(one.frames) for one in drives)
+    found = check_network(str(made(steering=np.random.default_rng(3).normal(0.0, 0.3, count))), drives, 1)
+    (finding,) = found.findings
+    assert finding.kind == "unrelated" and finding.line == "" and "not with the road: correlation" in finding.text
+
+
+def test_writes_a_description_that_passes(made: Made, drives: list[Recording]) -> None:
+    path = made(bgr=True, times=-25.0)
+    with pytest.raises(DriverError, match=r"n\.yaml describes n\.onnx already"):
+        form_of(path.with_suffix(".onnx"))
+    path.unlink()
+    file = path.with_suffix(".onnx")
+
+    path.write_text(describe(file, form_of_file(file), drives, None))
+
+    written = yaml.safe_load(path.read_text())
+    assert written["input"]["size"] == [ROWS, COLUMNS] and written["input"]["layout"] == "nchw"
+    assert written["input"]["colour"] == "bgr" and written["input"]["crop"] == INPUT["crop"]
+    assert written["outputs"]["steering"]["scale"] == pytest.approx(-0.04, rel=0.1)
+    assert "# chosen: correlation" in path.read_text()
+    assert kinds(path, drives) == []
+
+
+def form_of_file(file: Path) -> list[Any]:
+    forms = form_of(file)
+    assert [(form.size, form.layout, form.type) for form in forms] == [((ROWS, COLUMNS), "nchw", "float32")]
+    return forms
+
+
+def test_weights_alone_get_a_sentence_about_onnx(tmp_path: Path, drives: list[Recording]) -> None:
+    (tmp_path / "n.pth").write_bytes(b"PK")
+    with pytest.raises(DriverError, match=r"holds weights alone: .*torch\.onnx\.export.*ds check n\.onnx"):
+        check_network(str(tmp_path / "n.pth"), drives, 1)
