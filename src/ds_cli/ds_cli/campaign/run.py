@@ -170,9 +170,20 @@ def campaign_init_command(
     ] = None,
     sims: Annotated[
         str | None,
-        typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}."),
+        typer.Option(
+            help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}; or none."
+        ),
     ] = None,
     size: Annotated[str | None, typer.Option(help="Search: small, medium or paper.")] = None,
+    min_angle: Annotated[
+        int | None, typer.Option(min=1, max=360, help="Degrees; larger: more winding roads, such as 200.")
+    ] = None,
+    max_angle: Annotated[
+        int | None, typer.Option(min=1, max=360, help="Degrees; smaller: gentler roads, such as 60.")
+    ] = None,
+    vary: Annotated[
+        str, typer.Option(help="Operating conditions to search, as visibility=20:200,line_contrast=0.2:1.")
+    ] = "",
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
     """Write a commented configuration for a network, after three questions or from three options.
@@ -180,7 +191,7 @@ def campaign_init_command(
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.template import template
+    from ds_orchestrator.campaign.template import ranges_named, template
     from ds_orchestrator.engines.preflight import check_driver
 
     ask = sys.stdin.isatty()
@@ -189,10 +200,12 @@ def campaign_init_command(
     size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
     if file.exists() and not force:
         raise ConfigError(f"{file} exists already: choose another file, or --force")
-    names = simulators_of(sims)
+    names = simulators_of(sims.removesuffix(",none"))
     check_driver(driver, names)
-    siblings, twin = (names[:-1], names[-1]) if len(names) > 1 else (names, None)
-    file.write_text(template(driver, siblings, twin, size), "utf-8")
+    siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
+    changed = {"min_angle": min_angle, "max_angle": max_angle, "conditions": ranges_named(vary) or None}
+    changed = {key: value for key, value in changed.items() if value is not None}
+    file.write_text(template(driver, siblings, twin, size, changed), "utf-8")
     print(file)
     say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
 
