@@ -47,12 +47,11 @@ def test_other_roads_are_proposed_where_everything_comes_out_alike(
     assert after.search.conditions == {} and after.simulators == before.simulators
 
 
-def test_conditions_that_break_the_network_are_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ranges = {"visibility": {"low": 42.5, "high": 1000.0}}
-    found = proposal(PASS, config(), ranges)
-    assert found is not None and "visibility" in found.sentence
-    (one,) = pasted(found.command, tmp_path, monkeypatch).search.conditions.values()
-    assert (one.low, one.high) == (42.5, 1000.0)
+def test_conditions_that_break_the_network_are_searched() -> None:
+    found = proposal(PASS, config(min_angle=WINDING[0]), "out/my sensitivity")
+    assert found is not None and "conditions of out/my sensitivity" in found.sentence
+    words = shlex.split(found.command)
+    assert words[words.index("--sensitivity") + 1] == "out/my sensitivity" and "harder.yaml" in words
 
 
 def test_two_siblings_without_a_twin_stay_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,14 +41,14 @@ class Proposal:
 def proposal(
     tally: Mapping[str, tuple[int, int]],
     config: CampaignConfig,
-    ranges: Mapping[str, Mapping[str, float]] | None = None,
+    sensitivity: str = "",
 ) -> Proposal | None:
     """Propose harder or gentler tests.
 
     Args:
         tally: simulator -> failures and tests, of a finished campaign.
         config: the campaign's configuration.
-        ranges: conditions that break the network, name -> `low` and `high`, as `search.conditions` takes them.
+        sensitivity: folder of `ds sensitivity --out` for this network, or "".
 
     Returns:
         None if nothing was driven, or some tests pass and some fail.
@@ -60,13 +60,14 @@ def proposal(
         return None
     if not failures:
         passed = f"All {tests} drives on {where} pass, so they show no limit of {config.driver}"
-        if search.min_angle < WINDING[0] or ranges:
-            harder = "more winding roads" + (
-                f" under the conditions that break it ({', '.join(ranges)})" if ranges else ""
+        if search.min_angle < WINDING[0] or sensitivity:
+            under = f", under the conditions of {sensitivity} that break it" if sensitivity else ""
+            return Proposal(
+                sentence=f"{passed}: test more winding roads{under}.",
+                command=_campaign("harder", config, WINDING, sensitivity),
             )
-            return Proposal(sentence=f"{passed}: test {harder}.", command=_campaign("harder", config, WINDING, ranges))
         return Proposal(
-            sentence=f"{passed}, even on winding roads: find the conditions that do.",
+            sentence=f"{passed}, even on winding roads: find the conditions that break it.",
             command=f"ds sensitivity --driver {shlex.quote(config.driver)} "
             f"--sims {shlex.quote(','.join(config.simulators))} --out sensitivity",
         )
@@ -83,17 +84,15 @@ def proposal(
     )
 
 
-def _campaign(
-    name: str, config: CampaignConfig, angles: tuple[int, int], ranges: Mapping[str, Mapping[str, float]] | None = None
-) -> str:
+def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int], sensitivity: str = "") -> str:
     """The command that writes and runs a campaign like the given one, but for its roads and conditions."""
     own = (config.search.population, config.search.iterations, config.search.runs)
     size = next((n for n, s in SIZES.items() if (s.population, s.iterations, s.runs) == own), "small")
-    vary = ",".join(f"{key}={one['low']:g}:{one['high']:g}" for key, one in (ranges or {}).items())
+    under = f"--sensitivity {shlex.quote(sensitivity)} " if sensitivity else ""
     return " ".join([
         f"ds campaign init {name}.yaml --driver {shlex.quote(config.driver)} --sims {_simulators(config)}",
-        f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}", *([f"--vary {vary}"] if vary else []),
-        f"&& ds campaign run {name}.yaml --out {name} --engine {config.engine}",
+        f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}",
+        f"{under}&& ds campaign run {name}.yaml --out {name} --engine {config.engine}",
     ])  # fmt: skip
 
 

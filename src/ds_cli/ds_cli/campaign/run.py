@@ -18,6 +18,7 @@ from ds_cli.campaign.compare_results import (
     FailOnFailure,
     Junit,
     MaxFailures,
+    Videos,
     check_writable,
     criteria_of,
     unmet_in_campaign,
@@ -100,9 +101,9 @@ def campaign(
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
 
 
-def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None) -> Result:
-    """Hold a finished campaign against pass criteria, and write its outcomes as JUnit XML."""
-    if criteria == type(criteria)() and junit is None:
+def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None, videos: Path | None = None) -> Result:
+    """Hold a finished campaign against pass criteria; write its outcomes as JUnit XML, and videos of failures."""
+    if criteria == type(criteria)() and junit is None and videos is None:
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
     from ds_orchestrator.campaign.folder import open_store, read_campaign
@@ -111,6 +112,13 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None)
         data = read_campaign(store)
     if junit is not None:
         junit.write_text(junit_of(data.config.driver, cases_of_campaign(data)), "utf-8")
+    if videos is not None:
+        from ds_studies.failure_videos import FailedDrive, write_failure_videos
+
+        tests = {test.test_id: test for test in data.tests}
+        lost = [(tests[one.test_id], one.simulator) for one in data.verdicts if one.outcome.is_failure]
+        failed = [FailedDrive(test.test_id, name, test.road, test.seed, test.conditions) for test, name in lost]
+        write_failure_videos(data.config.driver, failed, videos, say)
     return replace(result, unmet=unmet_in_campaign(criteria, data))
 
 
@@ -181,9 +189,6 @@ def campaign_init_command(
     max_angle: Annotated[
         int | None, typer.Option(min=1, max=360, help="Degrees; smaller: gentler roads, such as 60.")
     ] = None,
-    vary: Annotated[
-        str, typer.Option(help="Operating conditions to search, as visibility=20:200,line_contrast=0.2:1.")
-    ] = "",
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
     """Write a commented configuration for a network, after three questions or from three options.
@@ -191,7 +196,7 @@ def campaign_init_command(
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.template import ranges_named, template
+    from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.preflight import check_driver
 
     ask = sys.stdin.isatty()
@@ -203,9 +208,9 @@ def campaign_init_command(
     names = simulators_of(sims.removesuffix(",none"))
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
-    changed = {"min_angle": min_angle, "max_angle": max_angle, "conditions": ranges_named(vary) or None}
-    changed = {key: value for key, value in changed.items() if value is not None}
-    file.write_text(template(driver, siblings, twin, size, changed), "utf-8")
+    angles = {"min_angle": min_angle, "max_angle": max_angle}
+    angles = {name: angle for name, angle in angles.items() if angle is not None}
+    file.write_text(template(driver, siblings, twin, size, angles), "utf-8")
     print(file)
     say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
 
@@ -221,6 +226,7 @@ def campaign_run_command(
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
+    videos: Videos = None,
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
@@ -238,7 +244,10 @@ def campaign_run_command(
             raise ConfigError("--dry-run starts the engine itself: leave out --attach")
         end(_dry_run(changed, out, cluster_of(cluster)), as_json)
         return
-    end(judged(campaign(changed, out, attach=attach, cluster=cluster_of(cluster)), out, criteria, junit), as_json)
+    end(
+        judged(campaign(changed, out, attach=attach, cluster=cluster_of(cluster)), out, criteria, junit, videos),
+        as_json,
+    )
 
 
 @campaign_app.command("resume")
@@ -247,6 +256,7 @@ def campaign_resume_command(
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
+    videos: Videos = None,
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
@@ -258,7 +268,10 @@ def campaign_resume_command(
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
     changed = with_engine(stored_config(folder, trust), workers, engine)
-    end(judged(campaign(changed, folder, attach=attach, cluster=cluster_of(cluster)), folder, criteria, junit), as_json)
+    end(
+        judged(campaign(changed, folder, attach=attach, cluster=cluster_of(cluster)), folder, criteria, junit, videos),
+        as_json,
+    )
 
 
 def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Result:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import yaml
 
@@ -23,7 +22,7 @@ SIZES = {
 
 
 def template(
-    driver: str, siblings: Sequence[str], twin: str | None, size: str, changed: Mapping[str, Any] | None = None
+    driver: str, siblings: Sequence[str], twin: str | None, size: str, angles: Mapping[str, int] | None = None
 ) -> str:
     """Write a configuration as YAML, with a comment on every key.
 
@@ -32,10 +31,10 @@ def template(
         siblings: names of the simulators that act as siblings.
         twin: name of the simulator that acts as the twin, or None.
         size: one of `SIZES`.
-        changed: further keys of the search with their values, in place of the commented defaults.
+        angles: `min_angle` and `max_angle` of the search, where they are not to be the defaults.
 
     Raises:
-        ConfigError: the size is unknown, a value is not possible, or the simulators do not make a campaign.
+        ConfigError: the size is unknown, the angles are in the wrong order, or the simulators do not make a campaign.
     """
     if size not in SIZES:
         raise ConfigError(f"size {size!r:.60}: expected one of {', '.join(SIZES)}")
@@ -46,30 +45,12 @@ def template(
         simulators=", ".join(SIMULATORS), searches=" or ".join(SEARCHES), features=", ".join(list(FEATURES)[:6]),
         operators=", ".join(OPERATORS),
     )  # fmt: skip
-    for key, value in (changed or {}).items():
-        line = yaml.safe_dump({key: value}, default_flow_style=True, sort_keys=False, width=10_000).strip()[1:-1]
-        text = re.sub(rf"^  # {key}: \S+", lambda _, line=line: f"  {line}", text, flags=re.MULTILINE)
+    for key, degrees in (angles or {}).items():
+        text = re.sub(rf"# {key}: \d+", f"{key}: {degrees}", text)
     config = parse_config(yaml.safe_load(text), "the template")
     drives, tests = config.executions_at_most, config.executions_at_most // len(config.simulators)
     head = f"# {tests} tests, each on {len(config.simulators)} simulators: {drives} drives.\n"
     return head + text
-
-
-def ranges_named(text: str) -> dict[str, dict[str, float]]:
-    """Parse `NAME=LOW:HIGH,...` to conditions of a search; "" is none.
-
-    Raises:
-        ConfigError: not such a text; names and values are checked with the configuration.
-    """
-    found: dict[str, dict[str, float]] = {}
-    for part in filter(None, text.split(",")):
-        name, _, ends = part.partition("=")
-        low, _, high = ends.partition(":")
-        try:
-            found[name.strip()] = {"low": float(low), "high": float(high)}
-        except ValueError:
-            raise ConfigError(f"{part!r:.60}: expected NAME=LOW:HIGH, such as visibility=20:200") from None
-    return found
 
 
 def _scalar(text: str) -> str:
