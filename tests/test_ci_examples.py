@@ -58,7 +58,7 @@ def test_the_steps_run_and_end_with_the_status_of_the_suite(tmp_path: Path, name
     )
     assert done.returncode == answer, done.stderr
     call = (tmp_path / "calls").read_text()
-    assert call.startswith("suite run suite.json --driver network/my_net.yaml --out results/suite")
+    assert call.startswith("suite run suite.json --driver network/my_net.yaml --out results/suite --fail-on regression")
     assert summary.read_text() == (tmp_path / "results/summary.md").read_text()
 
 
@@ -70,7 +70,7 @@ def test_the_options_of_the_script_are_options_of_the_verb() -> None:
     words = (CI / "check_network.sh").read_text().split()
     suite: Any = get_group(app).commands["suite"]
     known = {option for parameter in suite.commands["run"].params for option in parameter.opts}
-    used = {word for word in words if word.startswith("--")} - {"--driver`"}
+    used = {word for word in words if word.startswith("--")} - {"--driver`", "--"}
     assert used and used <= known
 
 

@@ -455,3 +455,24 @@ def test_init_asks_three_questions_at_a_terminal(
 def test_a_name_that_is_neither_a_campaign_nor_a_network_is_refused_in_one_line(tmp_path: Path) -> None:
     done = ds("campaign", "compare", tmp_path / "gone", "autopilot", "--sims", "bullet", "--out", tmp_path / "out")
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "gone" in done.stderr, done.stderr
+
+
+def test_several_candidates_share_the_reference_and_come_in_one_sorted_table(
+    tmp_path: Path, engine: list[OfDriver]
+) -> None:
+    out = tmp_path / "cmp"
+    two = ("campaign", "compare", "autopilot", "--driver", "dave2,chauffeur", "--roads", 3, "--sims", "bullet")
+    done = ds(*two, "--out", out, "--sort", "-fails", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    fails = [row["fails"] for row in document["rows"]]
+    assert len(fails) == 3 and fails == sorted(fails, reverse=True)
+    assert {one["candidate"]["driver"] for one in document["networks"]} == {"dave2", "chauffeur"}
+    assert sorted(path.name for path in (out / "drives").iterdir() if path.is_dir()) == [
+        "candidate_chauffeur_on_tests", "candidate_dave2_on_tests", "reference_on_tests",
+    ]  # fmt: skip
+    assert (out / "networks.csv").is_file() and (out / "chauffeur" / "comparison.html").is_file()
+    refused = ds(*two, "--out", out, "--sort", "speed")
+    assert refused.returncode == 2 and "expected one of network, fails on bullet, fails," in refused.stderr
+    assert ds("campaign", "compare", "autopilot", "a/dave2.yaml,dave2", "--out", out).returncode == 2
+    assert ds(*two, "--out", out, "--junit", tmp_path / "j.xml").returncode == 2

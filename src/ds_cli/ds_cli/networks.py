@@ -34,21 +34,35 @@ app = typer.Typer()
 @app.command("collect")
 def collect_command(
     out: Annotated[Path, typer.Option(help="Folder of the data set; a collection that was stopped there is resumed.")],
-    roads: Annotated[int, typer.Option(min=1, help="Random roads, each driven both ways.")] = 25,
+    roads: Annotated[
+        int | None, typer.Option(min=1, help="Random roads, each driven both ways; 25 if left out.")
+    ] = None,
+    road: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Drive these roads instead, as from `ds campaign roads --failed`, under their tests' conditions.",
+        ),
+    ] = None,
+    mutants: Annotated[int, typer.Option(min=0, max=100, help="With --road: mutants of each road.")] = 0,
     seed: Seed = 1,
     every: Annotated[int, typer.Option(min=1, help="Keep every Nth frame.")] = 1,
     disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Strength of random steering pushes.")] = 0.0,
     sims: Simulators = "bullet,softbody,panda,donkey",
 ) -> None:
     """Collect labelled driving data with the autopilot."""
-    from ds_driver.data.collection import CollectionPlan, collect
-    from ds_driver.data.dataset import write_manifest
+    from ds_driver.data.collection import CollectionPlan, collect, given_roads
+    from ds_driver.data.dataset import DatasetError, write_manifest
     from ds_sim.installation import versions
 
     simulators = simulators_of(sims)
-    plan = CollectionPlan(roads=roads, seed=seed, every=every, disturbance=disturbance)
+    if (road is None and mutants) or (road is not None and roads is not None):
+        raise DatasetError("expected either --roads for random roads, or --road FILE and perhaps --mutants")
+    given = None if road is None else given_roads(road, mutants=mutants, seed=seed)
+    count = (roads or 25) if given is None else len(given)
+    plan = CollectionPlan(roads=count, seed=seed, every=every, disturbance=disturbance)
     try:
-        collect(plan, simulators, out, countdown())
+        collect(plan, simulators, out, countdown(), given)
     except KeyboardInterrupt:
         files = [file for file in out.rglob("*.parquet") if not file.name.startswith(".")] if out.is_dir() else []
         drives = f"{len(files)} drive{'' if len(files) == 1 else 's'}"
@@ -89,9 +103,17 @@ def import_command(
 
 @app.command("train")
 def train_command(
-    data: Annotated[Path, typer.Option(help="Folder of a data set.")],
+    data: Annotated[list[Path], typer.Option(help="Folder of a data set; repeat it to train on several.")],
     out: Annotated[Path, typer.Option(help="Folder for the weights; a training that was stopped there is resumed.")],
-    network: Annotated[str, typer.Option(help="Architecture: dave2, chauffeur or epoch.")] = "dave2",
+    network: Annotated[
+        str | None, typer.Option(help="Architecture: dave2, chauffeur or epoch; that of --from, or dave2, if left out.")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            "--from", metavar="NET", help="Continue from a shipped network or a .safetensors file: fine-tuning."
+        ),
+    ] = None,
     seed: Seed = 1,
     schedule: Annotated[str, typer.Option(help="Training schedule: laptop, or paper, which needs a GPU.")] = "laptop",
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs at most; the schedule's if left out.")] = None,
@@ -103,13 +125,14 @@ def train_command(
     trust: Trust = None,
 ) -> None:
     """Train one network for all simulators of a data set."""
-    from ds_driver.training import TrainingPlan, schedule_of, train
+    from ds_driver.training import TrainingPlan, architecture_of, schedule_of, train
 
+    network = network or (architecture_of(start) if start else "dave2")
     chosen = schedule_of(schedule, network)
     plan = TrainingPlan(
         network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs, patience=chosen.patience,
         without_dropout=chosen.without_dropout, images_per_simulator=images, learning_rate=learning_rate,
-        weights_at=_steps_of(weights_at), threads=threads, device=device,
+        weights_at=_steps_of(weights_at), threads=threads, device=device, start=start or "",
     )  # fmt: skip
     try:
         train(data, out, plan, say, trusted=trust or [])

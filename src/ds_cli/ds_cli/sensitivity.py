@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -17,13 +18,16 @@ from ds_cli.options import (
     JsonFlag,
     Seed,
     Simulators,
+    Sort,
     Workers,
     complete_condition,
     driver_named,
     every_or_named,
+    label_of_driver,
+    several,
     with_engine_without_ros,
 )
-from ds_cli.output import Result, countdown, end, say, stopped_in
+from ds_cli.output import Result, countdown, end, of_networks, say, stopped_in
 from ds_sim.conditions.model import ConditionsError
 
 app = typer.Typer()
@@ -63,9 +67,10 @@ def sensitivity_command(
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
+    sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Find how strong each operating condition must be for a driver to fail.
+    """Find how strong each operating condition must be for a driver to fail; several, by commas, in one table.
 
     One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
     as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
@@ -76,38 +81,52 @@ def sensitivity_command(
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.camera.encodings import png
-    from ds_studies.sensitivity.analysis import analyse_sensitivity
+    from ds_studies.sensitivity.analysis import Sensitivity, analyse_sensitivity
     from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
+    from ds_studies.sensitivity.networks import networks_table
     from ds_studies.sensitivity.page import SensitivityPage
     from ds_studies.sensitivity.picture import draw_sensitivity
 
-    driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)
+    drivers = [driver_named(name, backend, "cpu") for name in several(driver) or [driver]]
+    names = every_or_named(sims)
     if levels not in RESOLUTIONS:
         raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
     factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
-    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster)
-    if out is not None:
-        make_folder(out)
-    folder = None if out is None else out / "drives"
-    page = None if out is None else SensitivityPage(out / "sensitivity.html")
-    if page is not None:
-        say(f"live in a browser: {page.path}")
-    with stopped_in(folder):
-        found = analyse_sensitivity(
-            settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
-            progress=countdown(), watch=page.write if page else lambda found: None, say=say,
-        )  # fmt: skip
-    document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
-    if out is not None:
-        (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-        write_tables([found.table(), found.long_table()], out)
-        (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
 
-    def show() -> None:
-        found.table().show(Console())
-        for line in found.errors:
-            print(f"error: {line}")
+    def analyse(driver: str, out: Path | None, gates: Path | None) -> tuple[Sensitivity, Result]:
+        settings = with_engine_without_ros(
+            DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster
+        )
+        if out is not None:
+            make_folder(out)
+        folder = None if out is None else out / "drives"
+        page = None if out is None else SensitivityPage(out / "sensitivity.html")
         if page is not None:
-            print(page.path)
+            say(f"live in a browser: {page.path}")
+        with stopped_in(folder):
+            found = analyse_sensitivity(
+                settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
+                progress=countdown(), watch=page.write if page else lambda found: None, say=say,
+            )  # fmt: skip
+        document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
+        if out is not None:
+            (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+            write_tables([found.table(), found.long_table()], out)
+            (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
 
-    end(Result(document=document, show=show, error=bool(found.errors)), as_json)
+        def show() -> None:
+            found.table().show(Console())
+            for line in found.errors:
+                print(f"error: {line}")
+            if page is not None:
+                print(page.path)
+
+        return found, Result(document=document, show=show, error=bool(found.errors))
+
+    if len(drivers) == 1:
+        end(analyse(drivers[0], out, gates)[1], as_json)
+        return
+    with TemporaryDirectory(prefix="ds_gates_") as shared:
+        gates = gates or (out or Path(shared)) / "gates"
+        analyses = [analyse(name, out and out / label_of_driver(name), gates) for name in drivers]
+    end(of_networks(networks_table([found for found, _ in analyses]), [one for _, one in analyses], out, sort), as_json)

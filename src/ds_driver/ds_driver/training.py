@@ -9,7 +9,7 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training 
 import ctypes
 import hashlib
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,7 +33,8 @@ from ds_driver.data.dataset import (
     translated_by,
 )
 from ds_driver.networks.images import Crop, prepare
-from ds_driver.networks.torch_networks import disable_dropout, make_network, save_weights
+from ds_driver.networks.torch_networks import disable_dropout, load_network, make_network, save_weights
+from ds_driver.networks.weights import architecture_in, generators_in, path_of_weights, weights_sha256
 from ds_driver.whole_files import whole_file, write_json
 
 CHECKPOINT = "checkpoint.pt"
@@ -67,6 +68,7 @@ class TrainingPlan:
         weights_at: steps (batches, over all epochs) after which `<network>_<step>.safetensors` is written, too.
         threads: number of threads that PyTorch uses.
         device: `cpu`, `cuda`, or `auto`, which uses a GPU if there is one.
+        start: shipped network or weights file whose weights training begins with; random ones if "".
     """
 
     network: str = "dave2"
@@ -81,6 +83,7 @@ class TrainingPlan:
     weights_at: tuple[int, ...] = ()
     threads: int = 2
     device: str = "auto"
+    start: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +121,7 @@ class Epoch:
 
 
 def train(
-    data: Path,
+    data: Path | Sequence[Path],
     out: Path,
     plan: TrainingPlan,
     report: Report,
@@ -128,9 +131,10 @@ def train(
 ) -> list[Epoch]:
     """Train a network, or resume after the last complete epoch; return the losses of all epochs.
 
-    The folder `out`, created if missing, gets `<network>.safetensors` (best epoch), the checkpoint, and at the end
-    `training.json`; and for a translated data set its generators in `sim2real`, where the network looks for them. Crops
-    are those of `crops_of` if omitted; the data set may name `trusted` simulators outside the project.
+    Several folders are one data set, as new drives beside those that a network was trained on. The folder `out`,
+    created if missing, gets `<network>.safetensors` (best epoch), the checkpoint, and at the end `training.json`; and
+    for a translated data set its generators in `sim2real`, where the network looks for them. Crops are those of
+    `crops_of` if omitted; the data set may name `trusted` simulators outside the project.
 
     Raises:
         DatasetError: the data set cannot be used.
@@ -143,21 +147,25 @@ def train(
     # Otherwise cuDNN may choose another algorithm each time, with results that differ in the last bits.
     torch.backends.cudnn.deterministic = True
     out.mkdir(parents=True, exist_ok=True)
-    samples = read_samples(data)
+    folders = [data] if isinstance(data, Path) else list(data)
+    samples = [sample for folder in folders for sample in read_samples(folder)]
     check_equal(samples)
     training, validation = split(samples, plan)
     del samples  # frees those that are not used
     names = {s.simulator for s in training}
-    generators = translated_by(data, names)
-    copy_generators(data, generators, out / "sim2real")
-    crops = crops or crops_of(data, names, trusted=trusted)
+    present = {folder: {path.parent.name for path in folder.glob("*/*.parquet")} & names for folder in folders}
+    generators = _same("generators", [translated_by(*one) for one in present.items()])
+    for folder, some in present.items():
+        copy_generators(folder, {name: generators[name] for name in some if name in generators}, out / "sim2real")
+    crops = crops or _same("crops", [crops_of(*one, trusted=trusted) for one in present.items()])
     if len(training) < plan.batch_size:
         raise DatasetError(
             f"{len(training)} images for training, expected at least one batch of {plan.batch_size}: collect more"
         )
     identity = _identity(plan, training + validation, crops)
     torch.manual_seed(plan.seed)
-    network = make_network(plan.network).to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    fresh = _continued(plan, generators) if plan.start else make_network(plan.network)
+    network = fresh.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.Adam(network.parameters(), lr=plan.learning_rate)
     history: list[Epoch] = []
     if state := load_checkpoint(out, identity):
@@ -192,6 +200,38 @@ def train(
         save_checkpoint(out, state | {"history": [asdict(e) for e in history]})
     write_json(out / "training.json", {"plan": asdict(plan), "history": [asdict(e) for e in history]})
     return history
+
+
+def architecture_of(start: str) -> str:
+    """Name the architecture of a shipped network or a weights file, as `TrainingPlan.network` takes it.
+
+    Raises:
+        ds_driver.networks.weights.WeightsError: the file is missing.
+        ds_driver.networks.architectures.UnknownNetworkError: neither a known name nor the path of a weights file.
+    """
+    return architecture_in(path_of_weights(start))
+
+
+def _continued(plan: TrainingPlan, generators: Mapping[str, str]) -> nn.Module:
+    """The network that a training continues from."""
+    if architecture_of(plan.start) != plan.network:
+        raise TrainingError(f"{plan.start} is no {plan.network}: leave out --network, or choose another --from")
+    if generators_in(plan.start) != generators:
+        kinds = [("translated" if found else "plain") for found in (generators_in(plan.start), generators)]
+        raise TrainingError(
+            f"{plan.start} sees {kinds[0]} images, and the data set has {kinds[1]} ones, or of other generators: "
+            "expected the same, see docs/sim2real.md"
+        )
+    return load_network(plan.start)
+
+
+def _same(what: str, parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Join what is known of the simulators of several data sets, if they agree."""
+    joined: dict[str, Any] = {}
+    for name, value in (item for part in parts for item in part.items()):
+        if joined.setdefault(name, value) != value:
+            raise DatasetError(f"the data sets have different {what} of {name}: expected the same")
+    return joined
 
 
 def _keep_freed_memory() -> None:
@@ -361,8 +401,10 @@ def _identity(plan: TrainingPlan, samples: list[Sample], crops: dict[str, Crop])
         digest.update(f"{sample.simulator} {sample.road_id} {sample.steering} {len(sample.jpeg)} ".encode())
     for simulator, crop in sorted(crops.items()):
         digest.update(f"{simulator} {crop.top} {crop.bottom} ".encode())
-    free = ("epochs", "threads", "patience", "device", "weights_at")
+    free = ("epochs", "threads", "patience", "device", "weights_at", "start")
     settings = {k: v for k, v in asdict(plan).items() if k not in free}
+    if plan.start:
+        settings["start"] = weights_sha256(plan.start)
     return {**settings, "data": digest.hexdigest()}
 
 

@@ -11,10 +11,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from ds_driver.data.collection import CollectionPlan, collect, roads_both_ways
+from ds_driver.data.collection import CollectionPlan, collect, given_roads, roads_both_ways
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples, write_manifest
 from ds_driver.networks.images import Crop
+from ds_driver.networks.weights import load_weights
 from ds_driver.training import CHECKPOINT, TrainingError, TrainingPlan, augment, device_of, schedule_of, split, train
+from ds_road import RoadError, road_to_json
 from ds_sim.camera.encodings import jpeg
 
 JPEG = jpeg(np.zeros((160, 320, 3), np.uint8))
@@ -51,6 +53,39 @@ def test_a_stopped_collection_resumes_with_the_same_result(data: Path, tmp_path:
     write_manifest(data, {"seed": 5})
     manifest = json.loads((data / "manifest.json").read_text())
     assert manifest["images"]["donkey"] == sum(manifest["steering"]["donkey"]) > 50
+
+
+def test_given_roads_are_driven_under_the_conditions_of_their_tests(tmp_path: Path) -> None:
+    """In fog the camera sees less contrast; the mutant is the road's family, and a second test adds nothing."""
+    (road,), text = roads_both_ways(1, 5, max_angle=60), "visibility=20"
+    test = {"control_points": road_to_json(road), "test_id": "bullet-0-0001", "outcomes": {"bullet": "STUCK"}}
+    file = tmp_path / "failures.json"
+    file.write_text(json.dumps([test, {**test, "conditions": text}, {**test, "seed": 9}]))
+    given = given_roads(file, mutants=1, seed=1)
+    assert [one.road.road_id == road.road_id for one in given] == [True, False, True, False, False]
+    assert {one.family for one in given} == {road.road_id} and len({one.name for one in given}) == 5
+    moved = [one.road for one in given if one.road.road_id != road.road_id]
+    for mutant in moved:  # as the search does: one coordinate of one of the points 4 to 6, by at most 6 m
+        changes = [(i, abs(a - b)) for i, (p, q) in enumerate(zip(road.control_points, mutant.control_points,
+                   strict=True)) for a, b in zip(p, q, strict=True) if a != b]  # fmt: skip
+        ((index, distance),) = changes
+        assert index in (4, 5, 6) and distance <= 6
+    assert [one.name for one in given_roads(file, mutants=1, seed=1)] == [one.name for one in given]
+    collect(PLAN, ["donkey"], tmp_path / "new", lambda *_: None, [given[0], given[2]])
+    files = sorted((tmp_path / "new" / "donkey").glob("*-forward.parquet"))
+    fog, clear = sorted(files, key=lambda path: "+" not in path.name)
+    seen = [decode(pq.read_table(path)["image"][1].as_py()) for path in (fog, clear)]
+    assert seen[0].std() < 0.8 * seen[1].std()
+    assert pq.read_table(fog)["road_id"].unique().to_pylist() == [road.road_id]
+    with pytest.raises(DatasetError, match="another plan"):
+        collect(PLAN, ["donkey"], tmp_path / "new", lambda *_: None, given[:1])
+    for content, problem in (("[]", "holds no road"), (json.dumps([{**test, "conditions": 3}]), "road 0: its cond")):
+        file.write_text(content)
+        with pytest.raises(DatasetError, match=problem):
+            given_roads(file, mutants=0, seed=1)
+    file.write_text(json.dumps([[[125, 0], [125, 25], [125, 50]]]))
+    with pytest.raises(RoadError, match="failures.json: road 0: a road has 3 control points"):
+        given_roads(file, mutants=0, seed=1)
 
 
 def test_jpeg_changes_an_image_little() -> None:
@@ -99,6 +134,28 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
         (tmp_path / "parts" / CHECKPOINT).write_bytes(content)
         with pytest.raises(TrainingError, match="cannot be read"):
             train(data, tmp_path / "parts", plan(2), lambda _: None, crops)
+
+
+def test_training_continues_from_a_network_on_old_and_new_data(data: Path, tmp_path: Path) -> None:
+    """With a step of nearly nothing, the weights stay those of the start, to the precision of the file."""
+    plan = TrainingPlan(epochs=1, batch_size=16, learning_rate=1e-7, validation=0.5, threads=1,
+                        images_per_simulator=32, start="dave2_short")  # fmt: skip
+    crops, new = {"donkey": Crop(60, 0)}, tmp_path / "new"
+    collect(replace(PLAN, seed=6), ["donkey"], new, lambda *_: None)
+    lines: list[str] = []
+    train([data, new], tmp_path / "tuned", plan, lines.append, crops)
+    with pytest.raises(TrainingError, match="other settings or images"):
+        train(data, tmp_path / "tuned", plan, lines.append, crops)
+    tuned, start = (load_weights(str(n)).tensors for n in (tmp_path / "tuned" / "dave2.safetensors", "dave2_short"))
+    assert max(float(np.abs(tuned[name] - start[name]).max()) for name in start) < 1e-3
+    again = train([data, new], tmp_path / "tuned", replace(plan, epochs=2), lines.append, crops)
+    assert len(again) == 2 and any("1 epochs completed before" in line for line in lines)
+    with pytest.raises(TrainingError, match="other settings or images"):
+        train([data, new], tmp_path / "tuned", replace(plan, start="dave2"), lines.append, crops)
+    with pytest.raises(TrainingError, match="dave2_short is no chauffeur: leave out --network"):
+        train(data, tmp_path / "other", replace(plan, network="chauffeur"), lines.append, crops)
+    with pytest.raises(TrainingError, match="dave2_real sees translated images"):
+        train(data, tmp_path / "other", replace(plan, start="dave2_real"), lines.append, crops)
 
 
 def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> None:

@@ -5,15 +5,17 @@ Rules, fixed before they were applied to any campaign:
 1. Where it fails: see `ds_report.findings`.
 2. A sibling is to be believed where siblings disagree if it does as the twin in more than half of these tests, with a
    95 % interval (Jeffreys) above one half; without a twin, nobody can say.
-3. What to do next, the first that applies: finish the campaign; harder tests where nothing fails; gentler ones where
-   everything does; without a twin, drives of the tests on which siblings disagree; otherwise train on the failures.
+3. What to do next, the first that applies: finish the campaign; where all drives come out alike, other tests
+   (`ds_analysis.common.next_campaign`); without a twin, drives of a car; otherwise train on the failures.
 """
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ds_analysis.common.next_campaign import proposal
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.store.model import Test
@@ -29,21 +31,26 @@ class FirstScreen:
         where: where the driver fails, and how sure that is.
         believe: where the siblings disagree, and which of them the twin agrees with.
         next: what to do now.
-        command: words after `ds`, to be typed in the campaign's folder, which is "." in them.
+        command: for it.
         worst: id of the test whose replay is shown, or "".
     """
 
     where: str
     believe: str
     next: str
-    command: tuple[str, ...]
+    command: str
     worst: str = ""
 
 
-def first_screen(data: CampaignData) -> FirstScreen:
-    """Answer a user's three questions from a campaign, finished or not."""
+def first_screen(data: CampaignData, folder: str = ".") -> FirstScreen:
+    """Answer a user's three questions from a campaign, finished or not.
+
+    Args:
+        data: contents of the campaign's store.
+        folder: campaign folder, as the command names it.
+    """
     failed = _failures(data)
-    step, command = _next_step(data, failed)
+    step, command = _next_step(data, failed, folder)
     driven = [test for test in data.tests if any(name in failed for name in _keys(test, data.config.simulators))]
     return FirstScreen(
         where=where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN,
@@ -103,29 +110,24 @@ def _twin_of(data: CampaignData, failed: Failures, tests: Sequence[Test]) -> str
     return f"; the twin {twin} does as they do in {alike} of {len(judged)}"
 
 
-def _next_step(data: CampaignData, failed: Failures) -> tuple[str, tuple[str, ...]]:
+def _next_step(data: CampaignData, failed: Failures, folder: str) -> tuple[str, str]:
     """What to do now and the command for it, by rule 3 of this module."""
     config = data.config
     missing = len(data.tests) * len(config.simulators) - len(failed) - len(data.excluded)
     if not failed or (missing and not config.elites_only):
-        return "The campaign is not finished: go on with it.", ("campaign", "resume", ".")
-    if not any(failed.values()):
-        return (
-            "Nothing failed, so the limits are not known: find the strength of fog, glare, delay or worn lines that "
-            "breaks it, and search there.",
-            ("sensitivity", "--driver", config.driver, "--out", "sensitivity"),
-        )
-    if all(failed.values()):
-        return (
-            "Everything failed, so these tests are too hard to learn from, or the network is connected wrongly: check "
-            "it first.",
-            ("check", config.driver),
-        )
+        return "The campaign is not finished: go on with it.", shlex.join(("ds", "campaign", "resume", folder))
+    tally = {
+        name: (sum(of), len(of))
+        for name in config.simulators
+        if (of := [lost for (_, simulator), lost in failed.items() if simulator == name])
+    }
+    if proposed := proposal(tally, config):
+        return proposed.sentence, proposed.command
     if config.twin is None:
-        return "Drive on your car the tests that tell most about it.", ("real", "propose", ".")
+        return "Drive on your car the tests that tell most about it.", shlex.join(("ds", "real", "propose", folder))
     return (
         "Train it on these failures and test it again on new ones: this writes their roads.",
-        ("campaign", "roads", ".", "--failed", "--out", "failures.json"),
+        shlex.join(("ds", "campaign", "roads", folder, "--failed", "--out", "failures.json")),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -103,13 +102,11 @@ def write_report(
     on_page["paired"] = paired
     on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
     on_page["figures"] = _figures(config, correlations, tables, network)
-    first = first_screen(data)
     page = environment().get_template("report.html.j2")
     text = page.render(
         config=config,
         config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
-        first=first,
-        command=shlex.join(("ds", *first.command)),
+        first=first_screen(data),
         findings=summarise(data, maps, correlations, paired_differences=paired_differences),
         tiles=_tiles(data),
         cameras=camera_pictures(config.simulators, place, trusted, config.driver) if place else [],

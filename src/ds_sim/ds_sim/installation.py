@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shlex
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -38,6 +39,11 @@ def ds_command(*words: object) -> str:
         words: verbs, options and arguments.
     """
     return shlex.join([os.environ.get("DS_COMMAND", "ds"), *map(str, words)])
+
+
+def as_typed(commands: str) -> str:
+    """Commands of a page, which begin with `ds`, as they are typed where `ds` was started."""
+    return re.sub(r"(^|&& )ds ", lambda found: f"{found[1]}{ds_command()} ", commands)
 
 
 def install_command(extra: str) -> str:

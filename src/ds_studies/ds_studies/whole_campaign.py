@@ -105,7 +105,7 @@ def run_campaign(
             executions=store.count_executions(),
             executions_in_error=in_error,
             correlations=read_correlations(folder, config) if config.twin else [],
-            answer=first_screen(read_campaign(store)),
+            answer=first_screen(read_campaign(store), str(folder)),
         )
 
 

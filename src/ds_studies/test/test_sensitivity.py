@@ -296,3 +296,24 @@ def test_results_name_values_that_json_can_hold() -> None:
     factor = Factor(name="visibility", start=math.inf, end=20.0)
     document = threshold_of("bullet", factor, [RoadResult(completes=0, fails=1)]).document()
     assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0
+
+
+def test_networks_share_gates_and_come_in_one_table(tmp_path: Path, engines: list[MadeUpEngine]) -> None:
+    """The made-up driver fails alike whatever its name, so that both rows are one network's, read by hand."""
+    factors, found = factors_named(["visibility", "lens_dirt"]), []
+    for driver in ("dave2", "chauffeur"):
+        engines.append(MadeUpEngine())
+        settings = DriveSettings(siblings=("softbody",), driver=driver)
+        found.append(
+            analysis.analyse_sensitivity(
+                settings, factors, roads=1, seed=1, folder=tmp_path / driver, gates=tmp_path / "gates"
+            )
+        )
+    table = networks_table(found)
+    least = [found[0].thresholds[k, "softbody"].withstood for k in range(2)]
+    assert table.rows[0][0:2] == ["dave2", 1] and table.rows[0][4:] == table.rows[1][4:] == least
+    assert table.rows[0][2] == np.mean([share for share in least if share is not None])
+    assert [row[0] for row in table.sorted_by("network").rows] == ["chauffeur", "dave2"]
+    assert [row[0] for row in table.sorted_by("-network").rows] == ["dave2", "chauffeur"]
+    with pytest.raises(TablesError, match="no column 'speed' to sort by: expected one of network, roads, mean"):
+        table.sorted_by("speed")

@@ -25,16 +25,19 @@ from ds_cli.options import (
     Cluster,
     EngineName,
     JsonFlag,
+    Sort,
     Trust,
     Workers,
     driver_named,
+    label_of_driver,
+    several,
     simulators_of,
     with_engine_without_ros,
 )
-from ds_cli.output import end, say, stopped_in
+from ds_cli.output import Result, end, of_networks, say, stopped_in
 
 if TYPE_CHECKING:
-    from ds_analysis.comparison.analysis import Origin
+    from ds_analysis.comparison.analysis import Comparison, Origin
     from ds_analysis.comparison.paired_drives import Network
     from ds_studies.comparison.compare import GivenTests
 
@@ -148,7 +151,9 @@ def campaign_compare_command(
     second: Annotated[
         str | None, typer.Argument(metavar="B", help="Candidate: a campaign folder, or a network.")
     ] = None,
-    driver: Annotated[str | None, typer.Option(help="Candidate, a network; the same as B.")] = None,
+    driver: Annotated[
+        str | None, typer.Option(help="Candidate, a network; the same as B. Several, by commas, come in one table.")
+    ] = None,
     backend: Backend = "auto",
     out: Annotated[
         Path, typer.Option(help="Folder for drives and results; a comparison that was stopped there goes on.")
@@ -172,6 +177,7 @@ def campaign_compare_command(
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
+    sort: Sort = None,
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -182,6 +188,7 @@ def campaign_compare_command(
     comparison.html, comparison.md and comparison.json under --out.
     """
     from ds_analysis.comparison.paired_drives import ComparisonError
+    from ds_analysis.comparison.tables import networks_table
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.store.folder_files import make_folder
@@ -189,31 +196,44 @@ def campaign_compare_command(
 
     if (second is None) == (driver is None):
         raise ComparisonError("expected one candidate, as in `ds compare A B` or `ds compare A --driver B`")
-    candidate = second or str(driver)
-    if not is_campaign(candidate):
-        candidate = driver_named(candidate, backend, "cpu")
+    candidates = several(second or str(driver)) or [second or str(driver)]
     criteria = criteria_of(fail_on, max_failures, has_reference=True)
-    if is_campaign(first):
-        for name, value in (("--roads", roads), ("--seed", seed), ("--sims", sims)):
-            if value is not None:
-                raise ComparisonError(f"{name} is for two networks: {first} has its own tests")
-        plan = plan_of_campaigns(Path(first), candidate, trust)
-        if again:
-            plan = replace(plan, sets=[replace(tests, reference={}) for tests in plan.sets])
-    elif is_campaign(candidate):
-        raise ComparisonError(f"{first} is no campaign folder: give the campaign first, then the network")
-    else:
-        names = simulators_of(sims or SIMULATORS)
-        plan = plan_of_networks(first, candidate, names, roads or ROADS, SEED if seed is None else seed)
     check_writable(junit, markdown)
-    make_folder(out)
-    sets = [
-        replace(tests, settings=with_engine_without_ros(tests.settings, workers, engine, cluster))
-        for tests in plan.sets
-    ]
-    with stopped_in(out):
-        found = compare(
-            sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out,
-            progress=Progress(listen=ScreenListener, say=say),
-        )  # fmt: skip
-    end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)
+    if len(candidates) > 1 and (junit or markdown):
+        raise ComparisonError("--junit and --markdown are for one candidate: compare them one at a time")
+
+    def compared(candidate: str, label: str) -> tuple[Comparison, Result]:
+        if not is_campaign(candidate):
+            candidate = driver_named(candidate, backend, "cpu")
+        if is_campaign(first):
+            for name, value in (("--roads", roads), ("--seed", seed), ("--sims", sims)):
+                if value is not None:
+                    raise ComparisonError(f"{name} is for two networks: {first} has its own tests")
+            plan = plan_of_campaigns(Path(first), candidate, trust)
+            if again:
+                plan = replace(plan, sets=[replace(tests, reference={}) for tests in plan.sets])
+        elif is_campaign(candidate):
+            raise ComparisonError(f"{first} is no campaign folder: give the campaign first, then the network")
+        else:
+            names = simulators_of(sims or SIMULATORS)
+            plan = plan_of_networks(first, candidate, names, roads or ROADS, SEED if seed is None else seed)
+        make_folder(out)
+        page = out / label if label else out
+        make_folder(page)
+        sets = [
+            replace(tests, settings=with_engine_without_ros(tests.settings, workers, engine, cluster))
+            for tests in plan.sets
+        ]
+        with stopped_in(out):
+            found = compare(
+                sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out, label=label,
+                progress=Progress(listen=ScreenListener, say=say),
+            )  # fmt: skip
+        return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
+
+    if len(candidates) == 1:
+        end(compared(candidates[0], "")[1], as_json)
+        return
+    comparisons = [compared(name, label_of_driver(name)) for name in candidates]
+    table = networks_table([found for found, _ in comparisons])
+    end(of_networks(table, [one for _, one in comparisons], out, sort), as_json)

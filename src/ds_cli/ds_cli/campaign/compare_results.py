@@ -38,6 +38,9 @@ Junit = Annotated[Path | None, typer.Option(metavar="FILE.xml", help="JUnit XML 
 Markdown = Annotated[
     Path | None, typer.Option(metavar="FILE.md", help="Markdown summary to write, for a pull request.")
 ]
+Videos = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Folder for a video of each failed drive, ten at most.")
+]
 
 
 def criteria_of(fail_on: str | None, max_failures: str | None, *, has_reference: bool) -> Criteria:

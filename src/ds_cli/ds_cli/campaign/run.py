@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from ds_cli.campaign.compare_results import (
     FailOnFailure,
     Junit,
     MaxFailures,
+    Videos,
     check_writable,
     criteria_of,
     unmet_in_campaign,
@@ -47,7 +49,8 @@ DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
 """Answers if somebody only presses Enter."""
 
 SimulatorsOfTemplate = Annotated[
-    str, typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}.")
+    str,
+    typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}; or none."),
 ]
 SizeOfTemplate = Annotated[str, typer.Option(help="Search: small, medium or paper.")]
 SensitivityFolder = Annotated[
@@ -72,7 +75,7 @@ def campaign(
     from ds_orchestrator.campaign.folder import open_store
     from ds_orchestrator.campaign.status import driver_habits
     from ds_orchestrator.engines.preflight import faster_choice
-    from ds_sim.installation import ds_command
+    from ds_sim.installation import as_typed
     from ds_studies.whole_campaign import run_campaign
 
     if faster := faster_choice(config.driver, config.engine):
@@ -102,15 +105,15 @@ def campaign(
         for sentence in filter(None, (outcome.answer.where, outcome.answer.believe, outcome.answer.next)):
             print(sentence)
         if outcome.answer.command:
-            print("  " + ds_command(*(out if word == "." else word for word in outcome.answer.command)))
+            print(f"  {as_typed(outcome.answer.command)}")
         print(outcome.report)
 
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
 
 
-def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None) -> Result:
-    """Hold a finished campaign against pass criteria, and write its outcomes as JUnit XML."""
-    if criteria == type(criteria)() and junit is None:
+def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None, videos: Path | None = None) -> Result:
+    """Hold a finished campaign against pass criteria; write its outcomes as JUnit XML, and videos of failures."""
+    if criteria == type(criteria)() and junit is None and videos is None:
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
     from ds_orchestrator.campaign.folder import open_store, read_campaign
@@ -119,6 +122,13 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None)
         data = read_campaign(store)
     if junit is not None:
         junit.write_text(junit_of(data.config.driver, cases_of_campaign(data)), "utf-8")
+    if videos is not None:
+        from ds_studies.failure_videos import FailedDrive, write_failure_videos
+
+        tests = {test.test_id: test for test in data.tests}
+        lost = [(tests[one.test_id], one.simulator) for one in data.verdicts if one.outcome.is_failure]
+        failed = [FailedDrive(test.test_id, name, test.road, test.seed, test.conditions) for test, name in lost]
+        write_failure_videos(data.config.driver, failed, videos, say)
     return replace(result, unmet=unmet_in_campaign(criteria, data))
 
 
@@ -149,6 +159,12 @@ def campaign_init_command(
     sims: SimulatorsOfTemplate | None = None,
     size: SizeOfTemplate | None = None,
     sensitivity: SensitivityFolder = None,
+    min_angle: Annotated[
+        int | None, typer.Option(min=1, max=360, help="Degrees; larger: more winding roads, such as 200.")
+    ] = None,
+    max_angle: Annotated[
+        int | None, typer.Option(min=1, max=360, help="Degrees; smaller: gentler roads, such as 60.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
     """Write a commented configuration for a network, after three questions or from three options.
@@ -164,23 +180,27 @@ def campaign_init_command(
     size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
     if file.exists() and not force:
         raise ConfigError(f"{file} exists already: choose another file, or --force")
-    file.write_text(_template_of(driver, sims, size, sensitivity, file), "utf-8")
+    given = {"min_angle": min_angle, "max_angle": max_angle}
+    angles = {name: angle for name, angle in given.items() if angle is not None}
+    file.write_text(_template_of(driver, sims, size, sensitivity, file, angles), "utf-8")
     print(file)
     say(f"next: {ds_command('campaign', 'run', file, '--out', file.stem, '--dry-run')}")
 
 
-def _template_of(driver: str, sims: str, size: str, sensitivity: Path | None, file: Path) -> str:
+def _template_of(
+    driver: str, sims: str, size: str, sensitivity: Path | None, file: Path, angles: Mapping[str, int] | None = None
+) -> str:
     """A commented configuration for a file; the driver and the simulators exist."""
     from ds_orchestrator.campaign.config import moved
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.preflight import check_driver
     from ds_studies.sensitivity.ranges import read_ranges
 
-    names = simulators_of(sims)
+    names = simulators_of(sims.removesuffix(",none"))
     check_driver(driver, names)
-    siblings, twin = (names[:-1], names[-1]) if len(names) > 1 else (names, None)
+    siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
     named = moved({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
-    return template(**named, size=size, ranges=read_ranges(sensitivity) if sensitivity else None)
+    return template(**named, size=size, ranges=read_ranges(sensitivity) if sensitivity else None, angles=angles)
 
 
 @app.command("test")
@@ -233,6 +253,7 @@ def campaign_run_command(
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
+    videos: Videos = None,
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
@@ -250,7 +271,10 @@ def campaign_run_command(
             raise ConfigError("--dry-run starts the engine itself: leave out --attach")
         end(_dry_run(changed, out, cluster_of(cluster)), as_json)
         return
-    end(judged(campaign(changed, out, attach=attach, cluster=cluster_of(cluster)), out, criteria, junit), as_json)
+    end(
+        judged(campaign(changed, out, attach=attach, cluster=cluster_of(cluster)), out, criteria, junit, videos),
+        as_json,
+    )
 
 
 @campaign_app.command("resume")
@@ -259,6 +283,7 @@ def campaign_resume_command(
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
+    videos: Videos = None,
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
@@ -270,7 +295,10 @@ def campaign_resume_command(
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
     changed = with_engine(stored_config(folder, trust), workers, engine)
-    end(judged(campaign(changed, folder, attach=attach, cluster=cluster_of(cluster)), folder, criteria, junit), as_json)
+    end(
+        judged(campaign(changed, folder, attach=attach, cluster=cluster_of(cluster)), folder, criteria, junit, videos),
+        as_json,
+    )
 
 
 def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Result:

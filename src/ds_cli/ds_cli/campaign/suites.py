@@ -16,6 +16,7 @@ from ds_cli.campaign.compare_results import (
     Junit,
     Markdown,
     MaxFailures,
+    Videos,
     check_writable,
     criteria_of,
     unmet_by,
@@ -99,6 +100,7 @@ def suite_run_command(
     max_failures: MaxFailures = None,
     junit: Junit = None,
     markdown: Markdown = None,
+    videos: Videos = None,
     update: Annotated[
         Path | None,
         typer.Option(metavar="SUITE.json", help="Write the suite with this network's outcomes, to be expected now."),
@@ -119,6 +121,7 @@ def suite_run_command(
     from ds_orchestrator.engines.fingerprint import code_sha256
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.registry import received_simulator
+    from ds_studies.failure_videos import FailedDrive, write_failure_videos
     from ds_studies.suite.suite_file import read_suite, run_suite, settings_of_suite, with_outcomes, write_suite
 
     driver = driver_named(driver, backend, "cpu")
@@ -142,4 +145,8 @@ def suite_run_command(
     if update is not None and not found.left_out:
         write_suite(with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {driver}")
+    if videos is not None:
+        lost = [one for one in found.drives if one.candidate.outcome.is_failure]
+        failed = [FailedDrive(d.test.name, d.simulator, d.test.road, d.test.seed, d.test.conditions) for d in lost]
+        write_failure_videos(driver, failed, videos, say)
     end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)

@@ -1,7 +1,11 @@
-"""Collects driving data labelled by the autopilot (paper 3.2.1, 4.2.2): each road in both directions."""
+"""Collects driving data labelled by the autopilot (paper 3.2.1, 4.2.2): each road in both directions.
+
+The roads are random, or given, as the failed tests of a campaign, with the conditions of their tests.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -11,11 +15,14 @@ from zlib import crc32
 import numpy as np
 
 from ds_driver.control.autopilot import Autopilot
-from ds_driver.data.dataset import drive_path, keep_plan, write_drive
+from ds_driver.data.dataset import DatasetError, drive_path, keep_plan, write_drive
 from ds_driver.processes import Progress, map_in_processes
-from ds_road import Road, generate
+from ds_road import Road, RoadError, generate, mutate, read_raw_roads, road_from_json
 from ds_sim.camera.encodings import jpeg
-from ds_sim.registry import simulator_of_process
+from ds_sim.conditions.loading import load
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.registry import simulator_of_process, spec_of
 from ds_sim.simulator import Command, Outcome, Simulator
 
 DIRECTIONS = ("forward", "reverse")
@@ -26,7 +33,7 @@ class CollectionPlan:
     """Settings of a collection.
 
     Attributes:
-        roads: number of random roads, each driven in both directions (paper 4.2.2: 25).
+        roads: number of roads, each driven in both directions (paper 4.2.2: 25).
         seed: seed of roads and disturbances.
         max_angle: largest angle of the roads, degrees (paper 4.2.2: 270).
         disturbance: largest steering in [0, 1] that is added to the autopilot's but not to the label; 0 in the paper.
@@ -59,26 +66,105 @@ def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road
     return roads
 
 
+class GivenRoad(NamedTuple):
+    """Road to collect on.
+
+    Attributes:
+        road: to drive.
+        family: id of the road of which it is a mutant, or its own; training and validation share no family.
+        conditions: of its drives.
+    """
+
+    road: Road
+    family: str
+    conditions: Conditions = DEFAULT
+
+    @property
+    def name(self) -> str:
+        """Name of its files: the road's id, and a checksum of the conditions if there are any."""
+        text = format_conditions(self.conditions)
+        return self.road.road_id + (f"+{crc32(text.encode()):08x}" if text else "")
+
+
+def given_roads(file: Path, *, mutants: int, seed: int) -> list[GivenRoad]:
+    """Read roads, as `ds campaign roads --failed` writes them, and put mutants beside each.
+
+    Args:
+        file: roads as JSON, each with the `conditions` of its test as text if it had any.
+        mutants: number of mutants of each road, made as the search makes them, under the same conditions.
+        seed: of the mutants.
+
+    Returns:
+        Each road followed by its mutants; none twice under the same conditions.
+
+    Raises:
+        DatasetError: the file holds no road, or conditions that are not a text.
+        ds_road.RoadError: a road is invalid, or has no valid mutant.
+        ds_sim.conditions.model.ConditionsError: conditions cannot be.
+    """
+    found: dict[str, GivenRoad] = {}
+    for index, raw in enumerate(read_raw_roads(file)):
+        text = raw.get("conditions", "") if isinstance(raw, dict) else ""
+        if not isinstance(text, str):
+            raise DatasetError(f"{file}: road {index}: its conditions are not a text, expected such as visibility=40")
+        try:
+            road, rng = road_from_json(raw), np.random.default_rng([seed, index])
+            if not road.validity.valid:
+                raise RoadError(road.validity.reason)
+            around = [mutate(road, rng, maxitwo_compatible=road.maxitwo_compatible) for _ in range(mutants)]
+        except RoadError as error:
+            raise RoadError(f"{file}: road {index}: {error}") from None
+        for one in (GivenRoad(r, road.road_id, parse_conditions(text)) for r in (road, *around)):
+            found.setdefault(one.name, one)
+    if not found:
+        raise DatasetError(f"{file} holds no road: expected those of `ds campaign roads DIR --failed --out {file}`")
+    return list(found.values())
+
+
 class _Job(NamedTuple):
     path: Path
     simulator: str
-    road: Road
+    given: GivenRoad
     direction: str
     number: int
 
+    @property
+    def road(self) -> Road:
+        """The road in the job's direction."""
+        return self.given.road if self.direction == "forward" else self.given.road.reversed()
 
-def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress: Progress) -> None:
+
+def collect(
+    plan: CollectionPlan,
+    simulators: list[str],
+    folder: Path,
+    progress: Progress,
+    given: Sequence[GivenRoad] | None = None,
+) -> None:
     """Drive every road; skip drives whose file exists, so a stopped collection resumes.
+
+    Args:
+        plan: settings; `max_angle` is for random roads only.
+        simulators: names of the simulators.
+        folder: folder of the data set, created if missing.
+        progress: called after each drive.
+        given: roads to drive instead of random ones; a direction in which one is not valid is left out, and so is a
+            simulator that cannot realise its conditions.
 
     Raises:
         ds_driver.data.dataset.DatasetError: the folder holds drives of another plan.
     """
-    keep_plan(folder, asdict(plan))
+    names = {} if given is None else {"given": [one.name for one in given]}
+    keep_plan(folder, {**asdict(plan), **names})
+    if given is None:
+        given = [GivenRoad(r, r.road_id) for r in roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)]
     jobs = [
-        _Job(drive_path(folder, name, road.road_id, direction), name, road, direction, index)
-        for index, road in enumerate(roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle))
+        job
+        for index, one in enumerate(given)
         for direction in DIRECTIONS
         for name in simulators
+        if (job := _Job(drive_path(folder, name, one.name, direction), name, one, direction, index)).road.validity.valid
+        and set(one.conditions.changed) <= set(spec_of(name).conditions)
     ]
     missing = [job for job in jobs if not job.path.exists()]
     known = len(jobs) - len(missing)
@@ -90,23 +176,24 @@ def collect(plan: CollectionPlan, simulators: list[str], folder: Path, progress:
 
 def _collect(plan: CollectionPlan, job: _Job) -> str:
     """Drive one road and write its file; return a line for the user."""
-    simulator, road_id = simulator_of_process(job.simulator), job.road.road_id
-    road = job.road if job.direction == "forward" else job.road.reversed()
+    simulator, conditions = simulator_of_process(job.simulator), job.given.conditions
     rng = np.random.default_rng([plan.seed, job.number, job.direction == "reverse", crc32(job.simulator.encode())])
-    rows, outcome = _drive(simulator, road, rng, plan)
+    rows, outcome = _drive(simulator, job.road, rng, plan, conditions)
+    if outcome is not Outcome.COMPLETED and not conditions.is_default:
+        rows = []  # where the autopilot fails, no network can do what it does
     for row in rows:
-        row.update(simulator=job.simulator, road_id=road_id, direction=job.direction)
+        row.update(simulator=job.simulator, road_id=job.given.family, direction=job.direction)
     write_drive(job.path, rows)
-    return f"{job.simulator} {road_id} {job.direction}: {outcome.name.lower()}, {len(rows)} images"
+    return f"{job.simulator} {job.given.name} {job.direction}: {outcome.name.lower()}, {len(rows)} images"
 
 
 def _drive(
-    simulator: Simulator, road: Road, rng: np.random.Generator, plan: CollectionPlan
+    simulator: Simulator, road: Road, rng: np.random.Generator, plan: CollectionPlan, conditions: Conditions
 ) -> tuple[list[dict[str, object]], Outcome]:
     """Drive a road with disturbed autopilot commands; label each frame with the undisturbed one."""
     gains = simulator.spec.autopilot
     autopilot = Autopilot(gains)
-    observation = simulator.load(road, seed=int(rng.integers(2**31)))
+    observation = load(simulator, road, seed=int(rng.integers(2**31)), conditions=conditions)
     push, rows = 0.0, []
     while observation.outcome is Outcome.RUNNING:
         label = autopilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)

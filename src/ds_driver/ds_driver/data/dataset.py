@@ -65,7 +65,7 @@ class Sample:
         jpeg: JPEG of (160, 320, 3) RGB.
         steering: label in [-1, 1].
         simulator: name of the simulator or of the recordings.
-        road_id: id of the road, or of a block of a recording.
+        road_id: id of the road, of the road that it is a mutant of, or of a block of a recording.
     """
 
     jpeg: bytes
@@ -93,7 +93,7 @@ def drive_path(folder: Path, simulator: str, road_id: str, direction: str) -> Pa
 
 def road_ids(folder: Path) -> set[str]:
     """Return the ids of all roads of a data set, from the names of its files."""
-    return {path.name.rpartition("-")[0] for path in folder.glob("*/*.parquet")}
+    return {path.name.rpartition("-")[0].partition("+")[0] for path in folder.glob("*/*.parquet")}
 
 
 def keep_plan(folder: Path, plan: dict[str, object]) -> None:

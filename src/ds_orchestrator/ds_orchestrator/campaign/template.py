@@ -32,6 +32,7 @@ def template(
     twin: str | None,
     size: str,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    angles: Mapping[str, int] | None = None,
 ) -> str:
     """Write a configuration as YAML, with a comment on every key.
 
@@ -41,16 +42,19 @@ def template(
         twin: name of the simulator that acts as the twin, or None.
         size: one of `SIZES`.
         ranges: conditions to search, the most sensitive one first; those after `MOST_SEARCHED` become comments.
+        angles: `min_angle` and `max_angle` of the search, where they are not to be the defaults.
 
     Raises:
-        ConfigError: the size is unknown, or the simulators do not make a campaign.
+        ConfigError: the size is unknown, the angles are in the wrong order, or the simulators do not make a campaign.
     """
     if size not in SIZES:
         raise ConfigError(f"size {size!r:.60}: expected one of {', '.join(SIZES)}")
-    search = SIZES[size]
+    search, given = SIZES[size], angles or {}
+    largest = given.get("max_angle", search.max_angle)
+    smallest = given.get("min_angle", min(search.min_angle, largest))
     text = _TEXT.format(
         driver=_scalar(driver), siblings=f"[{', '.join(map(_scalar, siblings))}]", twin=_scalar(twin or "none"),
-        population=search.population, min_angle=search.min_angle,
+        population=search.population, min_angle=smallest, max_angle=largest,
         conditions=_conditions(ranges or {}), iterations=search.iterations, runs=search.runs,
         simulators=", ".join(SIMULATORS), searches=" or ".join(SEARCHES), features=", ".join(list(FEATURES)[:6]),
         operators=", ".join(OPERATORS),
@@ -91,7 +95,7 @@ search:    # on every sibling
   runs: {runs}    # searches with different seeds
   # method: deephyperion    # {searches}
   min_angle: {min_angle}    # degrees; larger: more winding roads at the beginning
-  # max_angle: 300
+  max_angle: {max_angle}    # smaller: gentler roads
   # extent: 6    # m, largest change of a mutant
 {conditions}
   # mutate_conditions: 0.5    # share of mutations that change a condition

@@ -185,6 +185,7 @@ def compare(
     out: Path,
     progress: Progress,
     recheck: bool = True,
+    label: str = "",
 ) -> Comparison:
     """Compare two networks on given tests; drives that are not known are driven.
 
@@ -196,6 +197,7 @@ def compare(
         source: where they come from, in words.
         out: folder for the drives; a comparison that was stopped goes on there.
         progress: who hears of it.
+        label: of the candidate, safe within a file name, where several share a folder and the reference's drives.
         recheck: drive one known test again on each simulator, to find out whether drives are repeatable here.
 
     Raises:
@@ -215,7 +217,8 @@ def compare(
             if recheck and known and role not in checked:
                 checked.add(role)
                 _recheck(tests, role, network, known, out, progress)
-            sides[role] = _complete(tests, role, network, known, out, progress)
+            named = out / "drives" / f"{role}{'_' * bool(label) + label if role == 'candidate' else ''}_on_{tests.name}"
+            sides[role] = _complete(tests, role, network, known, named, progress)
         known_excluded = {key for key, gate in tests.gates.items() if not gate.is_valid}
         excluded += len(known_excluded | sides["reference"].excluded | sides["candidate"].excluded)
         found, missing = _paired(tests, sides)
@@ -237,7 +240,7 @@ def compare(
 
 
 def _complete(
-    tests: GivenTests, role: Role, network: Network, known: Drives, out: Path, progress: Progress
+    tests: GivenTests, role: Role, network: Network, known: Drives, folder: Path, progress: Progress
 ) -> GivenDrives:
     """Known drives, and those that are driven now."""
     missing = {name: [test for test in of if (test.test_id, name) not in known] for name, of in tests.work.items()}
@@ -251,7 +254,7 @@ def _complete(
         )
     settings = replace(tests.settings, driver=network.driver)
     progress.say(f"{role} {network.driver}: {sum(map(len, missing.values()))} drives")
-    found = drive_tests(settings, missing, out / "drives" / f"{role}_on_{tests.name}", progress, gates=tests.gates)
+    found = drive_tests(settings, missing, folder, progress, gates=tests.gates)
     return GivenDrives(
         executions={**known, **found.executions}, gates=found.gates, errors=found.errors
     )  # fmt: skip

@@ -1,0 +1,71 @@
+"""Videos of failed drives, for somebody who was not there, such as the job of a continuous integration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.network_driver import translation_of
+from ds_orchestrator.store.folder_files import make_folder
+from ds_road import Road
+from ds_sim.conditions.model import Conditions
+from ds_sim.registry import label_of, make_simulator
+from ds_sim.resimulation import resimulate
+from ds_sim.video import write_video
+
+MOST_VIDEOS = 10
+"""Videos that are written; chosen: half a minute of computing, 30 MB."""
+
+
+class FailedDrive(NamedTuple):
+    """Drive on which a driver failed.
+
+    Attributes:
+        test: name of the test.
+        simulator: name of the simulator.
+        road: that was driven.
+        seed: of the run.
+        conditions: of the run.
+    """
+
+    test: str
+    simulator: str
+    road: Road
+    seed: int
+    conditions: Conditions
+
+
+def write_failure_videos(
+    driver: str, failed: Sequence[FailedDrive], folder: Path, say: Callable[[str], None]
+) -> list[Path]:
+    """Drive failed tests once more, which gives the same drives, and write a video of each.
+
+    Args:
+        driver: name of the driver.
+        failed: the drives; the first `MOST_VIDEOS` are shown.
+        folder: receives `TEST_SIMULATOR.mp4`, created if missing.
+        say: called with one line for each video, and if some are left out.
+
+    Returns:
+        Paths of the videos.
+    """
+    make_folder(folder)
+    videos = []
+    for one in failed[:MOST_VIDEOS]:
+        simulator = make_simulator(one.simulator)
+        try:
+            run = drive_road(simulator, make_driver(driver, simulator.spec), one.road, one.seed, one.conditions)
+        finally:
+            simulator.close()
+        video = folder / f"{one.test}_{label_of(one.simulator)}.mp4"
+        say(f"rendering {video}")
+        write_video(
+            video, f"{one.simulator}, {Path(driver).name}", one.road, resimulate(one.simulator, run), run.commands,
+            run.conditions, translation_of(driver, one.simulator),
+        )  # fmt: skip
+        videos.append(video)
+    if len(failed) > MOST_VIDEOS:
+        say(f"{len(failed) - MOST_VIDEOS} further failed drives have no video")
+    return videos

@@ -1,0 +1,73 @@
+"""What a campaign proposes at its end: the sentence fits what happened, and its command works when it is pasted."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.command_line import ds
+
+from ds_analysis.common.next_campaign import GENTLE, WINDING, proposal
+from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, parse_config, read_config
+
+SMALL = {"population": 4, "iterations": 8, "runs": 1}
+PASS, FAIL = {"bullet": (0, 24), "donkey": (0, 24)}, {"bullet": (24, 24), "donkey": (24, 24)}
+
+
+def config(**search: Any) -> CampaignConfig:
+    return CampaignConfig(driver="autopilot", siblings=["bullet"], search=SearchConfig(**{**SMALL, **search}))
+
+
+def pasted(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> CampaignConfig:
+    """The configuration that a proposed command writes; its second half must run that file."""
+    monkeypatch.chdir(folder)
+    first, second = (shlex.split(part) for part in command.split("&&"))
+    assert ds(*first[1:]).returncode == 0
+    assert second[:3] == ["ds", "campaign", "run"] and ds(*second[1:], "--workers", "0").returncode == 2
+    return read_config(folder / second[3])
+
+
+@pytest.mark.parametrize(
+    ("tally", "before", "words", "angles"),
+    [
+        (PASS, config(), "All 48 drives on bullet, donkey pass", WINDING),
+        (FAIL, config(), "All 48 drives on bullet, donkey fail", GENTLE),
+        (FAIL, config(conditions={"visibility": {"low": 20, "high": 90}}, min_angle=90), "leave out", (90, 300)),
+    ],
+)
+def test_other_roads_are_proposed_where_everything_comes_out_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tally: Any, before: CampaignConfig, words: str, angles: Any
+) -> None:
+    found = proposal(tally, before)
+    assert found is not None and words in found.sentence
+    after = pasted(found.command, tmp_path, monkeypatch)
+    assert (after.search.min_angle, after.search.max_angle) == angles
+    assert after.search.conditions == {} and after.simulators == before.simulators
+
+
+def test_conditions_that_break_the_network_are_searched() -> None:
+    found = proposal(PASS, config(min_angle=WINDING[0]), "out/my sensitivity")
+    assert found is not None and "conditions of out/my sensitivity" in found.sentence
+    words = shlex.split(found.command)
+    assert words[words.index("--sensitivity") + 1] == "out/my sensitivity" and "harder.yaml" in words
+
+
+def test_two_siblings_without_a_twin_stay_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = parse_config({"driver": "autopilot", "twin": "none", "search": SMALL}, "here")
+    found = proposal(FAIL, before)
+    assert found is not None
+    after = pasted(found.command, tmp_path, monkeypatch)
+    assert (after.siblings, after.twin) == (before.siblings, None)
+
+
+def test_at_the_ends_of_the_range_something_else_is_proposed() -> None:
+    hard, easy = proposal(PASS, config(min_angle=WINDING[0])), proposal(FAIL, config(min_angle=10, max_angle=60))
+    assert hard is not None and hard.command.startswith("ds sensitivity --driver autopilot --sims bullet,donkey")
+    assert easy is not None and easy.command.startswith("ds drive --sim bullet --driver autopilot")
+
+
+def test_nothing_is_proposed_where_tests_differ_or_nothing_was_driven() -> None:
+    for tally in ({}, {"bullet": (0, 0)}, {"bullet": (0, 24), "donkey": (1, 24)}, {"bullet": (24, 24), "d": (0, 24)}):
+        assert proposal(tally, config()) is None
