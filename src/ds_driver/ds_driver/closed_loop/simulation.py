@@ -15,6 +15,7 @@ from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
 from ds_sim.registry import make_simulator
+from ds_sim.road_simulator import RoadSimulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec, TakesStills
 
@@ -178,6 +179,8 @@ class InterleavedDrives:
         for key, drive in list(self._active.items()):
             if not drive.session.driving:
                 del self._active[key]
+                if isinstance(drive.session.simulator, RoadSimulator):
+                    drive.session.simulator.unload()
                 self._idle.setdefault(drive.simulator, []).append(drive.session.simulator)
                 assert drive.session.run is not None
                 records.append((key, drive.session.run))
