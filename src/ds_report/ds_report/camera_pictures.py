@@ -345,7 +345,7 @@ def render_drive(
         return Drive(note="no pictures: this simulator renders images only while it drives")
     try:
         _load(simulator.scene, test)
-        frames = [_frame(simulator.scene, test.seed, execution, k, see) for k in steps]
+        frames = [_frame(simulator.scene, test, execution, k, see) for k in steps]
     except Exception as error:  # as above
         return _no_pictures(error)
     strip = set(moments(execution))
@@ -368,13 +368,13 @@ def _no_pictures(error: Exception) -> Drive:
     return Drive(note=f"no pictures: {' '.join(str(error).split())}")
 
 
-def _frame(scene: Scene, seed: int, execution: Execution, step: int, see: Translation) -> tuple[str, str]:
-    """Render one frame, and write its caption."""
+def _frame(scene: Scene, test: Test, execution: Execution, step: int, see: Translation) -> tuple[str, str]:
+    """Render one frame, with noise only under conditions, which may change it, and write its caption."""
     x, y, yaw, speed, lateral = (float(v) for v in execution.trajectory[step])
     before = float(execution.trajectory[max(step - 1, 0), 2])
     turned = float(np.angle(np.exp(1j * (yaw - before))))
     state = VehicleState(x=x, y=y, yaw=yaw, speed=speed, yaw_rate=turned * FRAME_RATE, steering_angle=0.0)
-    image = scene.still(state, np.random.default_rng([seed, step]))
+    image = scene.still(state, None if test.conditions.is_default else np.random.default_rng([test.seed, step]))
     side = "right" if lateral >= 0 else "left"
     return _jpeg(see(image)), f"{step / FRAME_RATE:.1f} s, {abs(lateral):.2f} m {side}, {3.6 * speed:.0f} km/h"
 

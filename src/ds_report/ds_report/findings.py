@@ -20,6 +20,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from ds_analysis.common.heatmap import Value
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
@@ -129,21 +131,24 @@ def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None
     passing = total.roads - total.failures
     if not 0 < total.failures < total.roads:
         return None
-    candidates: list[tuple[tuple[int, int, float], Split]] = []
+    candidates: list[tuple[tuple[int, int], Split]] = []
     for order, (axis, values, sign) in enumerate(_axes(outcomes)):
         if kind not in (None, kind_of(axis)):
             continue
-        hardness = [sign * value for value in values]
-        for threshold in sorted(set(hardness))[1:]:
-            above = [failed for value, failed in zip(hardness, outcomes.failed, strict=True) if value >= threshold]
-            harder = Share(failures=sum(above), roads=len(above))
-            gentler = Share(failures=total.failures - harder.failures, roads=total.roads - harder.roads)
-            # Youden's J times the failing and the passing roads: whole numbers have no rounding errors to break ties.
-            youden = harder.failures * passing - (harder.roads - harder.failures) * total.failures
-            split = Split(
-                axis=axis, threshold=sign * threshold, is_lower_bound=sign > 0, harder=harder, gentler=gentler
-            )
-            candidates.append(((youden, -order, threshold), split))
+        thresholds, place = np.unique(sign * np.array(values), return_inverse=True)
+        if len(thresholds) < 2:
+            continue
+        roads, failures = (  # from each threshold but the gentlest on
+            np.bincount(place, weights)[:0:-1].cumsum()[::-1].astype(int) for weights in (None, outcomes.failed)
+        )
+        # Youden's J times the failing and the passing roads: whole numbers have no rounding errors to break ties.
+        youden = failures * passing - (roads - failures) * total.failures
+        k = int(np.flatnonzero(youden == youden.max())[-1])
+        harder = Share(failures=int(failures[k]), roads=int(roads[k]))
+        gentler = Share(failures=total.failures - harder.failures, roads=total.roads - harder.roads)
+        threshold = sign * float(thresholds[k + 1])
+        split = Split(axis=axis, threshold=threshold, is_lower_bound=sign > 0, harder=harder, gentler=gentler)
+        candidates.append(((int(youden[k]), -order), split))
     return max(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 

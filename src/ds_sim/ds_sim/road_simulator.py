@@ -109,6 +109,12 @@ class RoadSimulator:
         run.step += 1
         return self._observe(run)
 
+    def unload(self) -> None:
+        """Forget the road once its run has ended, so that other simulators use its memory."""
+        self._run = None
+        if isinstance(self.scene, PaintedScene):
+            self.scene.unload()
+
     def close(self) -> None:
         """Release the simulator's resources."""
         self._run = None

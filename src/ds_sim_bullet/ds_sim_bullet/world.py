@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,6 +21,7 @@ CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 """Order of the corners wherever there is one value per corner."""
 
 
+@lru_cache(maxsize=16)  # of a payload each; written again for each drive
 def car_urdf(p: BulletParameters) -> str:
     """Generate the URDF of the car, with frames as in REP-103.
 

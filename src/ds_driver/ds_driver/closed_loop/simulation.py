@@ -15,6 +15,7 @@ from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
 from ds_sim.registry import make_simulator
+from ds_sim.road_simulator import RoadSimulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec, TakesStills
 
@@ -187,6 +188,8 @@ class InterleavedDrives:
 
     def _keep(self, name: str, simulator: Simulator) -> None:
         """Keep a simulator for the next drive; close the one that has been idle longest if there are many."""
+        if isinstance(simulator, RoadSimulator):
+            simulator.unload()
         self._idle[name] = [*self._idle.pop(name, []), simulator]
         if sum(map(len, self._idle.values())) > MOST_IDLE:
             oldest = next(name for name, idle in self._idle.items() if idle)

@@ -165,9 +165,10 @@ def execution_of(row: Row, file: SqliteFile) -> Execution:
     """
     try:
         steps = check.whole(row[6], "steps", high=check.MOST_STEPS)
+        test_id, simulator = check.text(row[0], "test_id"), sys.intern(check.text(row[1], "simulator"))
         execution = Execution(
-            test_id=check.text(row[0], "test_id"),
-            simulator=sys.intern(check.text(row[1], "simulator")),
+            test_id=test_id,
+            simulator=simulator,
             outcome=Outcome[check.one_of(row[2], "outcome", VERDICTS)],
             message=check.text(row[3], "message"),
             fitness=check.real(row[4], "fitness"),
@@ -175,17 +176,17 @@ def execution_of(row: Row, file: SqliteFile) -> Execution:
             steps=steps,
             simulated_seconds=check.real(row[7], "simulated_seconds"),
             trajectory_sha256=check.sha256(row[8], "trajectory_sha256"),
-            drive=StoredDrive(file, row),
+            drive=StoredDrive(file, test_id, simulator, row[5], steps, row[8], row[10]),
             bag=check.bag_folder(row[9]),
         )
         if abs(execution.simulated_seconds - steps * FRAME_TIME) > _TOLERANCE:
             raise check.RowError(f"simulated_seconds is {execution.simulated_seconds:g} for {steps} steps")
         return execution
     except check.RowError as error:
-        raise _unreadable(row, error) from None
+        raise _unreadable(row[0], row[1], error) from None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class StoredDrive:
     """Frames of a stored execution, read, decompressed and checked when they are asked for; the last ones are kept.
 
@@ -193,14 +194,19 @@ class StoredDrive:
 
     Attributes:
         file: file of the campaign.
-        row: values of `EXECUTION_COLUMNS`.
+        rowid: of the execution; the other attributes are its own, as a large campaign has no memory for whole rows.
 
     Raises:
         StoreError: by its properties: no campaign can have written these frames.
     """
 
     file: SqliteFile
-    row: Row
+    test_id: str
+    simulator: str
+    max_lateral_position: float
+    steps: int
+    sha256: str
+    rowid: int
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
@@ -214,29 +220,28 @@ class StoredDrive:
 
     def read(self) -> DriveArrays:
         """Read every frame; there are none where a campaign was restored from a table of outcomes."""
-        max_lateral_position, steps, sha256, rowid = self.row[5], self.row[6], self.row[8], self.row[10]
-        found = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (rowid,))
+        found = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (self.rowid,))
         try:
             if not found:
                 raise check.RowError("it was replaced meanwhile")
             if found[0][0] == _NOT_KEPT:
                 return NO_DRIVE
-            trajectory = check.unpack_trajectory(found[0][0], sha256, steps=steps)
-            steering = check.unpack_numbers(found[0][1], "steering", count=steps)
+            trajectory = check.unpack_trajectory(found[0][0], self.sha256, steps=self.steps)
+            steering = check.unpack_numbers(found[0][1], "steering", count=self.steps)
             lateral = np.abs(trajectory[:, 4])
-            if lateral.size and abs(lateral.max() - max_lateral_position) > _TOLERANCE:
+            if lateral.size and abs(lateral.max() - self.max_lateral_position) > _TOLERANCE:
                 raise check.RowError("max_lateral_position does not match the trajectory")
             if np.abs(steering).max(initial=0.0) > 1.0:
                 raise check.RowError("steering leaves [-1, 1]")
         except check.RowError as error:
-            raise self.file.damaged(str(_unreadable(self.row, error))) from None
+            raise self.file.damaged(str(_unreadable(self.test_id, self.simulator, error))) from None
         return DriveArrays(trajectory, steering)
 
 
-@lru_cache(maxsize=2048)  # 40 MB of drives of the usual length
+@lru_cache(maxsize=512)  # 10 MB of drives of the usual length
 def _arrays_of(drive: StoredDrive) -> DriveArrays:
     return drive.read()
 
 
-def _unreadable(row: Row, error: check.RowError) -> check.RowError:
-    return check.RowError(f"the run of {row[0]!s:.60} on {row[1]!s:.60} cannot be read: {error}")
+def _unreadable(test_id: object, simulator: object, error: check.RowError) -> check.RowError:
+    return check.RowError(f"the run of {test_id!s:.60} on {simulator!s:.60} cannot be read: {error}")

@@ -29,6 +29,9 @@ from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import check_rows
 from ds_sim.simulator import SimulatorError, VehicleState
 
+_SPARE: list[AtlasMemory] = []
+"""Memory of unloaded scenes, some 60 MB each: a process needs it for each drive at a time, not for each simulator."""
+
 
 class PaintedScene:
     """Implements `ds_sim.parts.Scene` for any camera and look.
@@ -49,7 +52,7 @@ class PaintedScene:
         self._look = look
         self._rows = self._camera_rows = (0, camera.height_px)
         self._camera = Camera(camera, look)
-        self._memory = AtlasMemory()
+        self._memory: AtlasMemory | None = None
         self._view: _View | None = None
         self._whole: _View | None = None
 
@@ -61,6 +64,7 @@ class PaintedScene:
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Paint the ground of a road; see `Scene.load`."""
         self._view = self._whole = None
+        self._memory = self._memory or (_SPARE.pop() if _SPARE else AtlasMemory())
         if self._camera_rows != self._rows:
             self._camera_rows = self._rows
             self._camera = Camera(self._spec, self._look, scene_rows(self._spec, self._rows))
@@ -108,10 +112,15 @@ class PaintedScene:
             self._whole = self._whole_of(view)
         return self._whole.sensor.deliver(self._whole.scene(state))
 
+    def unload(self) -> None:
+        """Forget the road, and leave the memory of its ground to whichever scene of this process loads one next."""
+        if self._memory:
+            _SPARE.append(self._memory)
+        self.close()
+
     def close(self) -> None:
         """Release the painted ground."""
-        self._view = self._whole = None
-        self._memory = AtlasMemory()
+        self._view = self._whole = self._memory = None
 
     def _whole_of(self, view: _View) -> _View:
         """The same view through a sensor without noise, with all rows drawn."""
