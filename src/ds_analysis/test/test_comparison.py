@@ -89,7 +89,7 @@ def test_a_network_that_newly_fails_often_is_worse_and_is_not_merged() -> None:
     assert found.simulators[0].p_adjusted == pytest.approx(2 * binomtest(12, 13, 0.5).pvalue)
     first, second = sentences_of(found)
     assert first.startswith("bullet: 12 of 40 tests passed and now fail, 1 the other way: on these it is worse. ")
-    assert "Other such roads: worse, too (p = 0.0068 after Holm)." in first
+    assert "Other such roads: worse, too (p = 0.007 after Holm)." in first
     assert second.startswith("donkey (twin): 1 of 40 tests passed and now fails, 1 the other way: on these it is nei")
 
 

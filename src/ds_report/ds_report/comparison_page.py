@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ds_analysis.common.chart import Rgb
 from ds_analysis.common.heatmap import COLOURS, ink_on
+from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.analysis import CellComparison, Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
@@ -120,7 +121,7 @@ def _grid_cell(one: CellComparison | None) -> GridCell:
         text=f"{' '.join(changes) or '0'}/{counts.tests}",
         title=f"{counts.newly_fail} newly fail, {counts.fixed} fixed, {counts.both_fail} fail in both, of "
         f"{counts.tests}; difference {counts.difference:+.2f}, 95 %: {low:+.2f} to {high:+.2f}; "
-        f"p = {one.p_adjusted:.2g} after Benjamini and Hochberg",
+        f"{p_in_words(one.p_adjusted)} after Benjamini and Hochberg",
         style="background: rgb({},{},{}); color: rgb({},{},{})".format(*colour, *ink_on(colour)),
     )
 
