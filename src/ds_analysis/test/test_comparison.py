@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -31,7 +32,7 @@ from ds_analysis.comparison.paired_drives import (
 )
 from ds_analysis.comparison.tables import cell_table, document_of, drive_table, markdown_of, simulator_table
 from ds_orchestrator.campaign.config import ConfigError
-from ds_report.comparison_page import colour_of_difference, grids_of, write_comparison_page
+from ds_report.comparison_page import grids_of, style_of_difference, write_comparison_page
 
 
 def compared(drives: list[PairedDrive], **more: Any) -> Comparison:
@@ -269,7 +270,10 @@ def test_the_page_shows_newly_failing_roads_and_the_map(tmp_path: Path) -> None:
     assert again.read_bytes() == page.read_bytes()
 
 
-def test_no_difference_is_white_and_the_ends_are_red_and_green() -> None:
-    assert colour_of_difference(0.0) == (255, 255, 255)
-    red, green = colour_of_difference(1.0), colour_of_difference(-1.0)
+def test_no_difference_has_the_colour_of_the_page_and_the_ends_are_red_and_green() -> None:
+    assert "/ 0%)" in style_of_difference(0.0) and "color" not in style_of_difference(0.5)
+    ends = [
+        re.findall(r"background: rgb\((\d+) (\d+) (\d+) / 100%\); color", style_of_difference(d)) for d in (1.0, -1.0)
+    ]
+    (red,), (green,) = ([tuple(map(int, one)) for one in end] for end in ends)
     assert red[0] > 2 * red[1] and green[1] > green[0] and green[1] > green[2]

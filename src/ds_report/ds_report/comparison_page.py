@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ds_analysis.common.chart import Rgb
 from ds_analysis.common.heatmap import COLOURS, ink_on
 from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.analysis import CellComparison, Comparison, advice_of, answer_of, cautions_of, sentences_of
@@ -21,7 +20,8 @@ from ds_road import draw
 PICTURED = 12
 """Drives with a picture; chosen: the page stays below a megabyte."""
 _SIZE = 400
-_WHITE: Rgb = (255, 255, 255)
+STRONG = 0.5
+"""Difference from which a cell's text no longer has the page's colour; chosen: half of the way to red or green."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,11 +102,11 @@ def grids_of(comparison: Comparison) -> list[Grid]:
     ]
 
 
-def colour_of_difference(difference: float) -> Rgb:
-    """Colour of a difference in [-1, 1]: green where tests are fixed, white for none, red where tests newly fail."""
-    end = COLOURS[2] if difference > 0 else COLOURS[0]
-    mixed = [round(a + (b - a) * min(abs(difference), 1.0)) for a, b in zip(_WHITE, end, strict=True)]
-    return (mixed[0], mixed[1], mixed[2])
+def style_of_difference(difference: float) -> str:
+    """CSS of a difference in [-1, 1]: green where tests are fixed, the page's colour for none, red where they fail."""
+    colour = COLOURS[2] if difference > 0 else COLOURS[0]
+    style = "background: rgb({} {} {} / {:.0%})".format(*colour, min(abs(difference), 1.0))
+    return style + "; color: rgb({} {} {})".format(*ink_on(colour)) * (abs(difference) > STRONG)
 
 
 def _grid_cell(one: CellComparison | None) -> GridCell:
@@ -114,7 +114,6 @@ def _grid_cell(one: CellComparison | None) -> GridCell:
         return GridCell()
     counts = one.counts
     assert counts.difference is not None and counts.interval is not None
-    colour = colour_of_difference(counts.difference)
     changes = [f"+{counts.newly_fail}"] * bool(counts.newly_fail) + [f"−{counts.fixed}"] * bool(counts.fixed)
     low, high = counts.interval
     return GridCell(
@@ -122,7 +121,7 @@ def _grid_cell(one: CellComparison | None) -> GridCell:
         title=f"{counts.newly_fail} newly fail, {counts.fixed} fixed, {counts.both_fail} fail in both, of "
         f"{counts.tests}; difference {counts.difference:+.2f}, 95 %: {low:+.2f} to {high:+.2f}; "
         f"{p_in_words(one.p_adjusted)} after Benjamini and Hochberg",
-        style="background: rgb({},{},{}); color: rgb({},{},{})".format(*colour, *ink_on(colour)),
+        style=style_of_difference(counts.difference),
     )
 
 
