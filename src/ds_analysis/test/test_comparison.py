@@ -259,14 +259,15 @@ def test_tables_and_json_hold_finite_numbers_alone() -> None:
 def test_the_page_shows_newly_failing_roads_and_the_map(tmp_path: Path) -> None:
     found = compared([*pairs("bullet", (2, 1, 1, 4)), *pairs("<b>donkey", (0, 0, 0, 8))])
     page = tmp_path / "page.html"
-    write_comparison_page(found, page, {"test-0-0000": "worse/test-0-0000.json"}, ["2 tests newly fail"])
+    road_files = {"test-0-0000": str(tmp_path / "worse/test-0-0000.json")}
+    write_comparison_page(found, page, road_files, ["2 tests newly fail"])
     text = page.read_text("utf-8")
     assert text.count("data:image/png;base64,") == 2 and "&lt;b&gt;donkey" in text and "<b>donkey" not in text
     assert "Pass criterion not met: 2 tests newly fail" in text and "2 of 8 tests passed and now fail, 1 the" in text
     grid = grids_of(found)[0]
     assert [[cell.text for cell in cells] for _, cells in grid.rows] == [["+1 −1/4", "+1/4"]]
     again = tmp_path / "again.html"
-    write_comparison_page(found, again, {"test-0-0000": "worse/test-0-0000.json"}, ["2 tests newly fail"])
+    write_comparison_page(found, again, road_files, ["2 tests newly fail"])
     assert again.read_bytes() == page.read_bytes()
 
 

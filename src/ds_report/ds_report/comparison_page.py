@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ds_analysis.common.heatmap import COLOURS, ink_on
@@ -11,11 +11,13 @@ from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.analysis import CellComparison, Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.search.features import feature_of
 from ds_report.html_report import environment
 from ds_report.page_data import data_address
 from ds_road import draw
+from ds_sim.registry import SimulatorName, path_moved
 
 PICTURED = 12
 """Drives with a picture; chosen: the page stays below a megabyte."""
@@ -75,7 +77,7 @@ def write_comparison_page(
         simulators=simulator_table(comparison),
         cells=cell_table(comparison),
         drives=drive_table(comparison),
-        pictures=[(drive, _picture(drive), _command(drive, comparison, road_files)) for drive in worse[:PICTURED]],
+        pictures=[(one, _picture(one), _command(one, comparison, road_files, path.parent)) for one in worse[:PICTURED]],
         more=len(worse) - PICTURED,
     )  # fmt: skip
     write_whole(path, text)
@@ -132,6 +134,12 @@ def _picture(drive: PairedDrive) -> str:
     return data_address(draw(drive.test.road, trajectories=known, size=_SIZE, caption=False))
 
 
-def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> str:
+def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str], folder: Path) -> str:
+    """The command that drives a test again, as typed in the page's folder, so that the folder can be moved."""
     file = road_files.get(drive.test.name)
-    return command_of(drive, comparison.candidate.driver, file) if file else ""
+    if not file:
+        return ""
+    here = Path()
+    simulator = str(SimulatorName.parse(drive.simulator).moved(here, folder))
+    driver = str(DriverName.parse(comparison.candidate.driver).moved(here, folder))
+    return command_of(replace(drive, simulator=simulator), driver, path_moved(file, here, folder))
