@@ -327,9 +327,12 @@ def test_runs_lists_campaigns_with_their_state(tmp_path: Path, engine: list[OfDr
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_template_names_every_key_and_is_what_was_asked_for(tmp_path: Path, size: str) -> None:
+def test_the_template_names_every_key_and_is_what_was_asked_for(
+    tmp_path: Path, size: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     text = template("my nets/a: b.yaml", ["bullet", "panda"], "donkey", size)
-    path = tmp_path / "campaign.yaml"
+    path = Path("campaign.yaml")
     path.write_text(text)
     asked = CampaignConfig(driver="my nets/a: b.yaml", siblings=["bullet", "panda"], search=SIZES[size])
     assert read_config(path) == asked
