@@ -187,7 +187,12 @@ def test_from_a_cell_or_a_failure_to_its_roads(campaign: Path, tmp_path: Path) -
     assert exported.stdout.splitlines() == [str(tmp_path / f"sbft/bullet-0-000{n}.json") for n in (1, 2)]
 
 
-def test_maps_are_grids_one_at_a_time(campaign: Path) -> None:
+def test_maps_are_grids_of_every_simulator_with_one_scale(campaign: Path) -> None:
+    every = ds("maps", campaign).stdout
+    titles = ("All tests on bullet: ", "All tests on softbody: ", "Twin donkey: ", "Siblings merged: ")
+    assert all(title in every for title in titles) and every.count(" 1  failure probability, on every map") == 1
+    # 4 tests each; the second and third fail but on softbody.
+    assert [every.count(f" {failing} of ") for failing in (0, 2)] == [2, 2]
     shown = ds("maps", campaign, "--map", "union_bullet")
     assert shown.returncode == 0, shown.stderr
     assert "All tests on bullet: failure probability" in shown.stdout and "merged" in shown.stdout

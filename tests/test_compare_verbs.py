@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import io
 import json
+import re
+import shlex
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
@@ -105,6 +108,23 @@ def test_a_network_drives_the_tests_of_a_campaign_once(tmp_path: Path, engine: l
         assert (out / name).stat().st_size > 0
     again = ds("campaign", "compare", old, "other", "--out", out, "--json")
     assert again.stdout == done.stdout and len(engine) == 2
+
+
+def test_a_moved_comparison_finds_its_roads(
+    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page's commands are typed in its folder; the names of files are relative to it."""
+    monkeypatch.chdir(tmp_path)
+    campaign(Path("old"))
+    assert ds("compare", "old", "nets/other.yaml", "--out", "my results").returncode == 0
+    moved = Path("elsewhere").resolve()
+    Path("my results").rename(moved)
+    page = html.unescape((moved / "comparison.html").read_text("utf-8"))
+    commands = [shlex.split(line) for line in re.findall(r"<pre tabindex=\"0\">(ds drive .*)</pre>", page)]
+    assert commands and "my results" not in page
+    for words in commands:
+        said = dict(zip(words[2::2], words[3::2], strict=True))
+        assert (moved / said["--road"]).is_file() and said["--driver"] == "../nets/other.yaml"
 
 
 def test_a_stopped_comparison_goes_on(tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,9 +327,12 @@ def test_runs_lists_campaigns_with_their_state(tmp_path: Path, engine: list[OfDr
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_template_names_every_key_and_is_what_was_asked_for(tmp_path: Path, size: str) -> None:
+def test_the_template_names_every_key_and_is_what_was_asked_for(
+    tmp_path: Path, size: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     text = template("my nets/a: b.yaml", ["bullet", "panda"], "donkey", size)
-    path = tmp_path / "campaign.yaml"
+    path = Path("campaign.yaml")
     path.write_text(text)
     asked = CampaignConfig(driver="my nets/a: b.yaml", siblings=["bullet", "panda"], search=SIZES[size])
     assert read_config(path) == asked

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -84,6 +86,12 @@ def test_a_campaign_without_drives_says_how_it_goes_on(here: Path) -> None:
     resumed = ds(*words)
     assert resumed.returncode == 0, resumed.stderr
     assert Path(resumed.stdout.splitlines()[-1]).is_file()
+    # A moved campaign finds its bags.
+    moved = Path("my campaign").rename("moved")
+    assert list(moved.glob("bags/*/metadata.yaml"))
+    assert json.loads(ds("campaign", "status", moved, "--json").stdout)["missing_bags"] == []
+    shutil.rmtree(moved / "bags")
+    assert len(json.loads(ds("campaign", "status", moved, "--json").stdout)["missing_bags"]) > 0
 
 
 def test_an_unfinished_bag_says_how_it_is_completed(here: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -31,7 +32,7 @@ from ds_analysis.comparison.paired_drives import (
 )
 from ds_analysis.comparison.tables import cell_table, document_of, drive_table, markdown_of, simulator_table
 from ds_orchestrator.campaign.config import ConfigError
-from ds_report.comparison_page import colour_of_difference, grids_of, write_comparison_page
+from ds_report.comparison_page import grids_of, style_of_difference, write_comparison_page
 
 
 def compared(drives: list[PairedDrive], **more: Any) -> Comparison:
@@ -89,7 +90,7 @@ def test_a_network_that_newly_fails_often_is_worse_and_is_not_merged() -> None:
     assert found.simulators[0].p_adjusted == pytest.approx(2 * binomtest(12, 13, 0.5).pvalue)
     first, second = sentences_of(found)
     assert first.startswith("bullet: 12 of 40 tests passed and now fail, 1 the other way: on these it is worse. ")
-    assert "Other such roads: worse, too (p = 0.0068 after Holm)." in first
+    assert "Other such roads: worse, too (p = 0.007 after Holm)." in first
     assert second.startswith("donkey (twin): 1 of 40 tests passed and now fails, 1 the other way: on these it is nei")
 
 
@@ -258,18 +259,22 @@ def test_tables_and_json_hold_finite_numbers_alone() -> None:
 def test_the_page_shows_newly_failing_roads_and_the_map(tmp_path: Path) -> None:
     found = compared([*pairs("bullet", (2, 1, 1, 4)), *pairs("<b>donkey", (0, 0, 0, 8))])
     page = tmp_path / "page.html"
-    write_comparison_page(found, page, {"test-0-0000": "worse/test-0-0000.json"}, ["2 tests newly fail"])
+    road_files = {"test-0-0000": str(tmp_path / "worse/test-0-0000.json")}
+    write_comparison_page(found, page, road_files, ["2 tests newly fail"])
     text = page.read_text("utf-8")
     assert text.count("data:image/png;base64,") == 2 and "&lt;b&gt;donkey" in text and "<b>donkey" not in text
     assert "Pass criterion not met: 2 tests newly fail" in text and "2 of 8 tests passed and now fail, 1 the" in text
     grid = grids_of(found)[0]
     assert [[cell.text for cell in cells] for _, cells in grid.rows] == [["+1 −1/4", "+1/4"]]
     again = tmp_path / "again.html"
-    write_comparison_page(found, again, {"test-0-0000": "worse/test-0-0000.json"}, ["2 tests newly fail"])
+    write_comparison_page(found, again, road_files, ["2 tests newly fail"])
     assert again.read_bytes() == page.read_bytes()
 
 
-def test_no_difference_is_white_and_the_ends_are_red_and_green() -> None:
-    assert colour_of_difference(0.0) == (255, 255, 255)
-    red, green = colour_of_difference(1.0), colour_of_difference(-1.0)
+def test_no_difference_has_the_colour_of_the_page_and_the_ends_are_red_and_green() -> None:
+    assert "/ 0%)" in style_of_difference(0.0) and "color" not in style_of_difference(0.5)
+    ends = [
+        re.findall(r"background: rgb\((\d+) (\d+) (\d+) / 100%\); color", style_of_difference(d)) for d in (1.0, -1.0)
+    ]
+    (red,), (green,) = ([tuple(map(int, one)) for one in end] for end in ends)
     assert red[0] > 2 * red[1] and green[1] > green[0] and green[1] > green[2]

@@ -52,7 +52,7 @@ def test_latex_escapes_and_balances() -> None:
 
 
 def test_shown_numbers_are_short() -> None:
-    assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.500, 0.250]", "3e-07", "12"], ["z", "", "", "0.025", "3"]]
+    assert TABLE.texts() == [["x, y_1", "-0.123", "[-0.500, 0.250]", "< 0.001", "12"], ["z", "", "", "0.025", "3"]]
     assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
     out = io.StringIO()
     TABLE.show(Console(file=out, width=40))
@@ -61,10 +61,10 @@ def test_shown_numbers_are_short() -> None:
 
 def test_a_p_value_is_never_0() -> None:
     for value in (0.0, 5e-324, 9e-301):
-        assert shown(value, "p") == "< 1e-300"
+        assert shown(value, "p") == "< 0.001"
         table = Table(name="t", title="t", columns=[Column("p", "p")], rows=[[value]])
         assert r"$< 10^{-300}$ \\" in table.latex() and float(table.csv().splitlines()[1]) == value
-    assert [shown(p, "p") for p in (1e-300, 9e-4, 0.001)] == ["1e-300", "9e-04", "0.001"]
+    assert [shown(p, "p") for p in (1e-300, 9e-4, 0.001)] == ["< 0.001", "< 0.001", "0.001"]
 
 
 def test_kept_tables_come_back(tmp_path: Path) -> None:

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 Shown = Literal["probability", "quality"]
 LONGEST_AXIS = 40
 """Bins up to which an axis shows the empty ones between its ends; chosen: a screen's height."""
-_RAMP = ((46, 125, 50), (249, 168, 37), (198, 40, 40))
-"""Background at 0, 0.5 and 1: green, amber, red, all dark or light enough for the text on them."""
-
 app = typer.Typer()
 
 
@@ -82,21 +79,24 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
 _TITLES = {"probability": "failure probability", "quality": "lack of driving quality"}
 
 
-def legend(feature_map: FeatureMap, shown: Shown) -> list[Text]:
-    """What colours and numbers mean, and the sum of the cells."""
-    ramp = Text("0 ")
-    for step in range(11):
-        ramp.append("  ", style=f"on {_colour(step / 10)}")
-    ramp.append(f" 1  {_TITLES[shown]}; · no test")
+def count_line(feature_map: FeatureMap, shown: Shown) -> Text:
+    """What the numbers of a map are, and the sum of its cells."""
     cells = feature_map.cells.values()
     failing = sum(cell.probability > 0.0 for cell in cells)
-    counts = [cell.failures for cell in cells if cell.failures is not None]
+    counts = any(cell.failures is not None for cell in cells)
     numbers = "Failures/tests in each cell" if counts and shown == "probability" else "Value in each cell"
-    lines = [ramp, Text(f"{numbers}; {failing} of {len(feature_map.cells)} filled cells have a probability above 0.")]
-    if feature_map.excluded:
-        count = sum(feature_map.excluded.values())
-        lines.append(Text(f"-n: n tests of the cell are excluded by the gates and in no other number; {count} in all."))
-    return lines
+    excluded = sum(feature_map.excluded.values())
+    apart = f" -n: n tests of the cell are excluded by the gates and in no other number; {excluded} in all."
+    filled = f"{numbers}; {failing} of {len(feature_map.cells)} filled cells have a probability above 0."
+    return Text(filled + (apart if excluded else ""))
+
+
+def legend(shown: Shown) -> Text:
+    """What the colours mean, on every map."""
+    ramp = Text("0 ")
+    for step in range(11):
+        ramp.append("  ", style=_style(step / 10))
+    return ramp.append(f" 1  {_TITLES[shown]}, on every map; · no test")
 
 
 def _axis(bins: Iterable[int]) -> Sequence[int]:
@@ -113,21 +113,23 @@ def _box(cell: MapCell | None, shown: Shown, excluded: int) -> Text:
         return Text(f"·{apart}", style="dim")
     value = cell.probability if shown == "probability" else cell.quality_loss
     text = f"{value:.2f}" if cell.failures is None or shown == "quality" else f"{cell.failures}/{cell.tests}"
-    return Text(f"{text:^6}", style=f"bold white on {_colour(value)}").append(apart, style="not bold dim")
+    return Text(f"{text:^6}", style=_style(value)).append(apart, style="not bold dim")
 
 
-def _colour(value: float) -> str:
-    """Background of a value in [0, 1]."""
-    place = min(max(value, 0.0), 1.0) * (len(_RAMP) - 1)
-    left = min(int(place), len(_RAMP) - 2)
-    mixed = (round(a + (b - a) * (place - left)) for a, b in zip(_RAMP[left], _RAMP[left + 1], strict=True))
-    return "rgb({},{},{})".format(*mixed)
+def _style(value: float) -> str:
+    """Background of a value in [0, 1], as in the pictures of the maps, and the text on it."""
+    from ds_analysis.common.heatmap import colour_of, ink_on
+
+    colour = colour_of(value)
+    return "bold rgb({},{},{}) on rgb({},{},{})".format(*ink_on(colour), *colour)
 
 
 @app.command("maps")
 def maps_command(
     folder: Folder,
-    name: Annotated[str, typer.Option("--map", help="Map to show.")] = "merged",
+    name: Annotated[
+        str | None, typer.Option("--map", help="Map to show; every simulator's and the merged one if left out.")
+    ] = None,
     value: Annotated[Shown, typer.Option(help="What colours the cells: probability or quality.")] = "probability",
     axes: Annotated[
         str | None,
@@ -137,13 +139,12 @@ def maps_command(
 ) -> None:
     """Show a campaign's feature maps as coloured grids.
 
-    One map at a time: `merged`, unless --map names another one. With --json, all of them.
+    Every simulator's map, and the siblings' merged into one; --map shows another one alone. With --json, all of them.
     """
-    named = None if axes is None else axes_named(axes)
     from ds_analysis.paper.campaign_contents import exclusion_lines, maps_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
-    from ds_orchestrator.maps.feature_map import slices_of, to_json
+    from ds_orchestrator.maps.feature_map import compared_ids, slices_of, to_json
 
     named = None if axes is None else axes_named(axes)
     with closing(open_store(folder)) as store:
@@ -154,19 +155,21 @@ def maps_command(
             f"no test in {folder} has a cell over {','.join(named)}: expected other --axes, or tests driven"
         )
     found = {map_id.name: feature_map for map_id, feature_map in every.items()}
-    if name not in found:
+    if name is not None and name not in found:
         raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
 
     def show() -> None:
         console = Console()
-        for part in slices_of(found[name]):
-            for grid in grids(part, value, console.width):
-                console.print(grid)
-        for line in legend(found[name], value):
-            console.print(line, highlight=False)
+        chosen = [map_id.name for map_id in compared_ids(every)] if name is None else [name]
+        for feature_map in (found[one] for one in chosen):
+            for part in slices_of(feature_map):
+                for grid in grids(part, value, console.width):
+                    console.print(grid)
+            console.print(count_line(feature_map, value), highlight=False)
+        console.print(legend(value), highlight=False)
         for excluded in exclusion_lines(data):
             console.print(excluded, highlight=False)
-        others = ", ".join(other for other in found if other != name)
+        others = ", ".join(other for other in found if other not in chosen)
         console.print(f"Other maps, with --map NAME: {others}", highlight=False)
         if named is None and data.config.further_axes:
             further = "; ".join(",".join(other) for other in data.config.further_axes)

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ds_analysis.common.chart import Rgb
 from ds_analysis.common.heatmap import COLOURS, ink_on
+from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.analysis import CellComparison, Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.search.features import feature_of
 from ds_report.html_report import environment
 from ds_report.page_data import data_address
 from ds_road import draw
+from ds_sim.registry import SimulatorName, path_moved
 
 PICTURED = 12
 """Drives with a picture; chosen: the page stays below a megabyte."""
 _SIZE = 400
-_WHITE: Rgb = (255, 255, 255)
+STRONG = 0.5
+"""Difference from which a cell's text no longer has the page's colour; chosen: half of the way to red or green."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +77,7 @@ def write_comparison_page(
         simulators=simulator_table(comparison),
         cells=cell_table(comparison),
         drives=drive_table(comparison),
-        pictures=[(drive, _picture(drive), _command(drive, comparison, road_files)) for drive in worse[:PICTURED]],
+        pictures=[(one, _picture(one), _command(one, comparison, road_files, path.parent)) for one in worse[:PICTURED]],
         more=len(worse) - PICTURED,
     )  # fmt: skip
     write_whole(path, text)
@@ -101,11 +104,11 @@ def grids_of(comparison: Comparison) -> list[Grid]:
     ]
 
 
-def colour_of_difference(difference: float) -> Rgb:
-    """Colour of a difference in [-1, 1]: green where tests are fixed, white for none, red where tests newly fail."""
-    end = COLOURS[2] if difference > 0 else COLOURS[0]
-    mixed = [round(a + (b - a) * min(abs(difference), 1.0)) for a, b in zip(_WHITE, end, strict=True)]
-    return (mixed[0], mixed[1], mixed[2])
+def style_of_difference(difference: float) -> str:
+    """CSS of a difference in [-1, 1]: green where tests are fixed, the page's colour for none, red where they fail."""
+    colour = COLOURS[2] if difference > 0 else COLOURS[0]
+    style = "background: rgb({} {} {} / {:.0%})".format(*colour, min(abs(difference), 1.0))
+    return style + "; color: rgb({} {} {})".format(*ink_on(colour)) * (abs(difference) > STRONG)
 
 
 def _grid_cell(one: CellComparison | None) -> GridCell:
@@ -113,15 +116,14 @@ def _grid_cell(one: CellComparison | None) -> GridCell:
         return GridCell()
     counts = one.counts
     assert counts.difference is not None and counts.interval is not None
-    colour = colour_of_difference(counts.difference)
     changes = [f"+{counts.newly_fail}"] * bool(counts.newly_fail) + [f"−{counts.fixed}"] * bool(counts.fixed)
     low, high = counts.interval
     return GridCell(
         text=f"{' '.join(changes) or '0'}/{counts.tests}",
         title=f"{counts.newly_fail} newly fail, {counts.fixed} fixed, {counts.both_fail} fail in both, of "
         f"{counts.tests}; difference {counts.difference:+.2f}, 95 %: {low:+.2f} to {high:+.2f}; "
-        f"p = {one.p_adjusted:.2g} after Benjamini and Hochberg",
-        style="background: rgb({},{},{}); color: rgb({},{},{})".format(*colour, *ink_on(colour)),
+        f"{p_in_words(one.p_adjusted)} after Benjamini and Hochberg",
+        style=style_of_difference(counts.difference),
     )
 
 
@@ -132,6 +134,12 @@ def _picture(drive: PairedDrive) -> str:
     return data_address(draw(drive.test.road, trajectories=known, size=_SIZE, caption=False))
 
 
-def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> str:
+def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str], folder: Path) -> str:
+    """The command that drives a test again, as typed in the page's folder, so that the folder can be moved."""
     file = road_files.get(drive.test.name)
-    return command_of(drive, comparison.candidate.driver, file) if file else ""
+    if not file:
+        return ""
+    here = Path()
+    simulator = str(SimulatorName.parse(drive.simulator).moved(here, folder))
+    driver = str(DriverName.parse(comparison.candidate.driver).moved(here, folder))
+    return command_of(replace(drive, simulator=simulator), driver, path_moved(file, here, folder))

@@ -54,7 +54,7 @@ def test_both_ends_of_a_range_are_allowed_and_nothing_beyond(name: str) -> None:
         ("weather=3", "unknown condition 'weather': expected some of line_contrast, "),
         ("fog=3", "unknown condition 'fog': did you mean visibility (20 m or more)?"),
         ("Rain=3", "unknown condition 'Rain': did you mean visibility (20 m or more) or friction (0.1 to 1)?"),
-        ("visibilty=60", "unknown condition 'visibilty': did you mean visibility (20 m or more)?"),
+        ("visibilti=60", "unknown condition 'visibilti': did you mean visibility (20 m or more)?"),
         ("command-delay=1", "unknown condition 'command-delay': did you mean command_delay (0 to 1 s)?"),
         ("visibility", "visibility has no value, expected visibility=NUMBER: 20 m or more"),
         ("visibility=thick", "visibility is 'thick', expected 20 m or more"),

@@ -27,7 +27,7 @@ _LARGEST_FILE = 16 * 2**20
 WIDTH = 130
 """Characters of a table that is not shown on a terminal; chosen: the widest one fits."""
 _SMALLEST_P = 1e-300
-"""Smaller p-values are shown as below this: SciPy underflows to 0 soon after, which no p-value is."""
+"""Smaller p-values are below this in LaTeX: SciPy underflows to 0 soon after, which no p-value is."""
 _DIGITS = {"number": 3, "small": 5}
 _TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}"}
 _TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
@@ -168,11 +168,15 @@ def shown(value: Value, style: Style) -> str:
         return value
     if isinstance(value, tuple):
         return "[" + ", ".join(shown(part, style) for part in value) + "]"
-    if style == "p" and float(value) < _SMALLEST_P:
-        return f"< {_SMALLEST_P:.0e}"
     if style == "p":
-        return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+        return f"{value:.3f}" if value >= 0.001 else "< 0.001"
     return f"{value:z.{_DIGITS[style]}f}" if style in _DIGITS else str(value)
+
+
+def p_in_words(p: float) -> str:
+    """Format a p-value for a sentence: `p = 0.012`, `p < 0.001`."""
+    text = shown(p, "p")
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
 
 
 def tex(text: str) -> str:

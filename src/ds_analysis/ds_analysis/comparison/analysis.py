@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.paired_drives import ALPHA, Network, PairedCounts, PairedDrive, adjusted, fewest_changes
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
 
@@ -333,13 +334,13 @@ def _sentence(row: SimulatorComparison, comparison: Comparison) -> str:
     where = f"{row.simulator} (twin)" if row.simulator == comparison.twin else row.simulator
     said = f"{where}: {_changes(row.counts, 'test')}."
     if row.verdict == "worse":
-        return f"{said} Other such roads: worse, too (p = {row.p_adjusted:.2g} after Holm)."
+        return f"{said} Other such roads: worse, too ({p_in_words(row.p_adjusted)} after Holm)."
     if row.verdict == "better":
         random = "" if comparison.origin in ("random", "both") else f"{_changes(row.unsearched, 'random road')}; "
-        return f"{said} Other such roads: better, too ({random}p = {row.unsearched_p_adjusted:.2g} after Holm)."
+        return f"{said} Other such roads: better, too ({random}{p_in_words(row.unsearched_p_adjusted)} after Holm)."
     assert row.counts.interval is not None
     low, high = (_signed(end) for end in row.counts.interval)
-    found = f"Whether that holds for other such roads: p = {row.p_adjusted:.2g} after Holm, so it is open"
+    found = f"Whether that holds for other such roads: {p_in_words(row.p_adjusted)} after Holm, so it is open"
     if row.counts.newly_fail == row.counts.fixed:
         found = "Other such roads: no difference is shown"
     return f"{said} {found}; 95 %: {low} to {high} failures in 100."

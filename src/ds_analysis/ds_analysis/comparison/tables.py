@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ds_analysis.common.table import Column, Table, Value
+from ds_analysis.common.table import Column, Table, Value, p_in_words
 from ds_analysis.comparison.analysis import Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import ALPHA, PairedCounts, PairedDrive
 from ds_orchestrator.search.features import feature_of
@@ -105,7 +105,7 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
         numbers = (counts.tests, counts.newly_fail, counts.fixed, counts.difference, counts.interval, one.p_adjusted)
         rows.append((one.simulator, *bins, *numbers))
     left = f" The worst {most} of {len(changed)} are shown." if most is not None and len(changed) > most else ""
-    smallest = f"the smallest is {min(one.p_adjusted for one in changed):.2g}" if changed else "none changed"
+    smallest = f"the smallest: {p_in_words(min(one.p_adjusted for one in changed))}" if changed else "none changed"
     return Table(
         name="compared_cells",
         title="Cells of the feature map that changed",
@@ -285,8 +285,8 @@ def _where(comparison: Comparison) -> list[str]:
     smallest = min(one.p_adjusted for one in comparison.cells)
     if smallest >= ALPHA:
         return [
-            f"No kind of road stands out: over {len(comparison.cells)} cells of the feature maps the smallest p is "
-            f"{smallest:.2g} after Benjamini and Hochberg; most cells have too few tests.",
+            f"No kind of road stands out: over {len(comparison.cells)} cells of the feature maps the smallest: "
+            f"{p_in_words(smallest)} after Benjamini and Hochberg; most cells have too few tests.",
             "",
         ]
     cells = _table(cell_table(comparison, most=MOST_ROWS))

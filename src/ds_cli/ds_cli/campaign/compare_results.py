@@ -17,10 +17,10 @@ from rich.text import Text
 from ds_cli.output import Result
 
 if TYPE_CHECKING:
-    from ds_analysis.comparison.analysis import CellComparison, Comparison
+    from ds_analysis.comparison.analysis import Comparison
     from ds_analysis.comparison.ci_results import Criteria
     from ds_orchestrator.campaign.folder import CampaignData
-    from ds_orchestrator.search.features import Cell
+    from ds_report.comparison_page import Grid
 
 FailOn = Annotated[
     Literal["failure", "regression", "worse"] | None,
@@ -109,7 +109,7 @@ def write_comparison(
         markdown_of,
         simulator_table,
     )
-    from ds_report.comparison_page import write_comparison_page
+    from ds_report.comparison_page import grids_of, write_comparison_page
     from ds_sim.installation import ds_command
 
     road_files = write_roads(found, out / "worse")
@@ -127,10 +127,11 @@ def write_comparison(
     def show() -> None:
         console = Console()
         simulator_table(found).show(console)
-        grids, cells = difference_grids(found), cell_table(found, most=MOST_ROWS)
-        for heading, grid in grids:
-            print(heading)
-            console.print(grid)
+        grids = [grid for grid in grids_of(found) if len(grid.columns) <= MOST_COLUMNS]
+        cells = cell_table(found, most=MOST_ROWS)
+        for grid in grids:
+            print(f"{grid.title}: tests that newly fail (+) and that are fixed (−), of all")
+            console.print(_difference_grid(grid))
         if grids:
             print(cells.notes[0])
         elif cells.rows:
@@ -167,35 +168,13 @@ def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
     return files
 
 
-def difference_grids(comparison: Comparison) -> list[tuple[str, Table]]:
-    """Heading and grid of each simulator, of maps of two features; none for others, or for cells that do not fit."""
-    from ds_orchestrator.search.features import feature_of
-
-    if len(comparison.features) != 2:
-        return []
-    across, up = (feature_of(name) for name in comparison.features)
-    made = []
-    for simulator in dict.fromkeys(one.simulator for one in comparison.cells):
-        cells = {one.cell: one for one in comparison.cells if one.simulator == simulator}
-        columns = sorted({cell[0] for cell in cells})
-        if len(columns) > MOST_COLUMNS:
-            continue
-        table = Table(caption=f"{across.title} →", box=SIMPLE, pad_edge=False, padding=(0, 1))
-        table.add_column(f"{up.title} ↑", justify="right", no_wrap=True)
-        for column in columns:
-            table.add_column(across.label(column), justify="center", min_width=7, no_wrap=True)
-        for row in sorted({cell[1] for cell in cells}, reverse=True):
-            table.add_row(up.label(row), *(_box(cells, (column, row)) for column in columns))
-        made.append((f"{simulator}: tests that newly fail (+) and that are fixed (-), of all", table))
-    return made
-
-
-def _box(cells: dict[Cell, CellComparison], cell: Cell) -> Text:
-    one = cells.get(cell)
-    if one is None:
-        return Text("·", style="dim")
-    counts, difference = one.counts, one.counts.difference or 0.0
-    changes = [f"+{counts.newly_fail}"] if counts.newly_fail else []
-    changes += [f"-{counts.fixed}"] if counts.fixed else []
-    style = "bold white on rgb(198,40,40)" if difference > 0 else "bold white on rgb(46,125,50)"
-    return Text(f"{' '.join(changes) or '0'}/{counts.tests}", style=style if difference else "")
+def _difference_grid(grid: Grid) -> Table:
+    """A map of differences for a terminal: red where tests newly fail, green where they are fixed."""
+    table = Table(caption=f"{grid.across} →", box=SIMPLE, pad_edge=False, padding=(0, 1))
+    table.add_column(f"{grid.up} ↑", justify="right", no_wrap=True)
+    for label in grid.columns:
+        table.add_column(label, justify="center", min_width=7, no_wrap=True)
+    for label, cells in grid.rows:
+        styles = {"+": "bold red", "−": "bold green", "": "dim"}
+        table.add_row(label, *(Text(cell.text or "·", style=styles.get(cell.text[:1], "")) for cell in cells))
+    return table

@@ -20,6 +20,7 @@ from ds_road import Road
 from ds_road.geometry import direction_coverage, largest_lane_curvature, minimum_radius
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.scales import between, share_of
+from ds_sim.conditions.text import three_digits
 from ds_sim.extension import is_extension, load_extension
 from ds_sim.gates.gate import LEAST_CONTRAST
 
@@ -77,7 +78,7 @@ class Feature:
         """Format the lower edge of a bin in the unit of the title: `0.17` for curvature 17."""
         begin = bin_ * self.width
         if self.edge is not None:
-            return f"{self.edge(begin):.3g}"
+            return three_digits(self.edge(begin))
         return str(begin) if self.unit == 1.0 else f"{begin * self.unit:.2f}"
 
     def bin_of(

@@ -161,6 +161,8 @@ def test_dark_mode_turns_page_and_charts_dark_but_paper_stays_white(browser: Bro
     texts = ("#finding", ".hint", '[data-map="merged"] .ytick text', '[data-map="merged"] .infolayer text')
     assert page.evaluate(lightness, "body") < 0.15
     assert all(page.evaluate(lightness, text) > 0.6 for text in texts)
+    lanes = ('[data-chart="road"] .fills path', '[data-chart="lateral"] .shapelayer path')
+    assert all(page.evaluate(lightness, lane) < 0.35 for lane in lanes)
     page.emulate_media(media="print", color_scheme="dark")
     assert page.evaluate(lightness, "body") == 1.0 and page.evaluate(lightness, "#finding") < 0.2
     page.close()

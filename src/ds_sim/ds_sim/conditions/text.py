@@ -11,28 +11,16 @@ from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
 _UNITS = {"deg": ("rad", math.pi / 180.0), "km/h": ("m/s", 1.0 / 3.6)}
 """Further units that a value may carry -> SI unit, factor."""
 _COLLOQUIAL = {
-    "visibility": "fog foggy mist haze smoke rain snow",
-    "friction": "rain wet snow ice icy slippery grip mu",
-    "illuminance": "dark darkness dim dusk night brightness light lux",
-    "low_sun": "sun sunlight glare backlight dazzle",
-    "veiling_luminance": "glare veil flare stray_light",
-    "shadow_density": "shadow shadows shade",
-    "command_delay": "delay latency dead_time lag network_delay",
-    "steering_lag": "lag steering_delay",
-    "lens_dirt": "dirt dirty dust mud drops smudge",
-    "sensor_noise": "noise grain",
-    "line_contrast": "contrast lines markings paint faded worn",
-    "line_cover": "occlusion missing_lines covered worn",
-    "pavement_reflectance": "pavement asphalt concrete albedo reflectance",
-    "repair_share": "patches repairs",
-    "camera_height": "height mount",
-    "camera_pitch": "pitch tilt",
-    "camera_yaw": "yaw pan",
-    "exposure": "overexposure underexposure gain",
-    "payload": "load mass weight passengers",
-    "tyre_pull": "pull tire_pull wind drift",
-    "speed_limit": "speed velocity",
-}
+    "visibility": "fog foggy mist haze smoke rain snow", "friction": "rain wet snow ice icy slippery grip mu",
+    "illuminance": "dark darkness dim dusk night brightness light lux", "low_sun": "sun sunlight glare backlight",
+    "veiling_luminance": "glare veil flare stray_light", "shadow_density": "shadow shadows shade",
+    "command_delay": "delay latency dead_time lag network_delay", "steering_lag": "lag steering_delay",
+    "lens_dirt": "dirt dirty dust mud drops smudge", "sensor_noise": "noise grain", "repair_share": "patches repairs",
+    "line_contrast": "contrast lines markings paint faded worn", "line_cover": "occlusion missing_lines covered worn",
+    "pavement_reflectance": "pavement asphalt concrete albedo reflectance", "camera_height": "height mount",
+    "camera_pitch": "pitch tilt", "camera_yaw": "yaw pan", "exposure": "overexposure underexposure gain",
+    "payload": "load mass weight passengers", "tyre_pull": "pull tire_pull wind drift", "speed_limit": "speed velocity",
+}  # fmt: skip
 """Condition -> what people type for it; chosen."""
 MAX_TEXT = 4096
 """Characters of a text that is read; chosen: all conditions with full precision take a quarter of that."""

@@ -24,10 +24,8 @@ def read_ranges(folder: Path) -> dict[str, tuple[float, float]]:
     path = folder / RESULT
     try:
         return ranges_of(json.loads(path.read_text("utf-8")))
-    except OSError:
-        raise ConditionsError(f"{folder} has no {RESULT}: expected the --out of `ds sensitivity`") from None
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise ConditionsError(f"{path} is damaged: run `ds sensitivity` with the same options again") from None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise ConditionsError(f"{path} is no result: expected a folder of `ds sensitivity --out`") from None
 
 
 def ranges_of(document: dict[str, Any]) -> dict[str, tuple[float, float]]:
