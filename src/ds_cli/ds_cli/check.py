@@ -28,7 +28,7 @@ def check_command(
     seed: Seed = 1,
     as_json: JsonFlag = False,
 ) -> None:
-    """Show what a network sees on each simulator, and say what is wrong with how it is connected.
+    """Show what a network sees, and say what is wrong with how it is connected.
 
     The autopilot drives, and the network is only asked about the images. For a file without description, one is
     written beside it. Exit status: 0 connected rightly, 2 bad input, 3 not connected rightly.
