@@ -18,7 +18,6 @@ from ds_driver.networks.user_networks import (
 )
 from ds_studies.network_check.agreement import FOUND, GAIN, Agreement
 from ds_studies.network_check.diagnosis import (
-    INPUT_KINDS,
     SHARE_TRIED,
     ask_open_loop,
     best_reading,
@@ -32,6 +31,7 @@ from ds_studies.network_check.recording import Recording
 
 SIZES = ((160, 320), (66, 200), (120, 160), (80, 160), (224, 224), (128, 128), (64, 64))
 """Rows and columns tried where the file names none: this camera's, Nvidia's Dave-2's, Donkey Car's, and others."""
+QUESTIONS = {"colour": "Colours", "crop": "Part of the image", "subtract": "Scale of the pixels"}
 Ask = Callable[[str, list[str], str], str]
 """Asks a person to choose: question, choices and proposed choice."""
 
@@ -87,7 +87,7 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
         comments[part] = _why(fits)
         undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
-            answer = ask(f"{INPUT_KINDS[part][0]}, which the drives do not decide", undecided, undecided[0])
+            answer = ask(f"{QUESTIONS[part]}, which the drives do not decide", undecided, undecided[0])
             if answer not in undecided:
                 raise DriverError(f"{answer!r} was not offered: expected one of {', '.join(undecided)}")
             chosen = _changed(chosen, others[[name for name, _ in fits].index(answer)])

@@ -50,9 +50,9 @@ PIXELS: tuple[tuple[Any, Any], ...] = (
 CROPS: tuple[Any, ...] = ("simulator", "none", {"top": 60, "bottom": 25}, {"top": 60, "bottom": 0}, {"top": 80})
 """Crops tried: the paper's, none, Udacity's on images of this size, and the lower half and a little more."""
 INPUT_KINDS: dict[str, tuple[Kind, str]] = {
-    "colour": ("colour", "its colours are in another order than described"),
-    "crop": ("crop", "it expects another part of the image than described"),
-    "subtract": ("pixels", "its pixels are scaled otherwise than described"),
+    "colour": ("colour", "Its colours are in another order"),
+    "crop": ("crop", "It expects another part of the image"),
+    "subtract": ("pixels", "Its pixels are scaled otherwise"),
 }
 
 
@@ -151,7 +151,8 @@ def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> Ne
         if best != described:
             other = ask_open_loop(pilot.described_as(best), recordings)[0]
             answers = np.concatenate(list(other.values()))
-    findings, fixed = findings_of(described, best, answers, recordings)
+    whole = agreement(np.concatenate(list(steering.values())), recordings)
+    findings, fixed = findings_of(described, best, answers, recordings, abs(whole.correlation))
     if throttle is not None and (crawling := _crawling(pilot, throttle, recordings, seed, described)):
         findings.append(crawling[0])
         if fixed is not None:
@@ -165,7 +166,6 @@ def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> Ne
             highest=float(here.max()), at_full_lock=float(np.mean(np.abs(here) >= 1.0)),
             milliseconds=milliseconds[one.simulator],
         ))  # fmt: skip
-    whole = agreement(np.concatenate(list(steering.values())), recordings)
     return NetworkCheck(
         driver=driver, images=len(answers), correlation=whole.correlation, answers=rows, findings=findings,
         steering=steering, fixed=fixed if findings else None,
@@ -313,8 +313,12 @@ def findings_of(
     best: DescribedNetwork | None,
     answers: NDArray[np.float64],
     recordings: Sequence[Recording],
+    before: float = 0.0,
 ) -> tuple[list[Finding], DescribedNetwork | None]:
-    """Say what is wrong: how the best description differs, then scale, sign and offset of its answers to all images."""
+    """Say what is wrong: how the best description differs, then scale, sign and offset of its answers to all images.
+
+    `before` is the correlation under the given description.
+    """
     fit = agreement(answers, recordings)
     habits = command_habits(np.clip(answers, -1.0, 1.0), np.full(len(answers), np.inf))
     kinds = {habit.kind: habit.text for habit in habits}
@@ -324,18 +328,18 @@ def findings_of(
         ], best
     agreeing = [k for k, one in enumerate(fit.by_simulator) if abs(one) >= AGREES]
     if abs(fit.correlation) < AGREES and not agreeing:
-        text = f"It answers, but not with the road: correlation {fit.correlation:.2f} with the autopilot"
-        return [Finding("unrelated", f"{text} under every description that was tried")], best
+        tried = ", under no description that was tried" if described else ""
+        text = f"It answers, but not with the road: correlation {fit.correlation:.2f} with the autopilot{tried}"
+        return [Finding("unrelated", text)], best
     if abs(fit.correlation) < AGREES:  # it was made for some of the simulators
         ends = np.cumsum([len(one.steering) for one in recordings])[:-1]
         parts = np.split(answers, ends)
         fit = agreement(np.concatenate([parts[k] for k in agreeing]), [recordings[k] for k in agreeing])
     found: list[Finding] = []
-    steering = OutputSpec()
+    steering, agree = OutputSpec(), f"correlation {abs(fit.correlation):.2f}"
     if described is not None and best is not None:
-        found += _differences(described, best)
+        found += _differences(described, best, f"{agree} then, {before:.2f} now")
         steering = best.outputs.steering
-    agree = f"correlation {abs(fit.correlation):.2f}"
     texts: list[tuple[Kind, str]] = []
     size, kind = abs(fit.slope), scale_kind(fit.slope)
     shift = fit.offset if abs(fit.offset) >= OFF_CENTRE * size else 0.0
@@ -362,15 +366,15 @@ def findings_of(
     return found, with_steering(best, changed) if best is not None else None
 
 
-def _differences(described: DescribedNetwork, best: DescribedNetwork) -> Iterator[Finding]:
+def _differences(described: DescribedNetwork, best: DescribedNetwork, agree: str) -> Iterator[Finding]:
     before, after = described.input.model_dump(), best.input.model_dump()
     for key, (kind, text) in INPUT_KINDS.items():
         keys = ("subtract", "divide") if key == "subtract" else (key,)
         if any(before[one] != after[one] for one in keys):
-            yield Finding(kind, f"It follows the road once {text}", f"input: {flow({one: after[one] for one in keys})}")
+            yield Finding(kind, f"{text} than described ({agree})", f"input: {flow({one: after[one] for one in keys})}")
     old, new = described.outputs.steering, best.outputs.steering
     if old != new:
-        text = "It answers scores of bins instead of a number" if new.bins else "Its steering is another number"
+        text = f"{'It answers scores of bins' if new.bins else 'Its steering is another number'} ({agree})"
         yield Finding("bins" if new.bins else "output", text, output_line("steering", new))
 
 
