@@ -24,6 +24,7 @@ from ds_studies.network_check.diagnosis import (
     findings_of,
     flow,
     inputs,
+    likely_scale,
     ranked_combinations,
     with_input,
 )
@@ -79,11 +80,12 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
         DriverError: the network takes none of the inputs.
     """
     pilot = _load(file, forms)
-    tried = [one.every(SHARE_TRIED) for one in recordings]
-    chosen, fit = ranked_combinations(pilot, recordings)[0]
+    tried = [one.sample(SHARE_TRIED) for one in recordings]
+    best = ranked_combinations(pilot, recordings)[0]
+    chosen, fit = likely_scale(best, lambda one: best_reading(pilot.described_as(one), tried))
     comments = {}
     for part, others in inputs(chosen.input).items():
-        fits = [(flow(one), best_reading(pilot.described_as(_changed(chosen, one)), tried)[1]) for one in others]
+        fits = [(_shown(one), best_reading(pilot.described_as(_changed(chosen, one)), tried)[1]) for one in others]
         comments[part] = _why(fits)
         undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
@@ -129,6 +131,10 @@ def _load(file: Path, forms: Sequence[InputSpec]) -> DescribedNetworkPilot:
 
 def _changed(network: DescribedNetwork, changed: dict[str, Any]) -> DescribedNetwork:
     return network.model_copy(update={"input": with_input(network.input, changed)})
+
+
+def _shown(values: dict[str, Any]) -> str:
+    return flow(values if len(values) > 1 else next(iter(values.values())))
 
 
 def _why(fits: Sequence[tuple[str, Agreement]]) -> str:

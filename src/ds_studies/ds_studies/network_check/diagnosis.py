@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Literal
@@ -34,8 +34,8 @@ RADIANS = (0.2, FAINTEST)
 """Slopes at which an answer is taken to be in radians; chosen: full lock from 12 degrees, as above."""
 OFF_CENTRE = 0.2
 """Steering while the autopilot drives straight on from which there is an offset; chosen: ten times a good network's."""
-SHARE_TRIED = 6
-"""One image of so many is shown to other descriptions, about 25 for each simulator; one of `SHARE_SCREENED` times as
+SHARE_TRIED = 4
+"""One image of so many is shown to other descriptions, about 30 for each simulator; one of `SHARE_SCREENED` times as
 many where all combinations are tried."""
 SHARE_SCREENED = 3
 FINALISTS = 4
@@ -190,16 +190,20 @@ def ask_open_loop(
     return steering, np.array(throttle) if throttle else None, milliseconds
 
 
+Fitted = tuple[DescribedNetwork, Agreement]
+"""A description, and how well the network agrees with the autopilot under it."""
+
+
 def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
     """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
 
     One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if the
     network does not answer with the road as it is described, and no single change helps.
     """
-    tried = [one.every(SHARE_TRIED) for one in recordings]
-    known: dict[str, tuple[DescribedNetwork, Agreement]] = {}
+    tried = [one.sample(SHARE_TRIED) for one in recordings]
+    known: dict[str, Fitted] = {}
 
-    def fitted(changed: DescribedNetwork) -> tuple[DescribedNetwork, Agreement]:
+    def fitted(changed: DescribedNetwork) -> Fitted:
         key = changed.model_dump_json()
         if key not in known:
             known[key] = best_reading(pilot.described_as(changed), tried)
@@ -217,15 +221,24 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recordin
     if abs(best[1].correlation) < AGREES:
         first = ranked_combinations(pilot, recordings)[0]
         best = first if first[1].beats(best[1]) else best
-    if scale_kind(best[1].slope) == "scale":
-        # A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
-        others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
-        found = [fitted(best[0].model_copy(update={"input": one})) for one in others]
-        same = [
-            one for one in found if GAIN * one[1].unexplained <= best[1].unexplained and not scale_kind(one[1].slope)
-        ]
-        best = max(same, key=lambda one: abs(one[1].correlation), default=best)
-    return best[0]
+    return likely_scale(best, fitted)[0]
+
+
+def likely_scale(best: Fitted, fitted: Callable[[DescribedNetwork], Fitted]) -> Fitted:
+    """Exchange the scale of the pixels if the answer's scale is right with another one, or in degrees or radians.
+
+    A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
+    """
+    if scale_kind(best[1].slope) != "scale":
+        return best
+    others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
+    scaled = [fitted(best[0].model_copy(update={"input": one})) for one in others]
+    same = [one for one in scaled if GAIN * one[1].unexplained <= best[1].unexplained]
+    for kind in (None, "degrees", "radians"):
+        likely = [one for one in same if scale_kind(one[1].slope) == kind]
+        if likely:
+            return max(likely, key=lambda one: abs(one[1].correlation))
+    return best
 
 
 def scale_kind(slope: float) -> Kind | None:
@@ -238,23 +251,21 @@ def scale_kind(slope: float) -> Kind | None:
     return "radians" if RADIANS[0] <= size <= RADIANS[1] else "scale"
 
 
-def ranked_combinations(
-    pilot: DescribedNetworkPilot, recordings: Sequence[Recording]
-) -> list[tuple[DescribedNetwork, Agreement]]:
+def ranked_combinations(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> list[Fitted]:
     """Try all combinations of the parts of the input; return the best ones, the best first."""
-    tried = [one.every(SHARE_TRIED) for one in recordings]
-    few = [one.every(SHARE_SCREENED) for one in tried]
+    tried = [one.sample(SHARE_TRIED) for one in recordings]
+    few = [one.sample(SHARE_SCREENED) for one in tried]
     found = [best_reading(pilot.described_as(one), few) for one in combinations(pilot.description)]
     found.sort(key=_worst_last)
     finalists = [best_reading(pilot.described_as(one), tried) for one, _ in found[:FINALISTS]]
     return sorted(finalists, key=_worst_last)
 
 
-def _worst_last(one: tuple[DescribedNetwork, Agreement]) -> float:
+def _worst_last(one: Fitted) -> float:
     return -round(abs(one[1].correlation), 3)  # of equal ones, the first remains
 
 
-def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> tuple[DescribedNetwork, Agreement]:
+def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> Fitted:
     """Return the description with the number among the outputs that agrees best; the described one unless beaten."""
     found = [(spec, agreement(answers, recordings)) for spec, answers in readings(pilot, recordings)]
     nothing = Agreement(0.0, 0.0, 0.0, (0.0,) * len(recordings))

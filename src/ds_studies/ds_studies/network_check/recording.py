@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,12 +45,12 @@ class Recording:
     steering: NDArray[np.float64]
     throttle: NDArray[np.float64]
 
-    def every(self, step: int) -> Recording:
-        """Keep every n-th image."""
-        return Recording(
-            simulator=self.simulator, frames=self.frames[::step], steering=self.steering[::step],
-            throttle=self.throttle[::step],
-        )  # fmt: skip
+    def sample(self, step: int) -> Recording:
+        """Keep one image of so many, evenly over the autopilot's steering, so that sharp bends are among them."""
+        kept = np.sort(np.argsort(self.steering, kind="stable")[step // 2 :: step])
+        return replace(
+            self, frames=tuple(self.frames[k] for k in kept), steering=self.steering[kept], throttle=self.throttle[kept]
+        )
 
 
 class _Job(NamedTuple):
