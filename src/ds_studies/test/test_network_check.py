@@ -110,7 +110,7 @@ def kinds(path: Path, drives: list[Recording]) -> list[str]:
 
 
 def test_a_rightly_described_network_passes(made: Made, drives: list[Recording]) -> None:
-    found = check_network(str(made(throttle=0.3)), drives, 1)
+    found = check_network(str(made()), drives, 1)
 
     assert found.findings == [] and "is connected rightly" in found.verdict and found.correlation > 0.9
     assert [one.simulator for one in found.answers] == ["softbody", "donkey"]
@@ -123,11 +123,9 @@ def test_a_rightly_described_network_passes(made: Made, drives: list[Recording])
         ({"times": 25.0}, ["degrees"]),
         ({"times": 0.4363}, ["radians"]),
         ({"times": -1.0}, ["sign"]),
-        ({"times": -25.0}, ["degrees", "sign"]),
         ({"times": 0.001}, ["scale"]),
         ({"plus": 0.5}, ["offset"]),
         ({"bgr": True}, ["colour"]),
-        ({"colour": "yuv"}, ["colour"]),
         ({"crop": "none"}, ["crop"]),
         ({"divide": 1.0}, ["pixels"]),
         ({"bins": 15}, ["bins"]),

@@ -82,7 +82,9 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
     pilot = _load(file, forms)
     tried = [one.sample(SHARE_TRIED) for one in recordings]
     best = ranked_combinations(pilot, recordings)[0]
-    chosen, fit = likely_scale(best, lambda one: best_reading(pilot.described_as(one), tried))
+    chosen, fit = likely_scale(
+        best, lambda one: best_reading(pilot.described_as(one), tried), (None, "degrees", "radians")
+    )
     comments = {}
     for part, others in inputs(chosen.input).items():
         fits = [(_shown(one), best_reading(pilot.described_as(_changed(chosen, one)), tried)[1]) for one in others]

@@ -221,11 +221,11 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recordin
     if abs(best[1].correlation) < AGREES:
         first = ranked_combinations(pilot, recordings)[0]
         best = first if first[1].beats(best[1]) else best
-    return likely_scale(best, fitted)[0]
+    return likely_scale(best, fitted, (None,))[0]
 
 
-def likely_scale(best: Fitted, fitted: Callable[[DescribedNetwork], Fitted]) -> Fitted:
-    """Exchange the scale of the pixels if the answer's scale is right with another one, or in degrees or radians.
+def likely_scale(best: Fitted, fitted: Callable[[DescribedNetwork], Fitted], likely: Sequence[Kind | None]) -> Fitted:
+    """Exchange the scale of the pixels if the answer's scale is a likely one with another, see `scale_kind`.
 
     A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
     """
@@ -234,10 +234,10 @@ def likely_scale(best: Fitted, fitted: Callable[[DescribedNetwork], Fitted]) -> 
     others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
     scaled = [fitted(best[0].model_copy(update={"input": one})) for one in others]
     same = [one for one in scaled if GAIN * one[1].unexplained <= best[1].unexplained]
-    for kind in (None, "degrees", "radians"):
-        likely = [one for one in same if scale_kind(one[1].slope) == kind]
-        if likely:
-            return max(likely, key=lambda one: abs(one[1].correlation))
+    for kind in likely:
+        found = [one for one in same if scale_kind(one[1].slope) == kind]
+        if found:
+            return max(found, key=lambda one: abs(one[1].correlation))
     return best
 
 
