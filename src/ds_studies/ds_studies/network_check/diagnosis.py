@@ -197,8 +197,8 @@ Fitted = tuple[DescribedNetwork, Agreement]
 def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
     """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
 
-    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if the
-    network does not answer with the road as it is described, and no single change helps.
+    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if it
+    agrees less than a network that drives, and no single change helps, as where colours and crop are both wrong.
     """
     tried = [one.sample(SHARE_TRIED) for one in recordings]
     known: dict[str, Fitted] = {}
@@ -218,7 +218,7 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recordin
         if not better:
             break
         best = max(better, key=lambda one: abs(one[1].correlation))
-    if abs(best[1].correlation) < AGREES:
+    if abs(best[1].correlation) < FOUND:
         first = ranked_combinations(pilot, recordings)[0]
         best = first if first[1].beats(best[1]) else best
     return likely_scale(best, fitted, (None,))[0]
