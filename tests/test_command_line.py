@@ -360,7 +360,7 @@ def test_drive_answers_with_one_document_and_repeats_itself(tmp_path: Path) -> N
     command = ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", road, "--seed", 5, "--json")
     runs = [in_process(*command) for _ in range(2)]
     first, second = (json.loads(run.stdout) for run in runs)
-    assert runs[0].returncode == 0 and first["outcome"] == "COMPLETED"
+    assert runs[0].returncode == 0 and first["outcome"] == "COMPLETED" and first["warnings"] == []
     assert {"fitness", "max_lateral_position", "steps", "simulated_seconds", "wall_seconds"} <= set(first)
     assert len(first["trajectory_sha256"]) == 64
     assert {**first, "wall_seconds": 0} == {**second, "wall_seconds": 0}

@@ -28,7 +28,7 @@ def check_command(
     seed: Seed = 1,
     as_json: JsonFlag = False,
 ) -> None:
-    """Show what a network sees on each simulator, and say what is wrong with how it is connected.
+    """Show what a network sees, and say what is wrong with how it is connected.
 
     The autopilot drives, and the network is only asked about the images. For a file without description, one is
     written beside it. Exit status: 0 connected rightly, 2 bad input, 3 not connected rightly.
@@ -70,7 +70,7 @@ def check_command(
             table.add_column(column, justify="left" if column == "simulator" else "right")
         for one in found.answers:
             table.add_row(
-                one.simulator, f"{one.correlation:.2f}", f"{one.slope:.3g}", f"{one.lowest:.3g} to {one.highest:.3g}",
+                one.simulator, f"{one.correlation:.2f}", f"{one.slope:.2g}", f"{one.lowest:.2g} to {one.highest:.2g}",
                 f"{one.at_full_lock:.0%}", f"{one.milliseconds:.1f}",
             )  # fmt: skip
         Console().print(table)

@@ -18,13 +18,13 @@ from ds_driver.networks.user_networks import (
 )
 from ds_studies.network_check.agreement import FOUND, GAIN, Agreement
 from ds_studies.network_check.diagnosis import (
-    INPUT_KINDS,
     SHARE_TRIED,
     ask_open_loop,
     best_reading,
     findings_of,
     flow,
     inputs,
+    likely_scale,
     ranked_combinations,
     with_input,
 )
@@ -32,6 +32,7 @@ from ds_studies.network_check.recording import Recording
 
 SIZES = ((160, 320), (66, 200), (120, 160), (80, 160), (224, 224), (128, 128), (64, 64))
 """Rows and columns tried where the file names none: this camera's, Nvidia's Dave-2's, Donkey Car's, and others."""
+QUESTIONS = {"colour": "Colours", "crop": "Part of the image", "subtract": "Scale of the pixels"}
 Ask = Callable[[str, list[str], str], str]
 """Asks a person to choose: question, choices and proposed choice."""
 
@@ -79,15 +80,18 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
         DriverError: the network takes none of the inputs.
     """
     pilot = _load(file, forms)
-    tried = [one.every(SHARE_TRIED) for one in recordings]
-    chosen, fit = ranked_combinations(pilot, recordings)[0]
+    tried = [one.sample(SHARE_TRIED) for one in recordings]
+    best = ranked_combinations(pilot, recordings)[0]
+    chosen, fit = likely_scale(
+        best, lambda one: best_reading(pilot.described_as(one), tried), (None, "degrees", "radians")
+    )
     comments = {}
     for part, others in inputs(chosen.input).items():
-        fits = [(flow(one), best_reading(pilot.described_as(_changed(chosen, one)), tried)[1]) for one in others]
+        fits = [(_shown(one), best_reading(pilot.described_as(_changed(chosen, one)), tried)[1]) for one in others]
         comments[part] = _why(fits)
         undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
-            answer = ask(f"{INPUT_KINDS[part][0]}, which the drives do not decide", undecided, undecided[0])
+            answer = ask(f"{QUESTIONS[part]}, which the drives do not decide", undecided, undecided[0])
             if answer not in undecided:
                 raise DriverError(f"{answer!r} was not offered: expected one of {', '.join(undecided)}")
             chosen = _changed(chosen, others[[name for name, _ in fits].index(answer)])
@@ -129,6 +133,10 @@ def _load(file: Path, forms: Sequence[InputSpec]) -> DescribedNetworkPilot:
 
 def _changed(network: DescribedNetwork, changed: dict[str, Any]) -> DescribedNetwork:
     return network.model_copy(update={"input": with_input(network.input, changed)})
+
+
+def _shown(values: dict[str, Any]) -> str:
+    return flow(values if len(values) > 1 else next(iter(values.values())))
 
 
 def _why(fits: Sequence[tuple[str, Agreement]]) -> str:

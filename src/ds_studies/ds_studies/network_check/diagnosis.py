@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Literal
@@ -34,8 +34,8 @@ RADIANS = (0.2, FAINTEST)
 """Slopes at which an answer is taken to be in radians; chosen: full lock from 12 degrees, as above."""
 OFF_CENTRE = 0.2
 """Steering while the autopilot drives straight on from which there is an offset; chosen: ten times a good network's."""
-SHARE_TRIED = 6
-"""One image of so many is shown to other descriptions, about 25 for each simulator; one of `SHARE_SCREENED` times as
+SHARE_TRIED = 4
+"""One image of so many is shown to other descriptions, about 30 for each simulator; one of `SHARE_SCREENED` times as
 many where all combinations are tried."""
 SHARE_SCREENED = 3
 FINALISTS = 4
@@ -50,9 +50,9 @@ PIXELS: tuple[tuple[Any, Any], ...] = (
 CROPS: tuple[Any, ...] = ("simulator", "none", {"top": 60, "bottom": 25}, {"top": 60, "bottom": 0}, {"top": 80})
 """Crops tried: the paper's, none, Udacity's on images of this size, and the lower half and a little more."""
 INPUT_KINDS: dict[str, tuple[Kind, str]] = {
-    "colour": ("colour", "its colours are in another order than described"),
-    "crop": ("crop", "it expects another part of the image than described"),
-    "subtract": ("pixels", "its pixels are scaled otherwise than described"),
+    "colour": ("colour", "Its colours are in another order"),
+    "crop": ("crop", "It expects another part of the image"),
+    "subtract": ("pixels", "Its pixels are scaled otherwise"),
 }
 
 
@@ -151,7 +151,8 @@ def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> Ne
         if best != described:
             other = ask_open_loop(pilot.described_as(best), recordings)[0]
             answers = np.concatenate(list(other.values()))
-    findings, fixed = findings_of(described, best, answers, recordings)
+    whole = agreement(np.concatenate(list(steering.values())), recordings)
+    findings, fixed = findings_of(described, best, answers, recordings, abs(whole.correlation))
     if throttle is not None and (crawling := _crawling(pilot, throttle, recordings, seed, described)):
         findings.append(crawling[0])
         if fixed is not None:
@@ -165,7 +166,6 @@ def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> Ne
             highest=float(here.max()), at_full_lock=float(np.mean(np.abs(here) >= 1.0)),
             milliseconds=milliseconds[one.simulator],
         ))  # fmt: skip
-    whole = agreement(np.concatenate(list(steering.values())), recordings)
     return NetworkCheck(
         driver=driver, images=len(answers), correlation=whole.correlation, answers=rows, findings=findings,
         steering=steering, fixed=fixed if findings else None,
@@ -190,16 +190,20 @@ def ask_open_loop(
     return steering, np.array(throttle) if throttle else None, milliseconds
 
 
+Fitted = tuple[DescribedNetwork, Agreement]
+"""A description, and how well the network agrees with the autopilot under it."""
+
+
 def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
     """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
 
-    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if the
-    network does not answer with the road as it is described, and no single change helps.
+    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if it
+    agrees less than a network that drives, and no single change helps, as where colours and crop are both wrong.
     """
-    tried = [one.every(SHARE_TRIED) for one in recordings]
-    known: dict[str, tuple[DescribedNetwork, Agreement]] = {}
+    tried = [one.sample(SHARE_TRIED) for one in recordings]
+    known: dict[str, Fitted] = {}
 
-    def fitted(changed: DescribedNetwork) -> tuple[DescribedNetwork, Agreement]:
+    def fitted(changed: DescribedNetwork) -> Fitted:
         key = changed.model_dump_json()
         if key not in known:
             known[key] = best_reading(pilot.described_as(changed), tried)
@@ -214,18 +218,27 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recordin
         if not better:
             break
         best = max(better, key=lambda one: abs(one[1].correlation))
-    if abs(best[1].correlation) < AGREES:
+    if abs(best[1].correlation) < FOUND:
         first = ranked_combinations(pilot, recordings)[0]
         best = first if first[1].beats(best[1]) else best
-    if scale_kind(best[1].slope) == "scale":
-        # A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
-        others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
-        found = [fitted(best[0].model_copy(update={"input": one})) for one in others]
-        same = [
-            one for one in found if GAIN * one[1].unexplained <= best[1].unexplained and not scale_kind(one[1].slope)
-        ]
-        best = max(same, key=lambda one: abs(one[1].correlation), default=best)
-    return best[0]
+    return likely_scale(best, fitted, (None,))[0]
+
+
+def likely_scale(best: Fitted, fitted: Callable[[DescribedNetwork], Fitted], likely: Sequence[Kind | None]) -> Fitted:
+    """Exchange the scale of the pixels if the answer's scale is a likely one with another, see `scale_kind`.
+
+    A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
+    """
+    if scale_kind(best[1].slope) != "scale":
+        return best
+    others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
+    scaled = [fitted(best[0].model_copy(update={"input": one})) for one in others]
+    same = [one for one in scaled if GAIN * one[1].unexplained <= best[1].unexplained]
+    for kind in likely:
+        found = [one for one in same if scale_kind(one[1].slope) == kind]
+        if found:
+            return max(found, key=lambda one: abs(one[1].correlation))
+    return best
 
 
 def scale_kind(slope: float) -> Kind | None:
@@ -238,23 +251,21 @@ def scale_kind(slope: float) -> Kind | None:
     return "radians" if RADIANS[0] <= size <= RADIANS[1] else "scale"
 
 
-def ranked_combinations(
-    pilot: DescribedNetworkPilot, recordings: Sequence[Recording]
-) -> list[tuple[DescribedNetwork, Agreement]]:
+def ranked_combinations(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> list[Fitted]:
     """Try all combinations of the parts of the input; return the best ones, the best first."""
-    tried = [one.every(SHARE_TRIED) for one in recordings]
-    few = [one.every(SHARE_SCREENED) for one in tried]
+    tried = [one.sample(SHARE_TRIED) for one in recordings]
+    few = [one.sample(SHARE_SCREENED) for one in tried]
     found = [best_reading(pilot.described_as(one), few) for one in combinations(pilot.description)]
     found.sort(key=_worst_last)
     finalists = [best_reading(pilot.described_as(one), tried) for one, _ in found[:FINALISTS]]
     return sorted(finalists, key=_worst_last)
 
 
-def _worst_last(one: tuple[DescribedNetwork, Agreement]) -> float:
+def _worst_last(one: Fitted) -> float:
     return -round(abs(one[1].correlation), 3)  # of equal ones, the first remains
 
 
-def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> tuple[DescribedNetwork, Agreement]:
+def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> Fitted:
     """Return the description with the number among the outputs that agrees best; the described one unless beaten."""
     found = [(spec, agreement(answers, recordings)) for spec, answers in readings(pilot, recordings)]
     nothing = Agreement(0.0, 0.0, 0.0, (0.0,) * len(recordings))
@@ -313,8 +324,12 @@ def findings_of(
     best: DescribedNetwork | None,
     answers: NDArray[np.float64],
     recordings: Sequence[Recording],
+    before: float = 0.0,
 ) -> tuple[list[Finding], DescribedNetwork | None]:
-    """Say what is wrong: how the best description differs, then scale, sign and offset of its answers to all images."""
+    """Say what is wrong: how the best description differs, then scale, sign and offset of its answers to all images.
+
+    `before` is the correlation under the given description.
+    """
     fit = agreement(answers, recordings)
     habits = command_habits(np.clip(answers, -1.0, 1.0), np.full(len(answers), np.inf))
     kinds = {habit.kind: habit.text for habit in habits}
@@ -324,18 +339,18 @@ def findings_of(
         ], best
     agreeing = [k for k, one in enumerate(fit.by_simulator) if abs(one) >= AGREES]
     if abs(fit.correlation) < AGREES and not agreeing:
-        text = f"It answers, but not with the road: correlation {fit.correlation:.2f} with the autopilot"
-        return [Finding("unrelated", f"{text} under every description that was tried")], best
+        tried = ", under no description that was tried" if described else ""
+        text = f"It answers, but not with the road: correlation {fit.correlation:.2f} with the autopilot{tried}"
+        return [Finding("unrelated", text)], best
     if abs(fit.correlation) < AGREES:  # it was made for some of the simulators
         ends = np.cumsum([len(one.steering) for one in recordings])[:-1]
         parts = np.split(answers, ends)
         fit = agreement(np.concatenate([parts[k] for k in agreeing]), [recordings[k] for k in agreeing])
     found: list[Finding] = []
-    steering = OutputSpec()
+    steering, agree = OutputSpec(), f"correlation {abs(fit.correlation):.2f}"
     if described is not None and best is not None:
-        found += _differences(described, best)
+        found += _differences(described, best, f"{agree} then, {before:.2f} now")
         steering = best.outputs.steering
-    agree = f"correlation {abs(fit.correlation):.2f}"
     texts: list[tuple[Kind, str]] = []
     size, kind = abs(fit.slope), scale_kind(fit.slope)
     shift = fit.offset if abs(fit.offset) >= OFF_CENTRE * size else 0.0
@@ -362,15 +377,15 @@ def findings_of(
     return found, with_steering(best, changed) if best is not None else None
 
 
-def _differences(described: DescribedNetwork, best: DescribedNetwork) -> Iterator[Finding]:
+def _differences(described: DescribedNetwork, best: DescribedNetwork, agree: str) -> Iterator[Finding]:
     before, after = described.input.model_dump(), best.input.model_dump()
     for key, (kind, text) in INPUT_KINDS.items():
         keys = ("subtract", "divide") if key == "subtract" else (key,)
         if any(before[one] != after[one] for one in keys):
-            yield Finding(kind, f"It follows the road once {text}", f"input: {flow({one: after[one] for one in keys})}")
+            yield Finding(kind, f"{text} than described ({agree})", f"input: {flow({one: after[one] for one in keys})}")
     old, new = described.outputs.steering, best.outputs.steering
     if old != new:
-        text = "It answers scores of bins instead of a number" if new.bins else "Its steering is another number"
+        text = f"{'It answers scores of bins' if new.bins else 'Its steering is another number'} ({agree})"
         yield Finding("bins" if new.bins else "output", text, output_line("steering", new))
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,12 +45,12 @@ class Recording:
     steering: NDArray[np.float64]
     throttle: NDArray[np.float64]
 
-    def every(self, step: int) -> Recording:
-        """Keep every n-th image."""
-        return Recording(
-            simulator=self.simulator, frames=self.frames[::step], steering=self.steering[::step],
-            throttle=self.throttle[::step],
-        )  # fmt: skip
+    def sample(self, step: int) -> Recording:
+        """Keep one image of so many, evenly over the autopilot's steering, so that sharp bends are among them."""
+        kept = np.sort(np.argsort(self.steering, kind="stable")[step // 2 :: step])
+        return replace(
+            self, frames=tuple(self.frames[k] for k in kept), steering=self.steering[kept], throttle=self.throttle[kept]
+        )
 
 
 class _Job(NamedTuple):
@@ -83,38 +83,33 @@ def record(simulators: Sequence[str], seed: int, progress: Progress) -> list[Rec
 
 
 def _record(job: _Job) -> Recording:
-    simulator = simulator_of_process(job.simulator)
-    spec, session = simulator.spec, Session(simulator)
-    autopilot, crop = make_driver(AUTOPILOT, spec), Crop(spec.crop_top, spec.crop_bottom)
-    frames, commands = [], []
-    seen = session.start(job.road, job.seed)
-    while seen is not None and session.driving and seen.step < LONGEST:
-        command = autopilot(seen)
-        if seen.step % EVERY == 0:
-            frames.append(Frame(
-                image=seen.image.copy(), speed=seen.vehicle.speed, crop=crop, step=seen.step, simulator=job.simulator
-            ))  # fmt: skip
-            commands.append((command.steering, command.throttle))
-        seen = session.advance(command)
-    if seen is None:
-        raise SimulatorError(f"{job.simulator}: {session.run.message if session.run else 'no run'}")
-    steering, throttle = np.array(commands).T
-    return Recording(simulator=job.simulator, frames=tuple(frames), steering=steering, throttle=throttle)
+    kept = _drive(job, lambda _: None)[::EVERY]
+    steering, throttle = np.array([(command.steering, command.throttle) for _, command in kept]).T
+    return Recording(
+        simulator=job.simulator, frames=tuple(frame for frame, _ in kept), steering=steering, throttle=throttle
+    )
 
 
 def speeds_of_throttle(pilot: Pilot, simulator: str, seed: int) -> NDArray[np.float64]:
     """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
-    made = simulator_of_process(simulator)
-    spec, session = made.spec, Session(made)
+    job = _Job(simulator, *candidate_roads(1, seed)[0])
+    return np.array([frame.speed for frame, _ in _drive(job, lambda frame: pilot.predict(frame).throttle)])
+
+
+def _drive(job: _Job, throttle: Callable[[Frame], float | None]) -> list[tuple[Frame, Command]]:
+    """Let the autopilot drive, with another throttle where there is one; return frames and the autopilot's commands."""
+    simulator = simulator_of_process(job.simulator)
+    spec, session = simulator.spec, Session(simulator)
     autopilot, crop = make_driver(AUTOPILOT, spec), Crop(spec.crop_top, spec.crop_bottom)
-    seen = session.start(*candidate_roads(1, seed)[0])
-    speeds = []
+    driven = []
+    seen = session.start(job.road, job.seed)
     while seen is not None and session.driving and seen.step < LONGEST:
-        speeds.append(seen.vehicle.speed)
-        command = autopilot(seen)
-        frame = Frame(image=seen.image, speed=seen.vehicle.speed, crop=crop, step=seen.step, simulator=simulator)
-        throttle = pilot.predict(frame).throttle
-        if throttle is not None:
-            command = Command(command.steering, min(max(throttle, 0.0), 1.0))
-        seen = session.advance(command)
-    return np.array(speeds)
+        frame = Frame(
+            image=seen.image.copy(), speed=seen.vehicle.speed, crop=crop, step=seen.step, simulator=job.simulator
+        )
+        command, given = autopilot(seen), throttle(frame)
+        driven.append((frame, command))
+        seen = session.advance(command if given is None else Command(command.steering, min(max(given, 0.0), 1.0)))
+    if seen is None:
+        raise SimulatorError(f"{job.simulator}: {session.run.message if session.run else 'no run'}")
+    return driven
