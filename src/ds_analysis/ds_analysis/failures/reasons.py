@@ -63,7 +63,7 @@ class Reason:
     @property
     def kind(self) -> str:
         """What failures of one group have in common."""
-        return f"{self.how}: {self.led}" if self.led else self.how
+        return f"{self.how}: it {self.led}" if self.led else self.how
 
     @property
     def text(self) -> str:
