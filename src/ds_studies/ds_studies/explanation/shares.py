@@ -162,7 +162,11 @@ class Explanation:
                 break
         innocent = [part for part in shares if part not in named and abs(shares[part]) <= INNOCENT]
         because = _joined([f"the {part} ({shares[part]:.2f})" for part in named], "and")
-        other = f", not the {_joined(innocent, 'or')}" if innocent else ""
+        partly = [
+            f"the {part} ({shares[part]:.2f})" for part in shares if part not in named and shares[part] > INNOCENT
+        ]
+        other = f", partly {_joined(partly, 'and')}" if partly else ""
+        other += f", not the {_joined(innocent, 'or')}" if innocent else ""
         cured = f"No single part of {self.against} makes it complete there."
         cures = [
             f"default {CONDITIONS}" if part == CONDITIONS else f"the {part} of {self.against}"
