@@ -161,10 +161,9 @@ class Explanation:
             if sum(shares[one] for one in named) >= NAMED:
                 break
         innocent = [part for part in shares if part not in named and abs(shares[part]) <= INNOCENT]
-        because = _joined([f"the {part} ({shares[part]:.2f})" for part in named], "and")
-        partly = [
-            f"the {part} ({shares[part]:.2f})" for part in shares if part not in named and shares[part] > INNOCENT
-        ]
+        words = {part: f"the {part} ({share:.2f})" for part, share in shares.items()}
+        because = _joined([words[part] for part in named], "and")
+        partly = [words[part] for part in shares if part not in named and shares[part] > INNOCENT]
         other = f", partly {_joined(partly, 'and')}" if partly else ""
         other += f", not the {_joined(innocent, 'or')}" if innocent else ""
         cured = f"No single part of {self.against} makes it complete there."
