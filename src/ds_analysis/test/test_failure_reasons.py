@@ -100,7 +100,7 @@ def test_cutting_straight_slow_and_odd_commands_are_told_apart() -> None:
     drift[:, 0] -= np.arange(len(drift)) * 0.03
     under = made_test(RIGHT, visibility=40.0)
     straight = reason_of(under, failed(drift, noise, RIGHT))
-    assert straight.kind == "leaves a straight" and straight.text.endswith("under visibility 40 m")
+    assert straight.kind == "leaves a straight" and straight.text.endswith("under visibility 40 m)")
     locked = np.where(np.arange(300) % 3 > 0, 1.0, -0.2)
     for steering, led in ((np.full(300, 0.3), "always steers the same"), (locked, "is at full lock half of the time")):
         assert reason_of(made_test(RIGHT), failed(drift, steering, RIGHT)).led == led
