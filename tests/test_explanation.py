@@ -98,6 +98,7 @@ def test_conditions_are_removed_and_what_a_driver_does_not_see_has_no_share(tmp_
     (found,) = json.loads(ds("explain", folder, "--test", "bullet-0-0000", "--json").stdout)["tests"]
     assert found["shares"]["camera"] == 0.0 == found["shares"]["look"]
     assert found["shares"]["conditions"] + found["shares"]["vehicle"] == pytest.approx(1.0)
+    assert ", partly the vehicle (" in found["sentence"]
     assert "under command_delay 0.4 s" in found["reason"] and len(found["drives"]) == 16
     shown = ds("explain", folder, "--groups", 0)
     assert shown.returncode == 0 and "1 on bullet" in shown.stdout
@@ -105,6 +106,7 @@ def test_conditions_are_removed_and_what_a_driver_does_not_see_has_no_share(tmp_
         (("--test", "bullet-0-0007"), "has no test"),
         (("--test", "bullet-0-0000", "--sim", "softbody"), "never fails on softbody: expected bullet"),
         (("--sim", "bullet"), "give --test, too"),
+        (("--engine", "graph"), "expected local or dask"),
     ):
         refused = ds("explain", folder, *wrong)
         assert refused.returncode == 2 and why in refused.stderr and refused.stderr.count("\n") == 1

@@ -95,18 +95,18 @@ def test_cutting_straight_slow_and_odd_commands_are_told_apart() -> None:
     lane, across = RIGHT.lane_centre, (RIGHT.right_edge - RIGHT.left_edge) / (4 * RIGHT.lane_width / 2)
     along = np.concatenate(([0.0], np.hypot(*np.diff(lane, axis=0).T).cumsum()))
     cut = lane + np.clip((along - first_bend(RIGHT) - 8.0) / 3.0, 0.0, 3.0)[:, None] * across
-    assert reason_of(made_test(RIGHT), failed(cut, noise, RIGHT)).kind == "cuts a right bend: steers too much"
+    assert reason_of(made_test(RIGHT), failed(cut, noise, RIGHT)).kind == "cuts a right bend: it steers too much"
     drift = straight_on(RIGHT)
     drift[:, 0] -= np.arange(len(drift)) * 0.03
     under = made_test(RIGHT, visibility=40.0)
     straight = reason_of(under, failed(drift, noise, RIGHT))
-    assert straight.kind == "leaves a straight" and straight.text.endswith("under visibility 40 m")
+    assert straight.kind == "leaves a straight" and straight.text.endswith("under visibility 40 m)")
     locked = np.where(np.arange(300) % 3 > 0, 1.0, -0.2)
     for steering, led in ((np.full(300, 0.3), "always steers the same"), (locked, "is at full lock half of the time")):
         assert reason_of(made_test(RIGHT), failed(drift, steering, RIGHT)).led == led
     slow = failed(straight_on(RIGHT)[:100], noise, RIGHT, outcome=Outcome.TIMEOUT, speed=0.9)
     found = reason_of(made_test(RIGHT), slow)
-    assert found.kind == "is too slow to finish: crawls" and "3 km/h" in found.numbers
+    assert found.kind == "is too slow to finish: it crawls" and "3 km/h" in found.numbers
     assert reason_of(made_test(RIGHT), replace(slow, outcome=Outcome.STUCK)).how == "stops on the road"
 
 

@@ -54,6 +54,8 @@ def explain_command(
 
     if test is None and (sim is not None or against is not None):
         raise ConfigError("--sim and --against choose the simulators of one test: give --test, too")
+    if engine == "graph":
+        raise ConfigError("--engine graph would start a node for every exchange: expected local or dask")
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
         if test is not None or groups:  # something is driven, and so made

@@ -34,9 +34,8 @@ def failure_section(data: CampaignData) -> FailureSection | None:
     if not reasons:
         return None
     groups, failed = groups_of(reasons), sum(e.outcome.is_failure for e in data.executions)
-    sentences = [
-        f"Most often the driver {groups[0].kind}: {len(groups[0].reasons)} of {count(len(reasons), 'failure')}."
-    ]
+    most = f"{len(groups[0].reasons)} of {count(len(reasons), 'failure')}"
+    sentences = [f"Most often ({most}), the driver {groups[0].kind}."]
     if len(reasons) < failed:
         sentences[0] += f" Read from the records of {len(reasons)} of {failed} failures."
     first = {name: max(groups, key=lambda group: group.on.get(name, 0)) for name in data.config.simulators}

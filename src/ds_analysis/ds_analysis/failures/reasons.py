@@ -63,13 +63,17 @@ class Reason:
     @property
     def kind(self) -> str:
         """What failures of one group have in common."""
-        return f"{self.how}: {self.led}" if self.led else self.how
+        return f"{self.how}: it {self.led}" if self.led else self.how
+
+    @property
+    def details(self) -> str:
+        """What failures of one group may differ in."""
+        return f"{self.numbers}, under {self.conditions}" if self.conditions else self.numbers
 
     @property
     def text(self) -> str:
         """The whole reason."""
-        under = f", under {self.conditions}" if self.conditions else ""
-        return f"{self.kind} ({self.numbers}){under}"
+        return f"{self.kind} ({self.details})"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -109,14 +109,14 @@ def experiments_on(data: CampaignData, groups: Sequence[FailureGroup], most: int
     """Plan an experiment for each of the largest groups that has a test which another simulator completes.
 
     Returns:
-        Kind of the group -> experiment on its first such test, at most `most`.
+        Reason of the first such test of a group -> experiment, at most `most`.
     """
     found: dict[str, Experiment] = {}
     passed = {execution.test_id for execution in data.verdicts if not execution.outcome.is_failure}
     for group in groups:
         reason = next((one for one in group.reasons if one.test_id in passed), None)
         if reason is not None and len(found) < most:
-            found[group.kind] = experiment_on(data, reason.test_id, reason.simulator)
+            found[reason.text] = experiment_on(data, reason.test_id, reason.simulator)
     return found
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from ds_analysis.common.table import Column, Table
 from ds_orchestrator.store.model import Execution
+from ds_sim.registry import label_of
 
 Subset = frozenset[str]
 NAMED = 0.6
@@ -139,7 +140,7 @@ class Explanation:
             for part, share in self.shares.items()
         ]
         return Table(
-            name=f"explanation_{self.test_id}_{self.fails}",
+            name=f"explanation_{self.test_id}_{label_of(self.fails)}",
             title=f"{self.test_id}: fails on {self.fails}, not on {self.against}",
             columns=columns,
             rows=[*rows, ("left over", self.left_over, "", "")],
@@ -160,16 +161,19 @@ class Explanation:
             if sum(shares[one] for one in named) >= NAMED:
                 break
         innocent = [part for part in shares if part not in named and abs(shares[part]) <= INNOCENT]
-        because = _joined([f"the {part} ({shares[part]:.2f})" for part in named], "and")
-        other = f", not the {_joined(innocent, 'or')}" if innocent else ""
-        cures = [part for part in shares if self.cures(part)]
-        cured = (
-            f"With the {_joined(cures, 'or')} of {self.against} alone it completes there."
-            if cures
-            else f"No single part of {self.against} makes it complete there."
-        )
-        if CONDITIONS in cures:
-            cured = cured.replace(f"{CONDITIONS} of {self.against}", f"default {CONDITIONS}")
+        words = {part: f"the {part} ({share:.2f})" for part, share in shares.items()}
+        because = _joined([words[part] for part in named], "and")
+        partly = [words[part] for part in shares if part not in named and shares[part] > INNOCENT]
+        other = f", partly {_joined(partly, 'and')}" if partly else ""
+        other += f", not the {_joined(innocent, 'or')}" if innocent else ""
+        cured = f"No single part of {self.against} makes it complete there."
+        cures = [
+            f"default {CONDITIONS}" if part == CONDITIONS else f"the {part} of {self.against}"
+            for part in shares
+            if self.cures(part)
+        ]
+        if cures:
+            cured = f"With {_joined(cures, 'or')} alone it completes there."
         return f"{self.test_id} fails on {self.fails} because of {because}{other}. {cured}"
 
 
