@@ -1,7 +1,7 @@
 """Camera pictures of a report: one place on every simulator, strips of informative drives, replays of failed ones.
 
 Drives are rendered again from the recorded path by the library's camera, without bag or physics. Roll, pitch and heave
-of the body are not in the store and are 0.
+of the body are not in the store and are 0; noise is left out where no condition changes it.
 """
 
 from __future__ import annotations
