@@ -104,7 +104,7 @@ def sensitivity_command(
         if out is not None:
             (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
             write_tables([found.table(), found.long_table()], out)
-            (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
+            (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found, out / "sensitivity")))
 
         def show() -> None:
             found.table().show(Console())
