@@ -22,7 +22,7 @@ MAX_WINDOWS = 6
 
 
 def draw_fit(fit: Fit, path: Path) -> None:
-    """Write PNG, PDF and SVG of paths, speed and yaw rate of some windows, and histograms of residuals over their rms."""
+    """Write PNG, PDF and SVG of paths, speed and yaw rate of some windows, and histograms of residuals over rms."""
     chosen = np.unique(np.linspace(0, fit.windows - 1, MAX_WINDOWS).round().astype(int))
     frames = fit.measured.shape[1]
     measured, origins = fit.measured[chosen], fit.fitted[chosen, :1, :2]
