@@ -66,10 +66,11 @@ def sensitivity_command(
     sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Find how strong each operating condition must be for a driver to fail; several, by commas, in one table.
+    """Find how strong each operating condition must be for a driver to fail.
 
     One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
     as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
+    Several networks, separated by commas, come in one table.
     """
     from rich.console import Console
 

@@ -208,8 +208,8 @@ def campaign_init_command(
     names = simulators_of(sims.removesuffix(",none"))
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
-    angles = {"min_angle": min_angle, "max_angle": max_angle}
-    angles = {name: angle for name, angle in angles.items() if angle is not None}
+    given = {"min_angle": min_angle, "max_angle": max_angle}
+    angles = {name: angle for name, angle in given.items() if angle is not None}
     file.write_text(template(driver, siblings, twin, size, angles), "utf-8")
     print(file)
     say(f"next: ds campaign run {shlex.quote(str(file))} --out {shlex.quote(file.stem)} --dry-run")
