@@ -70,10 +70,11 @@ def sensitivity_command(
     sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Find how strong each operating condition must be for a driver to fail; several, by commas, in one table.
+    """Find how strong each operating condition must be for a driver to fail.
 
     One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
     as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
+    Several networks, separated by commas, come in one table.
     """
     from rich.console import Console
 
@@ -112,7 +113,7 @@ def sensitivity_command(
         if out is not None:
             (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
             write_tables([found.table(), found.long_table()], out)
-            (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found)))
+            (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found, out / "sensitivity")))
 
         def show() -> None:
             found.table().show(Console())

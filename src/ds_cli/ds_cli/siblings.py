@@ -160,8 +160,9 @@ def _write(
     write_tables(analysis_tables(found), out)
     judged = table.judged()
     if len(judged):
-        (out / "failures.png").write_bytes(png(draw_failures(judged, found.feature)))
-        (out / "who_fails_where.png").write_bytes(png(draw_matrix(judged, found.feature)))
+        (out / "failures.png").write_bytes(png(draw_failures(judged, found.feature, out / "failures")))
+        matrix = draw_matrix(judged, found.feature, out / "who_fails_where")
+        (out / "who_fails_where.png").write_bytes(png(matrix))
     for rank, index in enumerate(most_different(table, PICTURED)):
         paths = {name: of[index].path for name, of in runs.items()}
         (out / f"most_different_{rank + 1}.png").write_bytes(png(ds_road.draw(roads[index], trajectories=paths)))

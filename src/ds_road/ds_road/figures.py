@@ -1,8 +1,9 @@
-"""Figures drawn by Matplotlib: the same values give the same pixels, whatever a user's settings are."""
+"""Figures drawn by Matplotlib: the same values give the same bytes, whatever a user's settings are."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,17 +25,21 @@ _STYLE: dict[Any, Any] = {
     "font.size": 9,
     "grid.color": "#e1e1e1",
     "legend.frameon": False,
+    "svg.hashsalt": "",  # names of its parts, which are random otherwise
     "text.parse_math": False,  # names of files and simulators may hold a $
 }
 
 
-def draw_figure(width: int, height: int, draw: Callable[[Figure], None]) -> NDArray[np.uint8]:
+def draw_figure(
+    width: int, height: int, draw: Callable[[Figure], None], vector: Path | None = None
+) -> NDArray[np.uint8]:
     """Draw a figure.
 
     Args:
         width: pixels.
         height: pixels.
         draw: adds everything to an empty figure.
+        vector: also write the figure for papers, as this path with `.pdf` and with `.svg`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
@@ -51,6 +56,9 @@ def draw_figure(width: int, height: int, draw: Callable[[Figure], None]) -> NDAr
         canvas = FigureCanvasAgg(figure)
         draw(figure)
         canvas.draw()
+        if vector is not None:
+            for suffix, date in ((".pdf", "CreationDate"), (".svg", "Date")):
+                figure.savefig(vector.with_suffix(suffix), metadata={date: None})
     return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 

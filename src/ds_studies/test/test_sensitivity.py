@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ds_analysis.common.table import TablesError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import AUTOPILOT
@@ -37,6 +38,7 @@ from ds_studies.sensitivity.measurement import (
     measure,
     threshold_of,
 )
+from ds_studies.sensitivity.networks import networks_table
 from ds_studies.sensitivity.picture import draw_sensitivity
 
 LAG = next(factor for factor in all_factors() if factor.name == "steering_lag")
@@ -298,21 +300,16 @@ def test_results_name_values_that_json_can_hold() -> None:
     assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0
 
 
-def test_networks_share_gates_and_come_in_one_table(tmp_path: Path, engines: list[MadeUpEngine]) -> None:
-    """The made-up driver fails alike whatever its name, so that both rows are one network's, read by hand."""
-    factors, found = factors_named(["visibility", "lens_dirt"]), []
+def test_several_networks_come_in_one_sorted_table(engines: list[MadeUpEngine]) -> None:
+    """The made-up driver fails from a lag of 5/16 of the range on, and never by worn lines."""
+    lines, lag = factors_named(["line_contrast", "steering_lag"])
+    found = []
     for driver in ("dave2", "chauffeur"):
         engines.append(MadeUpEngine())
-        settings = DriveSettings(siblings=("softbody",), driver=driver)
-        found.append(
-            analysis.analyse_sensitivity(
-                settings, factors, roads=1, seed=1, folder=tmp_path / driver, gates=tmp_path / "gates"
-            )
-        )
+        settings = DriveSettings(siblings=("bullet",), driver=driver)
+        found.append(analysis.analyse_sensitivity(settings, [lines, lag], roads=1, seed=1))
     table = networks_table(found)
-    least = [found[0].thresholds[k, "softbody"].withstood for k in range(2)]
-    assert table.rows[0][0:2] == ["dave2", 1] and table.rows[0][4:] == table.rows[1][4:] == least
-    assert table.rows[0][2] == np.mean([share for share in least if share is not None])
+    assert list(table.rows[1]) == ["chauffeur", 1, (5 / 16 + 1) / 2, lag.title, 1.0, 5 / 16]
     assert [row[0] for row in table.sorted_by("network").rows] == ["chauffeur", "dave2"]
     assert [row[0] for row in table.sorted_by("-network").rows] == ["dave2", "chauffeur"]
     with pytest.raises(TablesError, match="no column 'speed' to sort by: expected one of network, roads, mean"):

@@ -22,7 +22,7 @@ MAX_WINDOWS = 6
 
 
 def draw_fit(fit: Fit, path: Path) -> None:
-    """Write a PNG with paths, speed and yaw rate of some windows, and histograms of the residuals over their rms."""
+    """Write PNG, PDF and SVG of paths, speed and yaw rate of some windows, and histograms of residuals over rms."""
     chosen = np.unique(np.linspace(0, fit.windows - 1, MAX_WINDOWS).round().astype(int))
     frames = fit.measured.shape[1]
     measured, origins = fit.measured[chosen], fit.fitted[chosen, :1, :2]
@@ -45,7 +45,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
         yaw_rates.set(title="Yaw rate, windows side by side", xlabel="s", ylabel="rad/s")
         _histograms(fit, residuals)
 
-    path.write_bytes(png(draw_figure(WIDTH, 836, draw)))
+    path.write_bytes(png(draw_figure(WIDTH, 836, draw, path)))
 
 
 def _histograms(fit: Fit, axes: Axes) -> None:

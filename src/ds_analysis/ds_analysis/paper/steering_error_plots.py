@@ -23,12 +23,12 @@ SHOWN = 4
 
 
 def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
-    """Write a picture of steering errors as PNG.
+    """Write a picture of steering errors as PNG, PDF and SVG.
 
     Args:
         title: heading of the picture.
         answers: answers to every recording.
-        path: path of the PNG file.
+        path: path of the PNG file; the others are beside it.
     """
     errors, shown = pooled_errors(answers), answers[:SHOWN]
     panels = [(330, partial(_densities, errors))] if errors else []
@@ -43,7 +43,7 @@ def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
         for part, (_, panel) in zip(parts[:, 0], panels, strict=True):
             panel(part)
 
-    path.write_bytes(png(draw_figure(WIDTH, 40 + sum(height for height, _ in panels), draw)))
+    path.write_bytes(png(draw_figure(WIDTH, 40 + sum(height for height, _ in panels), draw, path)))
 
 
 def _densities(errors: dict[str, Array], figure: SubFigure) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,12 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw_failures(table: OutcomeTable, feature: str) -> Picture:
+def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
     """Draw the largest lateral position over a feature: failures as discs, completed roads as rings.
 
     Args:
         table: at least one test, with a verdict on every simulator.
         feature: name of one of its features; the same axis for every simulator.
+        vector: see `ds_road.figures.draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
@@ -37,11 +39,11 @@ def draw_failures(table: OutcomeTable, feature: str) -> Picture:
             axes.set(title=title, ylabel="largest lateral position, m", ylim=limits)
         panels[-1].set_xlabel(_with_unit(feature))
 
-    return draw_figure(WIDTH, 230 * len(table.simulators), draw)
+    return draw_figure(WIDTH, 230 * len(table.simulators), draw, vector)
 
 
-def draw_matrix(table: OutcomeTable, feature: str) -> Picture:
-    """Draw who fails where: a row per simulator, a column per road, by growing feature.
+def draw_matrix(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
+    """Draw who fails where: a row per simulator, a column per road, by growing feature; `vector` as in `draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
@@ -61,7 +63,7 @@ def draw_matrix(table: OutcomeTable, feature: str) -> Picture:
         axes.set_title("Who fails where: a column for each road, dark where the driver fails")
         axes.grid(visible=False)
 
-    return draw_figure(WIDTH, 104 + 30 * len(table.simulators), draw)
+    return draw_figure(WIDTH, 104 + 30 * len(table.simulators), draw, vector)
 
 
 def _with_unit(feature: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw_sensitivity(found: Sensitivity) -> NDArray[np.uint8]:
+def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[np.uint8]:
     """Draw one group of bars for each factor, one bar for each simulator.
 
     A bar reaches to the strength at which the median road fails; a thin line spans the roads. A hollow bar has no
     failure in its end: hollow to the hardest value, or to where no driver can be judged.
+
+    Args:
+        found: the analysis.
+        vector: see `ds_road.figures.draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
@@ -49,4 +54,4 @@ def draw_sensitivity(found: Sensitivity) -> NDArray[np.uint8]:
         axes.set_title(f"Strength at which {found.driver} first fails; hollow: no failure")
         figure.legend(loc="outside lower left", ncols=5)
 
-    return draw_figure(WIDTH, 150 + (13 * len(found.simulators) + 12) * len(found.order), draw)
+    return draw_figure(WIDTH, 150 + (13 * len(found.simulators) + 12) * len(found.order), draw, vector)
