@@ -37,11 +37,13 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Your network",
         (
-            Verb("check", "check", "Show what a network sees, and say what is wrong with how it is connected."),
+            Verb("check", "studies.check", "Show what a network sees, and say what is wrong with how it is connected."),
             Verb("drive", "drives", "Drive one road with one driver on one simulator."),
             Verb("test", "campaign.group", "Search roads on which a network fails, and report where and why."),
             Verb(
-                "sensitivity", "sensitivity", "Find how strong each operating condition must be for a driver to fail."
+                "sensitivity",
+                "studies.sensitivity",
+                "Find how strong each operating condition must be for a driver to fail.",
             ),
             Verb(
                 "compare", "campaign.group", "Compare two networks on the same tests: what got worse, what got better?"
@@ -52,7 +54,11 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "Campaigns and suites",
         (
-            Verb("demo", "demo", "See where a shipped network fails, why, and what to do next, in about five minutes."),
+            Verb(
+                "demo",
+                "studies.demo",
+                "See where a shipped network fails, why, and what to do next, in about five minutes.",
+            ),
             Verb(
                 "campaign",
                 "campaign.group",
@@ -62,7 +68,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb("runs", "campaign.group", "List the campaigns below a folder."),
             Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
             Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
-            Verb("explain", "explain", "Find out why tests fail: from their records, and by exchanging parts."),
+            Verb("explain", "studies.explain", "Find out why tests fail: from their records, and by exchanging parts."),
             Verb("maps", "maps", "Show a campaign's feature maps as coloured grids."),
         ),
     ),

@@ -22,6 +22,7 @@ from ds_sim.camera.encodings import jpeg
 from ds_sim.conditions.loading import load
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.installation import ds_command
 from ds_sim.registry import simulator_of_process, spec_of
 from ds_sim.simulator import Command, Outcome, Simulator
 
@@ -117,7 +118,8 @@ def given_roads(file: Path, *, mutants: int, seed: int) -> list[GivenRoad]:
         for one in (GivenRoad(r, road.road_id, parse_conditions(text)) for r in (road, *around)):
             found.setdefault(one.name, one)
     if not found:
-        raise DatasetError(f"{file} holds no road: expected those of `ds campaign roads DIR --failed --out {file}`")
+        command = ds_command("campaign", "roads", "DIR", "--failed", "--out", file)
+        raise DatasetError(f"{file} holds no road: expected those of `{command}`")
     return list(found.values())
 
 

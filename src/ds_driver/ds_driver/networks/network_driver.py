@@ -32,6 +32,7 @@ from ds_driver.networks.user_networks import (
 )
 from ds_driver.networks.weights import generators_in, load_weights, path_of_weights, shipped_networks, weights_sha256
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.installation import ds_command
 from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
 
@@ -267,7 +268,7 @@ def _load_network(name: DriverName, stage: Sim2RealStage | None) -> Pilot:
     if name.file_type in DESCRIPTIONS:
         return DescribedNetworkPilot(Path(network), name.backend, name.device)
     if name.file_type in KINDS:
-        raise DriverError(f"{network} has no description of its input: `ds check {network}` writes one")
+        raise DriverError(f"{network} has no description of its input: `{ds_command('check', network)}` writes one")
     refuse_weights_alone(Path(network))
     if name.is_class:
         if name.suffix:

@@ -31,6 +31,7 @@ from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.quantisation import Samples, for_backend
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded, read_yaml
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.installation import ds_command
 
 NETWORK_MEMORY = 4 * 2**30
 """Bytes beyond what the process has already mapped; chosen: 40 times the largest shipped network."""
@@ -245,7 +246,7 @@ def refuse_weights_alone(file: Path) -> None:
         raise DriverError(
             f"{file} holds weights alone: in the program that defines the network, load them and export it with "
             f'torch.onnx.export(network.eval(), (torch.zeros(1, 3, ROWS, COLUMNS),), "{file.stem}.onnx", '
-            f"dynamo=False), then `ds check {file.stem}.onnx`"
+            f"dynamo=False), then `{ds_command('check', f'{file.stem}.onnx')}`"
         )
 
 

@@ -16,6 +16,7 @@ from ds_driver.networks.user_networks import (
     limited_memory,
     runner_of,
 )
+from ds_sim.installation import ds_command
 from ds_studies.network_check.agreement import FOUND, GAIN, Agreement
 from ds_studies.network_check.diagnosis import (
     SHARE_TRIED,
@@ -45,7 +46,7 @@ def form_of(file: Path) -> list[InputSpec]:
     """
     described = file.with_suffix(".yaml")
     if described.exists():
-        raise DriverError(f"{described} describes {file.name} already: `ds check {described}` checks it")
+        raise DriverError(f"{described} describes {file.name} already: `{ds_command('check', described)}` checks it")
     with limited_memory():
         runner = runner_of(file)
     shape = runner.shape or (None,) * 4
@@ -104,7 +105,7 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
     why = "; ".join(one.text for one in findings) or f"it answers as it has to, correlation {fit.correlation:.2f}"
     given = described.input
     lines = [
-        f"# Written by `ds check {file.name}`, which compared its answers with the autopilot's steering.",
+        f"# Written by ds check for {file.name}: it compared its answers with the autopilot's steering.",
         *([] if abs(fit.correlation) >= FOUND else ["# Nothing agrees well: what is undecided below is a guess."]),
         f"file: {file.name}",
         "input:",

@@ -1,0 +1,1 @@
+"""Verbs that drive because an analysis asks for it."""
