@@ -68,7 +68,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb("runs", "campaign.group", "List the campaigns below a folder."),
             Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
             Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
-            Verb("explain", "studies.explain", "Find out why tests fail: from their records, and by exchanging parts."),
+            Verb("explain", "studies.explain", "Find out why tests of a campaign fail."),
             Verb("maps", "maps", "Show a campaign's feature maps as coloured grids."),
         ),
     ),
