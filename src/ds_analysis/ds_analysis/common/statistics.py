@@ -219,13 +219,15 @@ def splits_of(families: Indices, parts: int, seed: int) -> Iterator[tuple[Indice
 def interval_over_families(
     samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float], families: Indices
 ) -> tuple[float, float] | None:
-    """Estimate a 95 % interval by a bootstrap over whole families; see `bootstrap_interval`.
+    """Estimate a 95 % interval by a bootstrap over whole families; None for a single one. See `bootstrap_interval`.
 
     Args:
         samples: (tests,) values each.
         statistic: of the samples.
         families: (tests,) number of the family.
     """
+    if len(np.unique(families)) < 2:
+        return None
     if are_alone(families):
         return bootstrap_interval(samples, statistic, RESAMPLES)
     rows = [np.flatnonzero(families == one) for one in np.unique(families)]

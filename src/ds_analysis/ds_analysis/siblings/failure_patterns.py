@@ -78,7 +78,9 @@ def _share(failed: Bools, families: Indices) -> tuple[float | None, Interval | N
         return None, None
     share = float(failed.mean())
     if 0.0 < share < 1.0 and not are_alone(families):
-        return share, interval_over_families((failed.astype(np.float64),), np.mean, families)
+        interval = interval_over_families((failed.astype(np.float64),), np.mean, families)
+        if interval is not None:
+            return share, interval
     # Where all are alike, a bootstrap has no width, and a family counts as one observation.
     alone = len(np.unique(families))
     low, high = proportion_confint(round(share * alone), alone, alpha=0.05, method="beta")

@@ -260,6 +260,15 @@ def test_nesting_of_near_copies_is_that_of_their_families() -> None:
         assert found.second_given_first_interval == pytest.approx(ends, abs=0.05)
 
 
+def test_nesting_of_a_single_family_counts_as_one_observation() -> None:
+    """Two mutants of one road fail on one simulator, one of them on the other: there is no family to resample."""
+    copies = tuple(ROADS[0] for _ in range(10))
+    failed = np.column_stack((np.arange(10) < 2, np.arange(10) < 1))
+    made = made_up({"a": np.full(10, 2.5), "b": np.full(10, 2.5)}, roads=copies)
+    (found,) = nestings(replace(made, states=states_of(failed)))
+    assert found.second_given_first == 0.5 and found.second_given_first_interval == pytest.approx((0.0, 0.975))
+
+
 def record(road: Road, outcome: Outcome, *, seed: int = 0, offset: float = 0.25) -> RunRecord:
     """Create a run that drives 30 m with a constant lateral position."""
     run = RunRecord(road=road, seed=seed, outcome=outcome)
