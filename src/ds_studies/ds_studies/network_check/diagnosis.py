@@ -116,7 +116,8 @@ class NetworkCheck:
             return f"{self.driver} is not connected rightly."
         weak = [one.simulator for one in self.answers if one.correlation < AGREES]
         but = f", but not with the road on {', '.join(weak)}" if weak else ""
-        return f"{self.driver} is connected rightly{but}: correlation {self.correlation:.2f} with the autopilot."
+        how = "is connected rightly" if self.correlation >= FOUND else "answers with the road, but weakly"
+        return f"{self.driver} {how}{but}: correlation {self.correlation:.2f} with the autopilot."
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
