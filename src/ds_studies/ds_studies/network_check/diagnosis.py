@@ -97,7 +97,7 @@ class NetworkCheck:
         images: number of images that it was shown.
         correlation: of its steering with the autopilot's.
         answers: on each simulator.
-        findings: what is wrong; empty for a network that is connected rightly.
+        findings: what is wrong; empty where nothing was found.
         steering: simulator -> its answers to all images.
         fixed: the description with every line applied; None without a description, or without a line.
     """
@@ -124,7 +124,7 @@ class NetworkCheck:
         """Convert to JSON values."""
         return {
             "driver": self.driver,
-            "connected_rightly": not self.findings,
+            "connected_rightly": not self.findings and self.correlation >= FOUND,
             "verdict": self.verdict,
             "images": self.images,
             "correlation": self.correlation,
