@@ -17,7 +17,7 @@ from onnx import TensorProto, helper, numpy_helper
 from ds_driver.networks.pilot import DriverError
 from ds_studies.network_check import recording
 from ds_studies.network_check.description import describe, form_of
-from ds_studies.network_check.diagnosis import check_network
+from ds_studies.network_check.diagnosis import NetworkCheck, check_network
 from ds_studies.network_check.recording import Recording, record
 
 ROWS, COLUMNS = 20, 80
@@ -156,6 +156,13 @@ def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[R
     found = check_network(str(made(steering=np.random.default_rng(3).normal(0.0, 0.3, count))), drives, 1)
     (finding,) = found.findings
     assert finding.kind == "unrelated" and finding.line == "" and "not with the road: correlation" in finding.text
+
+
+def test_a_weak_network_is_not_called_connected_rightly() -> None:
+    weak = NetworkCheck(driver="n", images=1, correlation=0.7, answers=[], findings=[], steering={}, fixed=None)
+
+    assert weak.verdict == "n answers with the road, but weakly: correlation 0.70 with the autopilot."
+    assert weak.document()["connected_rightly"] is False
 
 
 def test_writes_a_description_that_passes(made: Made, drives: list[Recording]) -> None:

@@ -22,12 +22,11 @@ from ds_studies.network_check.diagnosis import (
     SHARE_TRIED,
     ask_open_loop,
     best_reading,
+    changed,
     findings_of,
     flow,
     inputs,
-    likely_scale,
-    ranked_combinations,
-    with_input,
+    ranked,
 )
 from ds_studies.network_check.recording import Recording
 
@@ -82,20 +81,17 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
     """
     pilot = _load(file, forms)
     tried = [one.sample(SHARE_TRIED) for one in recordings]
-    best = ranked_combinations(pilot, recordings)[0]
-    chosen, fit = likely_scale(
-        best, lambda one: best_reading(pilot.described_as(one), tried), (None, "degrees", "radians")
-    )
+    chosen, fit = ranked(pilot, recordings)[0]
     comments = {}
     for part, others in inputs(chosen.input).items():
-        fits = [(_shown(one), best_reading(pilot.described_as(_changed(chosen, one)), tried)[1]) for one in others]
+        fits = [(_shown(one), best_reading(pilot.described_as(changed(chosen, one)), tried)[1]) for one in others]
         comments[part] = _why(fits)
         undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
             answer = ask(f"{QUESTIONS[part]}, which the drives do not decide", undecided, undecided[0])
             if answer not in undecided:
                 raise DriverError(f"{answer!r} was not offered: expected one of {', '.join(undecided)}")
-            chosen = _changed(chosen, others[[name for name, _ in fits].index(answer)])
+            chosen = changed(chosen, others[[name for name, _ in fits].index(answer)])
             comments[part] = "as you answered"
     chosen, fit = best_reading(pilot.described_as(chosen), tried)
     answers = np.concatenate(list(ask_open_loop(pilot.described_as(chosen), recordings)[0].values()))
@@ -130,10 +126,6 @@ def _load(file: Path, forms: Sequence[InputSpec]) -> DescribedNetworkPilot:
         except DriverError as error:
             problem = problem or error
     raise DriverError(f"{problem}: describe its input in {file.with_suffix('.yaml').name}")
-
-
-def _changed(network: DescribedNetwork, changed: dict[str, Any]) -> DescribedNetwork:
-    return network.model_copy(update={"input": with_input(network.input, changed)})
 
 
 def _shown(values: dict[str, Any]) -> str:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +15,7 @@ from ds_driver.control.command_habits import command_habits
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Pilot
 from ds_driver.networks.user_networks import DescribedNetwork, DescribedNetworkPilot, InputSpec, OutputSpec
-from ds_studies.network_check.agreement import AGREES, FOUND, GAIN, Agreement, agreement, readings
+from ds_studies.network_check.agreement import AGREES, FOUND, Agreement, agreement, readings
 from ds_studies.network_check.recording import Recording, speeds_of_throttle
 
 Kind = Literal[
@@ -38,6 +37,8 @@ SHARE_TRIED = 4
 """One image of so many is shown to other descriptions, about 30 for each simulator; one of `SHARE_SCREENED` times as
 many where all combinations are tried."""
 SHARE_SCREENED = 3
+LIKELY: tuple[Kind | None, ...] = (None, "degrees", "radians", "scale")
+"""What a network answers in, see `scale_kind`, the likeliest first."""
 FINALISTS = 4
 """Combinations that are shown the former again."""
 PIXELS: tuple[tuple[Any, Any], ...] = (
@@ -96,7 +97,7 @@ class NetworkCheck:
         images: number of images that it was shown.
         correlation: of its steering with the autopilot's.
         answers: on each simulator.
-        findings: what is wrong; empty for a network that is connected rightly.
+        findings: what is wrong; empty where nothing was found.
         steering: simulator -> its answers to all images.
         fixed: the description with every line applied; None without a description, or without a line.
     """
@@ -116,13 +117,14 @@ class NetworkCheck:
             return f"{self.driver} is not connected rightly."
         weak = [one.simulator for one in self.answers if one.correlation < AGREES]
         but = f", but not with the road on {', '.join(weak)}" if weak else ""
-        return f"{self.driver} is connected rightly{but}: correlation {self.correlation:.2f} with the autopilot."
+        how = "is connected rightly" if self.correlation >= FOUND else "answers with the road, but weakly"
+        return f"{self.driver} {how}{but}: correlation {self.correlation:.2f} with the autopilot."
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
             "driver": self.driver,
-            "connected_rightly": not self.findings,
+            "connected_rightly": not self.findings and self.correlation >= FOUND,
             "verdict": self.verdict,
             "images": self.images,
             "correlation": self.correlation,
@@ -197,48 +199,27 @@ Fitted = tuple[DescribedNetwork, Agreement]
 def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
     """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
 
-    One thing is changed at a time, as often as that helps (`Agreement.beats`); all combinations are tried if it
-    agrees less than a network that drives, and no single change helps, as where colours and crop are both wrong.
+    It is the best of all, with every part of the input as described again whose change does not matter.
     """
     tried = [one.sample(SHARE_TRIED) for one in recordings]
-    known: dict[str, Fitted] = {}
-
-    def fitted(changed: DescribedNetwork) -> Fitted:
-        key = changed.model_dump_json()
-        if key not in known:
-            known[key] = best_reading(pilot.described_as(changed), tried)
-        return known[key]
-
-    best = fitted(pilot.description)
-    while True:
-        # Where bins or limits round an answer, more of it correlates better: what spoils its scale is no repair.
-        right = abs(best[1].correlation) >= FOUND and scale_kind(best[1].slope) is None
-        changed = map(fitted, single_changes(best[0]))
-        better = [one for one in changed if one[1].beats(best[1]) and not (right and scale_kind(one[1].slope))]
-        if not better:
-            break
-        best = max(better, key=lambda one: abs(one[1].correlation))
-    if abs(best[1].correlation) < FOUND:
-        first = ranked_combinations(pilot, recordings)[0]
-        best = first if first[1].beats(best[1]) else best
-    return likely_scale(best, fitted, (None,))[0]
+    best = found = ranked(pilot, recordings)[0]
+    for values in inputs(pilot.description.input).values():
+        restored = best_reading(pilot.described_as(changed(found[0], values[0])), tried)
+        found = found if _matters(best[1], restored[1]) else restored
+    return found[0]
 
 
-def likely_scale(best: Fitted, fitted: Callable[[DescribedNetwork], Fitted], likely: Sequence[Kind | None]) -> Fitted:
-    """Exchange the scale of the pixels if the answer's scale is a likely one with another, see `scale_kind`.
+def _matters(best: Agreement, restored: Agreement) -> bool:
+    """Whether a change helps the agreement, or makes a scale right; see `Agreement.beats`.
 
-    A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
+    Bins and limits round an answer, and more of it correlates better: what spoils a right scale is no repair. A network
+    without bounds answers 255 times as much to pixels of 255, and correlates all the same.
     """
-    if scale_kind(best[1].slope) != "scale":
-        return best
-    others = (with_input(best[0].input, one) for one in inputs(best[0].input)["subtract"][1:])
-    scaled = [fitted(best[0].model_copy(update={"input": one})) for one in others]
-    same = [one for one in scaled if GAIN * one[1].unexplained <= best[1].unexplained]
-    for kind in likely:
-        found = [one for one in same if scale_kind(one[1].slope) == kind]
-        if found:
-            return max(found, key=lambda one: abs(one[1].correlation))
-    return best
+    wrong, was_wrong = scale_kind(best.slope), scale_kind(restored.slope)
+    if wrong and not was_wrong and abs(restored.correlation) >= FOUND:
+        return False
+    rescaled = wrong is None and was_wrong == "scale" and not restored.beats(best)
+    return best.beats(restored) or (rescaled and abs(best.correlation) >= AGREES)
 
 
 def scale_kind(slope: float) -> Kind | None:
@@ -251,18 +232,22 @@ def scale_kind(slope: float) -> Kind | None:
     return "radians" if RADIANS[0] <= size <= RADIANS[1] else "scale"
 
 
-def ranked_combinations(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> list[Fitted]:
-    """Try all combinations of the parts of the input; return the best ones, the best first."""
+def ranked(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> list[Fitted]:
+    """Try all combinations of the parts of the input; return the `FINALISTS`, the best first."""
     tried = [one.sample(SHARE_TRIED) for one in recordings]
     few = [one.sample(SHARE_SCREENED) for one in tried]
-    found = [best_reading(pilot.described_as(one), few) for one in combinations(pilot.description)]
-    found.sort(key=_worst_last)
-    finalists = [best_reading(pilot.described_as(one), tried) for one, _ in found[:FINALISTS]]
-    return sorted(finalists, key=_worst_last)
+    found = [pilot.description]
+    for values in inputs(pilot.description.input).values():
+        found = [changed(one, value) for one in found for value in values]
+    for images in (few, tried):
+        fits = sorted((best_reading(pilot.described_as(one), images) for one in found), key=_worst_last)
+        found = [one for one, _ in fits[:FINALISTS]]
+    return fits
 
 
-def _worst_last(one: Fitted) -> float:
-    return -round(abs(one[1].correlation), 3)  # of equal ones, the first remains
+def _worst_last(one: Fitted) -> tuple[float, int]:
+    # Of equal ones, that with the likeliest scale comes first, and then the first.
+    return -round(abs(one[1].correlation), 3), LIKELY.index(scale_kind(one[1].slope))
 
 
 def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> Fitted:
@@ -300,23 +285,14 @@ def inputs(given: InputSpec) -> dict[str, list[dict[str, Any]]]:
     return parts
 
 
-def with_input(given: InputSpec, changed: dict[str, Any]) -> InputSpec:
+def with_input(given: InputSpec, values: dict[str, Any]) -> InputSpec:
     """Return an input with some keys changed."""
-    return InputSpec.model_validate({**given.model_dump(), **changed})
+    return InputSpec.model_validate({**given.model_dump(), **values})
 
 
-def single_changes(network: DescribedNetwork) -> Iterator[DescribedNetwork]:
-    """Yield descriptions with one part of the input changed."""
-    for values in inputs(network.input).values():
-        for one in values[1:]:
-            yield network.model_copy(update={"input": with_input(network.input, one)})
-
-
-def combinations(network: DescribedNetwork) -> Iterator[DescribedNetwork]:
-    """Yield descriptions with all combinations of the parts of the input."""
-    for parts in product(*inputs(network.input).values()):
-        changed = {key: value for part in parts for key, value in part.items()}
-        yield network.model_copy(update={"input": with_input(network.input, changed)})
+def changed(network: DescribedNetwork, values: dict[str, Any]) -> DescribedNetwork:
+    """Return a description with some keys of its input changed."""
+    return network.model_copy(update={"input": with_input(network.input, values)})
 
 
 def findings_of(
@@ -368,13 +344,13 @@ def findings_of(
         if "saturated" in kinds:
             found.append(Finding("saturated", f"In the mean it agrees with the autopilot, but {kinds['saturated']}"))
         return found, best
-    changed = _times(steering, 1.0 / scale, shift)
+    repaired = _times(steering, 1.0 / scale, shift)
     if described is None:
-        line = f"steering * {changed.scale:g}" + (f" + {changed.offset:g}" if changed.offset else "")
+        line = f"steering * {repaired.scale:g}" + (f" + {repaired.offset:g}" if repaired.offset else "")
     else:
-        line = output_line("steering", changed)
+        line = output_line("steering", repaired)
     found += [Finding(kind, text, line) for kind, text in texts]
-    return found, with_steering(best, changed) if best is not None else None
+    return found, with_steering(best, repaired) if best is not None else None
 
 
 def _differences(described: DescribedNetwork, best: DescribedNetwork, agree: str) -> Iterator[Finding]:
@@ -411,8 +387,8 @@ def _crawling(
         return Finding("crawls", f"{text}; leave throttle out, and the paper's equation 2 drives"), None
     if spec is None:
         return Finding("crawls", text, f"throttle * {_digits(wanted / mean):g}"), None
-    changed = _times(spec, wanted / mean)
-    return Finding("crawls", text, output_line("throttle", changed)), changed
+    repaired = _times(spec, wanted / mean)
+    return Finding("crawls", text, output_line("throttle", repaired)), repaired
 
 
 def _times(spec: OutputSpec, factor: float, shift: float = 0.0) -> OutputSpec:
