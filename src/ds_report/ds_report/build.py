@@ -64,7 +64,7 @@ def write_all(
     """
     from ds_analysis.common.heatmap import write_maps
     from ds_report.failure_section import failure_section
-    from ds_report.html_report import write_report
+    from ds_report.html_report import SHOWN_TESTS, write_report
     from ds_report.sections import answer_section, further_map, sibling_section
 
     report = folder / "report.html"
@@ -72,8 +72,9 @@ def write_all(
     if not again and all(made.get(stage) == count for stage in STAGES) and report.exists():
         return report
     data = data or read_campaign(store)
-    for execution in data.executions:
-        _ = execution.trajectory  # damage is found before anything is written
+    if len(data.tests) <= SHOWN_TESTS:  # a larger report shows a part of the drives, and depends on no others
+        for execution in data.executions:
+            _ = execution.trajectory  # damage is found before anything is written
     for name in data.config.simulators:
         try:
             received_simulator(name, confirmed=trusted, option="--trust")

@@ -40,6 +40,8 @@ leaving the lane, and the bend in which it does."""
 REPLAY_PICTURES = 3000
 """Largest number of pictures of all replays; chosen: 14 MB in the file at 4.8 kB each in base64, so that a report with
 5,000 tests has about 31 MB."""
+REPLAYS_OF_LARGE = 600
+"""The same where a campaign has more tests than a page; chosen: some fifty drives, more than anyone watches."""
 SPACINGS = (10, 20, 40)
 """Frames between two pictures of a replay, the first with which all failed drives fit; chosen: 0.5 s, in which the car
 moves by its own length, to 2 s, which still shows every bend."""
@@ -279,6 +281,7 @@ def drive_pictures(
     driver: str = AUTOPILOT,
     *,
     frames: Mapping[tuple[str, str], Sequence[int]],
+    in_turn: bool = False,
 ) -> dict[str, list[Drive | None]]:
     """Render drives, with what the driver sees.
 
@@ -289,6 +292,7 @@ def drive_pictures(
         trusted: user-defined simulators whose code may run.
         driver: name of the driver.
         frames: test and simulator -> frames to render; see `plan_pictures`.
+        in_turn: render on one simulator after the other, in the same memory: 150 MB less.
 
     Returns:
         Test -> drive on every simulator, or None if no picture is wanted there; tests without any are left out.
@@ -296,7 +300,7 @@ def drive_pictures(
     done = {(e.test_id, e.simulator): e for e in executions}
     shown = [test for test in tests if any((test.test_id, name) in frames for name in names)]
     cv2.setNumThreads(1)
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(1 if in_turn else _THREADS) as pool:
         # A thread for each simulator: some renderers belong to one thread at a time.
         columns = list(pool.map(lambda name: _drives_on(name, shown, done, frames, trusted, driver), names))
     return {test.test_id: [column[k] for column in columns] for k, test in enumerate(shown)}

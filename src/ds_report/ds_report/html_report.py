@@ -29,6 +29,7 @@ from ds_orchestrator.store.store import seconds_of
 from ds_report.camera_pictures import (
     CAMERA_PLACE,
     REPLAY_PICTURES,
+    REPLAYS_OF_LARGE,
     camera_pictures,
     common_test,
     drive_pictures,
@@ -45,7 +46,7 @@ from ds_report.sections import AnswerSection, FurtherMap, SiblingSection
 from ds_sim.simulator import Outcome
 
 _VERDICTS = [outcome for outcome in Outcome if outcome.is_verdict]
-_SHOWN_TESTS = 2_000
+SHOWN_TESTS = 2_000
 """Tests whose roads and drives are in the page; chosen: more than the paper's campaigns have, 15 MB."""
 _SHOWN_ERRORS = 200
 """Rows of a list of errors; chosen: more are rarely read, and the store has all."""
@@ -90,11 +91,12 @@ def write_report(
     shown = _shown(data)
     on_page = page_data(shown, maps)
     paired = translates(config.driver)
+    large = len(shown.tests) < len(tests)
     # A translated picture stands below the camera's, in an image of twice the size.
-    most = REPLAY_PICTURES // (2 if paired else 1)
+    most = (REPLAYS_OF_LARGE if large else REPLAY_PICTURES) // (2 if paired else 1)
     plan = plan_pictures(shown.tests, shown.executions, shown.cells, replays=most)
     pictures = drive_pictures(
-        config.simulators, shown.tests, shown.executions, trusted, config.driver, frames=plan.frames
+        config.simulators, shown.tests, shown.executions, trusted, config.driver, frames=plan.frames, in_turn=large
     )
     on_page["pictures"] = {
         test_id: [drive and asdict(drive) for drive in drives] for test_id, drives in pictures.items()
@@ -148,11 +150,11 @@ def write_report(
 
 def _shown(data: CampaignData) -> CampaignData:
     """Keep the worst tests of a large campaign, in its order."""
-    if len(data.tests) <= _SHOWN_TESTS:
+    if len(data.tests) <= SHOWN_TESTS:
         return data
     driven = {execution.test_id for execution in data.executions}
     ranked = worst_first((test for test in data.tests if test.test_id in driven), data.executions)
-    kept = set(ranked[:_SHOWN_TESTS])
+    kept = set(ranked[:SHOWN_TESTS])
     return replace(
         data,
         tests=tuple(test for test in data.tests if test.test_id in kept),

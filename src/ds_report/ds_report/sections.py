@@ -22,9 +22,6 @@ from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.page_data import data_address
 
-MOST_COMPARED = 2_000
-"""Tests whose drives are compared place by place; chosen: the paper's campaigns have 1,700, and they take 30 s."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class AnswerPanel:
@@ -135,7 +132,7 @@ def sibling_section(data: CampaignData) -> SiblingSection | None:
     config = data.config
     if len(config.simulators) < 2 or not data.verdicts:
         return None
-    table = table_of_campaign(data, most=MOST_COMPARED).judged()
+    table = table_of_campaign(data, most=MOST_ANALYSED).judged()
     if not len(table):
         return None
     found = analyse(table, [config.twin] if config.twin else config.siblings)

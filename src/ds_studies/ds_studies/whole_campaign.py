@@ -98,14 +98,15 @@ def run_campaign(
             say(line)
 
         # The simulators come from the caller's configuration, so their code is trusted.
-        report = write_all(folder, store, again=False, say=say_result, trusted=config.simulators)
+        data = read_campaign(store)
+        report = write_all(folder, store, data=data, again=False, say=say_result, trusted=config.simulators)
         return CampaignOutcome(
             folder=folder,
             report=report,
             executions=store.count_executions(),
             executions_in_error=in_error,
             correlations=read_correlations(folder, config) if config.twin else [],
-            answer=first_screen(read_campaign(store), str(folder)),
+            answer=first_screen(data, str(folder)),
         )
 
 

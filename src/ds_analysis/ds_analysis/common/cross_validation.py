@@ -103,8 +103,9 @@ def predict_failures(
             for train, test in folds_of(failed, families, SEED + repeat):
                 seen, outcome = features[train], failed[train]
                 model, known = _chosen(models, seen, outcome, families[train], SEED + repeat)
-                probability[repeat, test] = _fitted(model, seen, outcome, features[test])
-                chosen[best_feature(seen, outcome)] += 1
+                best = best_feature(seen, outcome)
+                probability[repeat, test] = _fitted(model, best, seen, outcome, features[test])
+                chosen[best] += 1
                 predicted = logit(probability[repeat, test])
                 folds.append(Fold(repeat=repeat, train=train, test=test, known=logit(known), predicted=predicted))
     return Predictions(probability=probability, folds=folds, chosen=chosen)
@@ -190,24 +191,24 @@ def _chosen(
     Returns:
         The model, and its probability on every road from the other parts.
     """
-    parts = list(folds_of(failed, families, seed))
     found = np.empty((len(models), len(failed)))
-    for k, model in enumerate(models):
-        for train, test in parts:
-            found[k, test] = _fitted(model, features[train], failed[train], features[test])
+    for train, test in folds_of(failed, families, seed):
+        best = best_feature(features[train], failed[train])
+        for k, model in enumerate(models):
+            found[k, test] = _fitted(model, best, features[train], failed[train], features[test])
     losses = [round(float(bits(one[None], failed).sum()), 9) for one in found]
-    best = int(np.argmin(losses))
-    return models[best], found[best]
+    least = int(np.argmin(losses))
+    return models[least], found[least]
 
 
-def _fitted(model: tuple[Columns, float], features: Array, failed: Bools, others: Array) -> Array:
-    """Fit a model to training roads, and predict the probability of failure on other roads."""
+def _fitted(model: tuple[Columns, float], best: int, features: Array, failed: Bools, others: Array) -> Array:
+    """Fit a model of all features, or of the best one, to training roads, and predict failures on other roads."""
     from sklearn.linear_model import LogisticRegression
 
     if failed.all() or not failed.any():
         return bounded(np.full(len(others), float(failed[0])), len(failed))
     columns, strength = model
-    used = [best_feature(features, failed)] if columns == "best" else slice(None)
+    used = [best] if columns == "best" else slice(None)
     train, test = standardised(features[:, used], others[:, used])
     fit = LogisticRegression(C=strength, solver="newton-cholesky").fit(train, failed)
     return bounded(fit.predict_proba(test)[:, 1], len(train))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import shapely
 
 from ds_analysis.common.statistics import Array
 from ds_orchestrator.store.model import Execution
@@ -68,8 +67,17 @@ def recorded_profile(road: Road, trajectory: Array) -> Array:
 
     In its lane, a vehicle is nearer to the lane's centre than to any other part of the road's.
     """
-    arc = shapely.line_locate_point(shapely.LineString(road.lane_centre), shapely.points(trajectory[:, :2]))
-    return lateral_profile(arc, trajectory[:, 4], road.lane_width / 2)
+    return lateral_profile(arc_lengths(road, trajectory), trajectory[:, 4], road.lane_width / 2)
+
+
+def arc_lengths(road: Road, trajectory: Array) -> Array:
+    """(frames,) arc length at which the centre of the lane is nearest to each frame of a stored trajectory, m."""
+    start, ahead = road.lane_centre[:-1].T, np.diff(road.lane_centre, axis=0).T
+    lengths = np.hypot(*ahead)
+    to_x, to_y = (trajectory[:, k, None] - start[k] for k in (0, 1))
+    along = np.clip((to_x * ahead[0] + to_y * ahead[1]) / lengths**2, 0.0, 1.0)
+    nearest = np.argmin((to_x - along * ahead[0]) ** 2 + (to_y - along * ahead[1]) ** 2, axis=1)
+    return np.asarray((np.cumsum(lengths) - lengths + along * lengths)[np.arange(len(nearest)), nearest])
 
 
 def lateral_profile(arc: Array, lateral: Array, half_lane: float) -> Array:

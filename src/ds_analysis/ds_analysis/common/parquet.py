@@ -105,8 +105,8 @@ def schema_of(columns: tuple[Column, ...], **notes: str) -> pa.Schema:
 
 EXECUTIONS_FILE = "executions.parquet"
 FRAMES_FILE = "frames.parquet"
-_BATCH = 100_000
-"""Rows of frames written at once; chosen: 10 MB."""
+_BATCH, _ROWS = 100_000, 10_000
+"""Rows of frames, and of executions, written at once; chosen: 10 MB, and 50 MB."""
 
 
 def write_tables(data: CampaignData, folder: Path, *, frames: bool = False) -> list[Path]:
@@ -128,7 +128,10 @@ def write_tables(data: CampaignData, folder: Path, *, frames: bool = False) -> l
     if DRIVER_SHA256 in data.notes:
         notes[WEIGHTS_NOTE] = data.notes[DRIVER_SHA256]
     executions = folder / EXECUTIONS_FILE
-    pq.write_table(executions_table(data, **notes), executions, compression="zstd")
+    schema = schema_of(EXECUTIONS, **notes)
+    with pq.ParquetWriter(executions, schema, compression="zstd") as writer:
+        for batch in _execution_batches(data):
+            writer.write_table(pa.Table.from_pylist(batch, schema=schema))
     if not frames:
         return [executions]
     path = folder / FRAMES_FILE
@@ -139,22 +142,20 @@ def write_tables(data: CampaignData, folder: Path, *, frames: bool = False) -> l
     return [executions, path]
 
 
-def executions_table(data: CampaignData, **notes: str) -> pa.Table:
-    """One row for each test on each simulator, by test and simulator in the campaign's order.
-
-    Args:
-        data: campaign.
-        notes: metadata of the schema.
-    """
+def _execution_batches(data: CampaignData) -> Iterator[list[dict[str, Any]]]:
+    """Rows for each test on each simulator, by test and simulator in the campaign's order; one batch at least."""
     driven = {(one.test_id, one.simulator): one for one in data.executions}
-    rows = []
+    rows: list[dict[str, Any]] = []
     for test in data.tests:
+        if len(rows) >= _ROWS:
+            yield rows
+            rows = []
         about = _about_test(data, test)
         for simulator in data.config.simulators:
             execution, gate = driven.get((test.test_id, simulator)), data.gates.get((test.test_id, simulator))
             if execution is not None or (gate is not None and not gate.is_valid):
                 rows.append({**about, **_about_drive(data, simulator, execution, gate)})
-    return pa.Table.from_pylist(rows, schema=schema_of(EXECUTIONS, **notes))
+    yield rows
 
 
 def _about_test(data: CampaignData, test: Test) -> dict[str, Any]:

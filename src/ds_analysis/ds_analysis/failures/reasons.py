@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
-from ds_analysis.common.driven_road import lateral_profile
+from ds_analysis.common.driven_road import arc_lengths, lateral_profile
 from ds_analysis.common.statistics import Array
 from ds_analysis.common.table import Column, Table
 from ds_analysis.siblings.failure_patterns import LOOK_BACK, STRAIGHT_BELOW, departure
@@ -129,9 +128,7 @@ def groups_table(groups: Sequence[FailureGroup]) -> Table:
 def reason_of(test: Test, execution: Execution) -> Reason:
     """Give the reason of one failed drive, which has at least two frames."""
     road, trajectory, steering = test.road, execution.trajectory, execution.steering
-    arc = np.maximum.accumulate(
-        shapely.line_locate_point(shapely.LineString(road.lane_centre), shapely.points(trajectory[:, :2]))
-    )
+    arc = np.maximum.accumulate(arc_lengths(road, trajectory))
     kmh = 3.6 * float(np.mean(trajectory[:, 3]))
     numbers = f"{arc[-1]:.0f} m along the road, {kmh:.0f} km/h on average"
     side = 0

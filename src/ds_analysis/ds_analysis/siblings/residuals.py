@@ -22,6 +22,7 @@ from ds_analysis.common.statistics import (
     Interval,
     are_alone,
     interval_over_families,
+    r_or_nan,
     splits_of,
 )
 from ds_analysis.siblings.added_information import caution_of_failures
@@ -154,12 +155,7 @@ def _ranks(values: Array) -> Array:
 def _correlation(one: Array, other: Array, families: Indices) -> tuple[float | None, Interval | None]:
     if len(one) < FEWEST_ROADS or not np.ptp(one) or not np.ptp(other):
         return None, None
-    return _pearson(one, other), interval_over_families((one, other), _pearson, families)
-
-
-def _pearson(one: Array, other: Array) -> float:
-    """Pearson r; NaN where a resample is constant."""
-    return float(np.corrcoef(one, other)[0, 1]) if np.ptp(one) and np.ptp(other) else float("nan")
+    return r_or_nan(one, other), interval_over_families((one, other), r_or_nan, families)
 
 
 def _clustered_correlation(

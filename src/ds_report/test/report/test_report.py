@@ -561,7 +561,7 @@ def _maps_over_turns(folder: Path) -> dict[str, Any]:
 def test_the_page_of_a_large_campaign_shows_its_worst_tests_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ds_report.html_report._SHOWN_TESTS", 3)
+    monkeypatch.setattr("ds_report.html_report.SHOWN_TESTS", 3)
     config = CampaignConfig(siblings=["nowhere:A", "nowhere:B"], twin=None, driver="autopilot")
     store = make_campaign(tmp_path, config, 5)
     worst: dict[str, int] = {}
