@@ -36,7 +36,9 @@ def tracked(*patterns: str) -> set[str]:
 
 def test_every_file_of_the_packages_is_in_the_wheel_and_nothing_else(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    packages = {"/".join(Path(path).parts[2:]) for path in tracked("src/ds_*/ds_*") if "/resource/" not in path}
+    packages = {
+        "/".join(Path(path).parts[2:]) for path in tracked("src/ds_*/ds_*") if not re.search("/(resource|ros)/", path)
+    }
     shared = {f"ds_sim/share/{path[4:]}" for path in tracked("src/ds_interfaces/msg", "src/ds_bringup/config")}
     assert len(packages) > 300 and any(name.endswith(".safetensors") for name in packages) and len(shared) > 10
     assert {name for name in names if ".dist-info/" not in name} == packages | shared
@@ -65,10 +67,11 @@ import ds_sim
 assert ds_sim.__file__.startswith({str(tmp_path)!r})
 from ds_bags.messages import typestore
 from ds_driver.networks.network_driver import NetworkDriver
-from ds_cli.campaign.run import shipped_config
+from ds_orchestrator import read_config
+from ds_sim.installation import share_folders
 from ds_cli import main
 print(sorted(name for name in typestore().types if name.startswith("ds_interfaces")))
-print(shipped_config("paper").simulators, NetworkDriver("dave2").spec if hasattr(NetworkDriver, "spec") else "dave2")
+print(read_config(share_folders("ds_bringup")[0] / "config/paper.yaml").simulators, NetworkDriver("dave2").spec if hasattr(NetworkDriver, "spec") else "dave2")
 for verb in (["--version"], ["doctor"], ["drive", "--sim", "bullet"], ["train", "--data", ".", "--out", "x"]):
     sys.argv = ["ds", *verb]
     if verb[0] == "train":
