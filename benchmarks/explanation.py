@@ -32,7 +32,7 @@ from ds_sim.parts import AdjustableVehicle, Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_studies.explanation.experiment import Experiment, drive_experiments
-from ds_studies.explanation.shares import Explanation, Subset
+from ds_studies.explanation.shares import Explanation, Subset, shapley
 from ds_studies.sensitivity.measurement import candidate_roads
 
 PLANTS = {
@@ -217,13 +217,14 @@ def _experiment(test: Test, base: str, plant: str, strength: float) -> MadeExper
 
 def row(pair: Pair, found: Explanation) -> dict[str, object]:
     """Describe one pair."""
-    planted, outcome = pair.experiment.planted, found.outcome_shares
+    planted = pair.experiment.planted
+    outcome = shapley(tuple(found.shares), {subset: float(loss == 1.0) for subset, loss in found.losses.items()})
     return {
         "test": found.test_id, "base": pair.experiment.base, "plant": pair.plant, "strength": pair.strength,
-        "planted": planted, "repeats": found.repeats, "largest": next(iter(found.shares)), "shares": found.shares,
-        "recovered": found.repeats and next(iter(found.shares)) == planted,
+        "planted": planted, "repeats": found.repeats, "largest": next(iter(found.shares), ""), "shares": found.shares,
+        "recovered": next(iter(found.shares), "") == planted,
         "recovered_by_outcome": found.repeats and max(outcome, key=lambda part: outcome[part]) == planted,
-        "outcome_shares": outcome, "cures": [part for part in found.parts if found.cures(part)],
+        "outcome_shares": outcome, "cures": [part for part in found.shares if found.cures(part)],
     }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import closing
 from itertools import permutations
 from pathlib import Path
 
@@ -11,16 +12,21 @@ import numpy as np
 import pytest
 from benchmarks.explanation import made_name
 from tests.command_line import ds
+from typer.testing import CliRunner
 
+from ds_cli.studies.explain import app
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.executor import execution_of
+from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import make_simulator
-from ds_studies.explanation.shares import Explanation, Subset, shapley, subsets
+from ds_sim.simulator import Outcome
+from ds_studies.explanation.experiment import experiment_on
+from ds_studies.explanation.shares import Explanation, shapley, subsets
 from ds_studies.sensitivity.measurement import candidate_roads
 
 PARTS = ("camera", "look", "vehicle", "delays")
@@ -56,57 +62,64 @@ def test_shapley_values_are_the_means_over_all_orders() -> None:
     assert sum(found.values()) == pytest.approx(value[frozenset(PARTS)] - value[frozenset()])
 
 
-def explanation(losses: dict[Subset, float]) -> Explanation:
-    return Explanation(test_id="t", fails="a", against="b", parts=("camera", "vehicle"), losses=losses,
-                       failed={subset: loss >= 1.0 for subset, loss in losses.items()})  # fmt: skip
+def explanation(*losses: float) -> Explanation:
+    """Losses with nothing of a, its camera, its vehicle, and both."""
+    return Explanation(
+        test_id="t", fails="a", against="b", losses=dict(zip(subsets(("camera", "vehicle")), losses, strict=True))
+    )
 
 
 def test_the_sentence_says_what_is_the_cause_what_is_not_and_what_cures() -> None:
-    nothing, camera, vehicle, both = subsets(("camera", "vehicle"))
-    found = explanation({nothing: 0.5, camera: 1.0, vehicle: 0.5, both: 1.0})
-    assert found.shares == {"camera": 1.0, "vehicle": 0.0} and found.left_over == 0.0 == found.only_together
+    found = explanation(0.5, 1.0, 0.5, 1.0)
+    assert found.shares == {"camera": 1.0, "vehicle": 0.0}
     assert found.sentence == (
         "t fails on a because of the camera (1.00), not the vehicle. With the camera of b alone it completes there."
     )
-    joint = explanation({nothing: 0.5, camera: 0.5, vehicle: 0.5, both: 1.0})
-    assert joint.only_together == 1.0 and "the camera (0.50) and the vehicle (0.50)" in joint.sentence
-    twice = explanation({nothing: 0.5, camera: 1.0, vehicle: 1.0, both: 1.0})
-    assert "No single part of b makes it complete there." in twice.sentence
-    gone = explanation({nothing: 0.5, camera: 0.5, vehicle: 0.5, both: 0.75})
-    assert "do not repeat" in gone.sentence and gone.left_over == pytest.approx(0.5)
-    assert "do not repeat" in explanation(dict.fromkeys(subsets(("camera", "vehicle")), 1.0)).document()["sentence"]
+    assert "the camera (0.50) and the vehicle (0.50)" in explanation(0.5, 0.5, 0.5, 1.0).sentence
+    assert "the camera (0.70), partly the vehicle (0.30)" in explanation(0.5, 0.8, 0.6, 1.0).sentence
+    assert "No single part of b makes it complete there." in explanation(0.5, 1.0, 1.0, 1.0).sentence
+    for other in (explanation(0.5, 0.5, 0.5, 0.75), explanation(1.0, 1.0, 1.0, 1.0)):
+        assert "do not repeat" in other.document()["sentence"] and not other.shares and not other.table().rows
 
 
 def test_a_planted_delay_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The autopilot sees no image, so that fog is no cause."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
     late = made_name("bullet", "late_commands", 0.6)
-    folder = campaign(tmp_path / "c", ["bullet", late])
-    for more in ((), ("--test", "bullet-0-0000")):
-        refused = ds("explain", folder, *more)
-        assert refused.returncode == 2 and "--trust" in refused.stderr
-    found_out = ds("explain", folder, "--workers", 2, "--trust", late, "--out", tmp_path / "out", "--json")
+    folder = campaign(tmp_path / "c", ["bullet", late], Conditions(visibility=60.0))
+    refused = ds("explain", folder)
+    assert refused.returncode == 2 and "--trust" in refused.stderr
+    found_out = ds("explain", folder, "--workers", 1, "--trust", late, "--out", tmp_path / "out", "--json")
     (found,) = json.loads(found_out.stdout)["tests"]
-    assert (found["fails"], found["against"]) == (late, "bullet") and found["left_over"] == 0.0
-    assert found["shares"] == pytest.approx({"delays": 1.0, "vehicle": 0.0}) and len(found["drives"]) == 4
+    assert (found["fails"], found["against"]) == (late, "bullet")
+    assert found["shares"] == pytest.approx({"delays": 1.0, "vehicle": 0.0, "conditions": 0.0})
     assert found["sentence"].endswith("With the delays of bullet alone it completes there.")
+    assert found["reason"]["details"].endswith("under visibility 60 m") and len(found["drives"]) == 8
     assert (tmp_path / "out" / "explanation.json").exists()
 
 
-def test_conditions_are_removed_and_what_a_driver_does_not_see_has_no_share(tmp_path: Path) -> None:
-    """The autopilot fails on bullet alone with commands 0.4 s late, and sees neither camera nor look."""
+def test_conditions_are_removed_and_what_cannot_be_explained_is_said(tmp_path: Path) -> None:
+    """The autopilot fails on bullet with commands 0.4 s late, and completes the same road without that."""
     folder = campaign(tmp_path / "c", ["bullet", "softbody"], Conditions(command_delay=0.4))
-    (found,) = json.loads(ds("explain", folder, "--test", "bullet-0-0000", "--json").stdout)["tests"]
-    assert found["shares"]["camera"] == 0.0 == found["shares"]["look"]
-    assert found["shares"]["conditions"] + found["shares"]["vehicle"] == pytest.approx(1.0)
-    assert ", partly the vehicle (" in found["sentence"]
-    assert "under command_delay 0.4 s" in found["reason"] and len(found["drives"]) == 16
-    shown = ds("explain", folder, "--groups", 0)
-    assert shown.returncode == 0 and "1 on bullet" in shown.stdout
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    experiment = experiment_on(data, "bullet-0-0000")
+    assert list(experiment.parts) == ["camera", "look", "vehicle", "conditions"]
+    name, test = experiment.drive(frozenset(("camera", "look", "vehicle")))
+    made = make_simulator(name)
+    run = drive_road(made, make_driver(AUTOPILOT, made.spec), test.road, test.seed, test.conditions)
+    made.close()
+    assert test.test_id == "plain-bullet-0-0000" and run.outcome is Outcome.COMPLETED
     for wrong, why in (
-        (("--test", "bullet-0-0007"), "has no test"),
-        (("--test", "bullet-0-0000", "--sim", "softbody"), "never fails on softbody: expected bullet"),
-        (("--sim", "bullet"), "give --test, too"),
-        (("--engine", "graph"), "expected local or dask"),
+        (("bullet-0-0007",), "has no test"),
+        (("bullet-0-0000", "softbody"), "never fails on softbody: expected bullet"),
+        (("bullet-0-0000", None, "bullet"), "never completes on bullet: expected softbody"),
     ):
-        refused = ds("explain", folder, *wrong)
-        assert refused.returncode == 2 and why in refused.stderr and refused.stderr.count("\n") == 1
+        with pytest.raises(ConfigError, match=why):
+            experiment_on(data, *wrong)
+
+
+def test_the_command_refuses_in_one_line(tmp_path: Path) -> None:
+    for wrong, why in ((("--sim", "bullet"), "give --test, too"), (("--engine", "graph"), "expected local or dask")):
+        refused = CliRunner().invoke(app, [str(tmp_path), *wrong])
+        assert why in str(refused.exception)

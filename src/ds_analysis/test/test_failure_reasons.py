@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ds_analysis.common.statistics import Array
-from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of
+from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of, where
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import DriveArrays, Execution, Test
@@ -84,9 +84,9 @@ def test_a_car_that_goes_straight_on_in_a_bend_is_late_wrong_or_weak(road: Road,
     }
     for led, steering in cases.items():
         reason = reason_of(made_test(road), failed(path, steering, road))
-        assert (reason.how, reason.led) == (f"runs wide in a {side} bend", led)
+        assert reason.kind == f"runs wide in a {side} bend: it {led}"
     late = reason_of(made_test(road), failed(path, cases["steers late"], road))
-    seconds = float(late.numbers.partition("steers ")[2].split()[0])
+    seconds = float(late.details.partition("steers ")[2].split()[0])
     assert seconds == pytest.approx((leaves - 2.0 - bend) / SPEED, abs=0.5)
 
 
@@ -100,14 +100,14 @@ def test_cutting_straight_slow_and_odd_commands_are_told_apart() -> None:
     drift[:, 0] -= np.arange(len(drift)) * 0.03
     under = made_test(RIGHT, visibility=40.0)
     straight = reason_of(under, failed(drift, noise, RIGHT))
-    assert straight.kind == "leaves a straight" and straight.text.endswith("under visibility 40 m)")
+    assert straight.kind == "leaves a straight" and straight.details.endswith("under visibility 40 m")
     locked = np.where(np.arange(300) % 3 > 0, 1.0, -0.2)
     for steering, led in ((np.full(300, 0.3), "always steers the same"), (locked, "is at full lock half of the time")):
-        assert reason_of(made_test(RIGHT), failed(drift, steering, RIGHT)).led == led
+        assert reason_of(made_test(RIGHT), failed(drift, steering, RIGHT)).kind == f"leaves a straight: it {led}"
     slow = failed(straight_on(RIGHT)[:100], noise, RIGHT, outcome=Outcome.TIMEOUT, speed=0.9)
     found = reason_of(made_test(RIGHT), slow)
-    assert found.kind == "is too slow to finish: it crawls" and "3 km/h" in found.numbers
-    assert reason_of(made_test(RIGHT), replace(slow, outcome=Outcome.STUCK)).how == "stops on the road"
+    assert found.kind == "is too slow to finish: it crawls" and "3 km/h" in found.details
+    assert reason_of(made_test(RIGHT), replace(slow, outcome=Outcome.STUCK)).kind == "stops on the road: it crawls"
 
 
 def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None:
@@ -120,7 +120,7 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     config = CampaignConfig(siblings=["bullet"], driver="autopilot")
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
     groups = groups_of(reasons_of(data))
-    assert [(len(group.reasons), group.on) for group in groups] == [(8, {"bullet": 8}), (1, {"bullet": 1})]
+    assert [where(group) for group in groups.values()] == ["8 on bullet", "1 on bullet"]
     assert [reason.test_id for reason in reasons_of(data, most=3)] == [
         "bullet-0-0000",
         "bullet-0-0003",

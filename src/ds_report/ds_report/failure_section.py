@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from ds_analysis.failures.reasons import FailureGroup, Reason, groups_of, reasons_of
+from ds_analysis.failures.reasons import Reason, groups_of, reasons_of, where
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_report.camera_pictures import worst_first
 from ds_report.findings import count
@@ -14,18 +14,27 @@ MOST_GROUPS = 12
 """Groups that are shown; chosen: a screen. The last ones hold single failures."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FailureSection:
-    """Why tests failed, for a page.
+class ShownGroup(NamedTuple):
+    """A group of failures, for a page.
 
     Attributes:
-        sentences: the largest group, and that of each simulator where they differ.
-        groups: the largest first, each with the failure whose test fails on most simulators and worst, which a large
-            campaign's page keeps, and the address of its replay; "" if that test is in no map.
+        failures: number of them.
+        where: on which simulators.
+        worst: the failure whose test fails on most simulators and worst, which a large campaign's page keeps.
+        address: of its replay; "" if that test is in no map.
     """
 
+    failures: int
+    where: str
+    worst: Reason
+    address: str
+
+
+class FailureSection(NamedTuple):
+    """Why tests failed: the largest group in words, that of each simulator where they differ; all groups."""
+
     sentences: Sequence[str]
-    groups: Sequence[tuple[FailureGroup, Reason, str]]
+    groups: Sequence[ShownGroup]
 
 
 def failure_section(data: CampaignData) -> FailureSection | None:
@@ -34,21 +43,21 @@ def failure_section(data: CampaignData) -> FailureSection | None:
     if not reasons:
         return None
     groups, failed = groups_of(reasons), sum(e.outcome.is_failure for e in data.executions)
-    most = f"{len(groups[0].reasons)} of {count(len(reasons), 'failure')}"
-    sentences = [f"Most often ({most}), the driver {groups[0].kind}."]
+    most = next(iter(groups))
+    sentences = [f"Most often ({len(groups[most])} of {count(len(reasons), 'failure')}), the driver {most}."]
     if len(reasons) < failed:
         sentences[0] += f" Read from the records of {len(reasons)} of {failed} failures."
-    first = {name: max(groups, key=lambda group: group.on.get(name, 0)) for name in data.config.simulators}
-    first = {name: group for name, group in first.items() if name in group.on}
-    if len({group.kind for group in first.values()}) > 1:
-        sentences += [f"On {name}, it most often {group.kind}." for name, group in first.items()]
+    own = {name: groups_of([one for one in reasons if one.simulator == name]) for name in data.config.simulators}
+    first = {name: next(iter(of)) for name, of in own.items() if of}
+    if len(set(first.values())) > 1:
+        sentences += [f"On {name}, it most often {kind}." for name, kind in first.items()]
     failing = {reason.test_id for reason in reasons}
     order = worst_first((test for test in data.tests if test.test_id in failing), data.executions)
     rank = {test_id: k for k, test_id in enumerate(order)}
     shown = []
-    for group in groups[:MOST_GROUPS]:
-        worst = min(group.reasons, key=lambda reason: rank[reason.test_id])
+    for group in list(groups.values())[:MOST_GROUPS]:
+        worst = min(group, key=lambda reason: rank[reason.test_id])
         cell = data.cells.get(worst.test_id)
         address = "" if cell is None else f"#cell={'-'.join(map(str, cell))}&test={worst.test_id}"
-        shown.append((group, worst, address))
-    return FailureSection(sentences=sentences, groups=shown)
+        shown.append(ShownGroup(len(group), where(group), worst, address))
+    return FailureSection(sentences, shown)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_road.geometry import lane_curvature
-from ds_sim.conditions.model import FIELDS, Conditions
+from ds_sim.conditions.model import FIELDS
 from ds_sim.conditions.text import three_digits
 from ds_sim.simulator import FRAME_TIME, Outcome
 
@@ -39,63 +39,24 @@ _HABITS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reason:
+class Reason(NamedTuple):
     """Why one drive failed, in words that follow "the driver".
 
     Attributes:
         test_id: the test.
         simulator: where it failed.
-        how: how it left the lane, or did not finish.
-        led: what led there; "" if the record does not tell.
-        numbers: where, when and how fast.
-        conditions: of the test where they are not the default.
+        kind: how it left the lane or did not finish, and what led there if the record tells; one for a group.
+        details: where and how fast, and under which conditions if they are not the default.
     """
 
     test_id: str
     simulator: str
-    how: str
-    led: str
-    numbers: str
-    conditions: str
-
-    @property
-    def kind(self) -> str:
-        """What failures of one group have in common."""
-        return f"{self.how}: it {self.led}" if self.led else self.how
-
-    @property
-    def details(self) -> str:
-        """What failures of one group may differ in."""
-        return f"{self.numbers}, under {self.conditions}" if self.conditions else self.numbers
-
-    @property
-    def text(self) -> str:
-        """The whole reason."""
-        return f"{self.kind} ({self.details})"
-
-
-@dataclass(frozen=True, kw_only=True)
-class FailureGroup:
-    """Failures of one kind.
-
-    Attributes:
-        kind: as `Reason.kind`.
-        reasons: its failures, in the campaign's order.
-    """
-
     kind: str
-    reasons: tuple[Reason, ...]
+    details: str
 
-    @property
-    def on(self) -> dict[str, int]:
-        """Simulator -> number of its failures, the most first."""
-        return dict(Counter(reason.simulator for reason in self.reasons).most_common())
 
-    @property
-    def where(self) -> str:
-        """The same in words: `9 on bullet, 2 on donkey`."""
-        return ", ".join(f"{number} on {name}" for name, number in self.on.items())
+Groups = Mapping[str, Sequence[Reason]]
+"""Kind -> failures of this kind in the campaign's order, the largest group first."""
 
 
 def reasons_of(data: CampaignData, most: int = MOST_FAILURES) -> list[Reason]:
@@ -109,19 +70,22 @@ def reasons_of(data: CampaignData, most: int = MOST_FAILURES) -> list[Reason]:
     return [reason_of(tests[e.test_id], e) for e in chosen if len(e.trajectory) > 1]
 
 
-def groups_of(reasons: Sequence[Reason]) -> list[FailureGroup]:
+def groups_of(reasons: Sequence[Reason]) -> Groups:
     """Group failures by kind, the largest group first, equal ones by their first failure."""
-    groups: dict[str, list[Reason]] = {}
-    for reason in reasons:
-        groups.setdefault(reason.kind, []).append(reason)
-    found = [FailureGroup(kind=kind, reasons=tuple(of)) for kind, of in groups.items()]
-    return sorted(found, key=lambda group: -len(group.reasons))
+    sizes = Counter(reason.kind for reason in reasons).most_common()
+    return {kind: [reason for reason in reasons if reason.kind == kind] for kind, _ in sizes}
 
 
-def groups_table(groups: Sequence[FailureGroup]) -> Table:
+def where(group: Sequence[Reason]) -> str:
+    """Number of failures on each simulator, the most first: `9 on bullet, 2 on donkey`."""
+    on = Counter(reason.simulator for reason in group).most_common()
+    return ", ".join(f"{number} on {name}" for name, number in on)
+
+
+def groups_table(groups: Groups) -> Table:
     """Tabulate groups of failures, one row each."""
     columns = [Column("the driver"), Column("failures", "count"), Column("where"), Column("for example")]
-    rows = [(group.kind, len(group.reasons), group.where, group.reasons[0].test_id) for group in groups]
+    rows = [(kind, len(group), where(group), group[0].test_id) for kind, group in groups.items()]
     return Table(name="failures", title="Failures by what led there", columns=columns, rows=rows)
 
 
@@ -149,9 +113,12 @@ def reason_of(test: Test, execution: Execution) -> Reason:
     elif not led and side and len(steering):
         led, since = _steering_into_bend(road, arc[:-1], steering, side)
         numbers += f", steers {since:.1f} s after the bend began" if led == "steers late" else ""
+    under = [
+        f"{name} {three_digits(value)} {FIELDS[name].unit}".rstrip() for name, value in test.conditions.changed.items()
+    ]
     return Reason(
-        test_id=test.test_id, simulator=execution.simulator, how=how, led=led, numbers=numbers,
-        conditions=condition_words(test.conditions),
+        test.test_id, execution.simulator, f"{how}: it {led}" if led else how,
+        f"{numbers}, under {', '.join(under)}" if under else numbers,
     )  # fmt: skip
 
 
@@ -185,9 +152,3 @@ def _steering_into_bend(road: Road, arc: Array, steering: Array, side: int) -> t
     if (len(into) - 1 - held) * FRAME_TIME >= LET_GO:
         return "steers in, then lets go", 0.0
     return "steers in time, but too little", 0.0
-
-
-def condition_words(conditions: Conditions) -> str:
-    """Write the conditions that are not the default: `visibility 40 m, payload 0.2`."""
-    units = {name: f" {field.unit}" if field.unit else "" for name, field in FIELDS.items()}
-    return ", ".join(f"{name} {three_digits(value)}{units[name]}" for name, value in conditions.changed.items())

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -43,13 +44,13 @@ def explain_command(
     all combinations, and each part gets its share of the failure.
     """
     from ds_analysis.common.table import write_tables
-    from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of
+    from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of, where
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.store.folder_files import make_folder
-    from ds_studies.explanation.experiment import experiment_on, experiments_on, explain
+    from ds_studies.explanation.experiment import drive_experiments, experiment_on, experiments_on
     from ds_studies.whole_campaign import check_trust
 
     if test is None and (sim is not None or against is not None):
@@ -61,25 +62,23 @@ def explain_command(
         if test is not None or groups:  # something is driven, and so made
             check_trust(data.config, trust or ())
         found = groups_of(reasons_of(data))
-        if test is None:
-            experiments = experiments_on(data, found, groups) if groups else {}
-        else:
-            one = experiment_on(data, test, sim, against)
-            failed = next(e for e in data.executions if (e.test_id, e.simulator) == (test, one.fails))
-            experiments = {reason_of(one.test, failed).text: one}
+        experiments = experiments_on(data, found, groups) if test is None else [experiment_on(data, test, sim, against)]
+        failed = {(e.test_id, e.simulator): e for e in data.executions}
+        reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
     settings = with_engine_without_ros(data.config.drive_settings(), workers, engine, cluster)
-    if out is not None:
-        make_folder(out)
-    drives = None if out is None else out / "drives"
-    with stopped_in(drives):
+    with nullcontext(out) if out is not None else TemporaryDirectory(prefix="ds_explain_") as place:
+        drives = Path(place) / "drives"
         progress = Progress(listen=ScreenListener, say=say)
-        explained = [explain(one, settings, drives, progress) for one in experiments.values()]
+        with stopped_in(drives if out is not None else None):
+            driven = drive_experiments(experiments, settings, drives, progress)
+    explained = [one.explained(driven) for one in experiments]
     tables = [*([groups_table(found)] if test is None else []), *(one.table() for one in explained)]
     document = {
-        "groups": [{"kind": g.kind, "failures": len(g.reasons), "on": g.on} for g in found],
-        "tests": [{"reason": reason, **one.document()} for reason, one in zip(experiments, explained, strict=True)],
+        "groups": [{"kind": kind, "failures": len(of), "where": where(of)} for kind, of in found.items()],
+        "tests": [{"reason": why._asdict(), **one.document()} for why, one in zip(reasons, explained, strict=True)],
     }
     if out is not None:
+        make_folder(out)
         (out / "explanation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         write_tables(tables, out)
 
@@ -87,9 +86,10 @@ def explain_command(
         console = Console()
         if test is None:
             tables[0].show(console)
-        for reason, one in zip(experiments, explained, strict=True):
-            print(f"\nOn {one.fails} the driver {reason}.\n{one.sentence}")
-            one.table().show(console)
+        for why, one in zip(reasons, explained, strict=True):
+            print(f"\nOn {one.fails} the driver {why.kind} ({why.details}).\n{one.sentence}")
+            if one.repeats:
+                one.table().show(console)
         if groups and not experiments:
             print("No failed test is completed by another simulator, so there is nothing to exchange.")
         if out is not None:

@@ -21,15 +21,16 @@ def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_pat
         section = failure_section(data)
     assert section is not None
     failed = {(e.test_id, e.simulator) for e in data.executions if e.outcome.is_failure}
-    named = [(reason.test_id, reason.simulator) for group, *_ in section.groups for reason in group.reasons]
-    assert sorted(named) == sorted(failed)
-    sizes = [len(group.reasons) for group, *_ in section.groups]
-    assert sizes == sorted(sizes, reverse=True) and f"({sizes[0]} of {len(failed)} failures)" in section.sentences[0]
-    assert all(worst in group.reasons and "-".join(map(str, data.cells[worst.test_id])) in address
-               for group, worst, address in section.groups)  # fmt: skip
+    sizes = [group.failures for group in section.groups]
+    assert sum(sizes) == len(failed) and sizes == sorted(sizes, reverse=True)
+    assert f"({sizes[0]} of {len(failed)} failures)" in section.sentences[0]
+    for group in section.groups:
+        assert (group.worst.test_id, group.worst.simulator) in failed
+        assert sum(int(words.split()[0]) for words in group.where.split(", ")) == group.failures
+        assert "-".join(map(str, data.cells[group.worst.test_id])) in group.address
     html = environment().get_template("failures.html.j2").render(failures=section)
     assert re.findall(r'href="#cell=[-\d]+&amp;test=([^"]+)"', html) == [
-        worst.test_id for _, worst, _ in section.groups
+        group.worst.test_id for group in section.groups
     ]
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from ds_analysis.failures.reasons import FailureGroup
+from ds_analysis.failures.reasons import Groups
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import CampaignData
@@ -16,7 +14,6 @@ from ds_orchestrator.engines.drive_tests import GivenDrives, Progress, drive_tes
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
-from ds_sim.registry import label_of
 from ds_studies.explanation.shares import CONDITIONS, Explanation, Subset, loss_of, subsets
 
 _PLAIN = "plain-"
@@ -53,18 +50,14 @@ class Experiment:
         Raises:
             ExplanationError: a drive ended in an error.
         """
-        losses, failed = {}, {}
+        losses = {}
         for subset in subsets(tuple(self.parts)):
             name, test = self.drive(subset)
             execution = found.executions.get((test.test_id, name))
             if execution is None:
                 raise ExplanationError(f"{test.test_id} on {name}: {found.errors[test.test_id, name]}")
             losses[subset] = loss_of(execution, test.road.lane_width / 2)
-            failed[subset] = execution.outcome.is_failure
-        return Explanation(
-            test_id=self.test.test_id, fails=self.fails, against=self.against, parts=tuple(self.parts), losses=losses,
-            failed=failed,
-        )  # fmt: skip
+        return Explanation(test_id=self.test.test_id, fails=self.fails, against=self.against, losses=losses)
 
 
 class ExplanationError(RuntimeError):
@@ -105,36 +98,11 @@ def experiment_on(data: CampaignData, test_id: str, fails: str | None = None, ag
     return Experiment(test=tests[test_id], fails=fails, against=against, parts=parts)
 
 
-def experiments_on(data: CampaignData, groups: Sequence[FailureGroup], most: int) -> dict[str, Experiment]:
-    """Plan an experiment for each of the largest groups that has a test which another simulator completes.
-
-    Returns:
-        Reason of the first such test of a group -> experiment, at most `most`.
-    """
-    found: dict[str, Experiment] = {}
+def experiments_on(data: CampaignData, groups: Groups, most: int) -> list[Experiment]:
+    """Plan an experiment for each of the largest groups, at most `most`, that has a test which another completes."""
     passed = {execution.test_id for execution in data.verdicts if not execution.outcome.is_failure}
-    for group in groups:
-        reason = next((one for one in group.reasons if one.test_id in passed), None)
-        if reason is not None and len(found) < most:
-            found[reason.text] = experiment_on(data, reason.test_id, reason.simulator)
-    return found
-
-
-def explain(experiment: Experiment, settings: DriveSettings, folder: Path | None, progress: Progress) -> Explanation:
-    """Drive one experiment, and share out the difference.
-
-    Args:
-        experiment: what to drive.
-        settings: driver and engine; see `drive_experiments`.
-        folder: for a folder of the drives, where a stopped call goes on; None keeps nothing.
-        progress: who hears of it.
-
-    Raises:
-        ExplanationError: a drive ended in an error.
-    """
-    name = label_of(f"{experiment.test.test_id}-{experiment.fails}-{experiment.against}")
-    with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_explain_") as place:
-        return experiment.explained(drive_experiments([experiment], settings, Path(place) / name, progress))
+    firsts = [next((one for one in of if one.test_id in passed), None) for of in groups.values()]
+    return [experiment_on(data, one.test_id, one.simulator) for one in filter(None, firsts)][:most]
 
 
 def drive_experiments(
@@ -148,6 +116,8 @@ def drive_experiments(
         folder: of the drives.
         progress: who hears of it.
     """
+    if not experiments:
+        return GivenDrives()
     work: dict[str, list[Test]] = {}
     for experiment in experiments:
         for subset in subsets(tuple(experiment.parts)):

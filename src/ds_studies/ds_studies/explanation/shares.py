@@ -19,6 +19,8 @@ from ds_orchestrator.store.model import Execution
 from ds_sim.registry import label_of
 
 Subset = frozenset[str]
+CONDITIONS = "conditions"
+"""The test's conditions, exchanged for the default ones, beside the parts of simulators."""
 NAMED = 0.6
 """Share that the parts named as the cause have together; chosen: clearly more than half."""
 INNOCENT = 0.1
@@ -52,8 +54,9 @@ def shapley(parts: Sequence[str], value: Mapping[Subset, float]) -> dict[str, fl
 
 
 def loss_of(execution: Execution, half_lane: float) -> float:
-    """Share of the half lane that a drive uses at most; 1 for every failure."""
-    return 1.0 if execution.outcome.is_failure else min(execution.max_lateral_position / half_lane, 1.0)
+    """Share of the half lane that a drive uses at most; 1 for every failure, less for every other drive."""
+    below = math.nextafter(1.0, 0.0)
+    return 1.0 if execution.outcome.is_failure else min(execution.max_lateral_position / half_lane, below)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,88 +67,60 @@ class Explanation:
         test_id: the test.
         fails: simulator on which it fails.
         against: simulator on which it completes, which gives the parts for the exchange.
-        parts: parts in which the two differ.
         losses: loss of the drive in which a subset of the parts is that of `fails`, and all others of `against`; for
-            each subset.
-        failed: subset -> whether that drive fails.
+            each subset of the parts in which the two differ. A drive with the loss 1 fails.
     """
 
     test_id: str
     fails: str
     against: str
-    parts: tuple[str, ...]
     losses: Mapping[Subset, float]
-    failed: Mapping[Subset, bool]
 
     @property
     def repeats(self) -> bool:
         """Whether the exchange of all parts, and that of none, end as the campaign's drives did."""
-        return self.failed[frozenset(self.parts)] and not self.failed[frozenset()]
-
-    @property
-    def difference(self) -> float:
-        """Loss to be shared out: that of a failure over that of the drive without any of its parts; 1 if that fails."""
-        return 1.0 - self.losses[frozenset()] or 1.0
+        return self.losses[max(self.losses, key=len)] == 1.0 > self.losses[frozenset()]
 
     @property
     def shares(self) -> dict[str, float]:
-        """Part -> share of the difference, the largest first; what is left to 1 is `left_over`."""
-        values = shapley(self.parts, self.losses)
-        return {part: values[part] / self.difference for part in sorted(self.parts, key=lambda p: -values[p])}
-
-    @property
-    def left_over(self) -> float:
-        """Share of the difference that no exchange of parts explains; 0 where the simulators consist of their parts."""
-        return (1.0 - self.losses[frozenset(self.parts)]) / self.difference
-
-    @property
-    def only_together(self) -> float:
-        """Share of the difference that no part brings about alone; negative where parts do the same twice."""
-        alone = sum(self.losses[frozenset((part,))] - self.losses[frozenset()] for part in self.parts)
-        return 1.0 - alone / self.difference
-
-    @property
-    def outcome_shares(self) -> dict[str, float]:
-        """Part -> Shapley value of the outcome, 1 for a failure, instead of the loss."""
-        return shapley(self.parts, {subset: float(fails) for subset, fails in self.failed.items()})
+        """Part -> share of the failure, the largest first; their sum is 1, and there are none unless it repeats."""
+        if not self.repeats:
+            return {}
+        values = shapley([part for subset in self.losses if len(subset) == 1 for part in subset], self.losses)
+        return {
+            part: values[part] / (1.0 - self.losses[frozenset()]) for part in sorted(values, key=lambda p: -values[p])
+        }
 
     def brings(self, part: str) -> bool:
         """Whether this part of `fails` alone makes the drive on `against` fail."""
-        return self.failed[frozenset((part,))]
+        return self.losses[frozenset((part,))] == 1.0
 
     def cures(self, part: str) -> bool:
         """Whether this part of `against` alone makes the drive on `fails` complete."""
-        return not self.failed[frozenset(self.parts) - {part}]
+        return self.losses[max(self.losses, key=len) - {part}] < 1.0
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values; a drive is named by the parts that are those of `fails`."""
+        drives = [
+            {"parts": sorted(subset), "loss": loss, "failed": loss == 1.0} for subset, loss in self.losses.items()
+        ]
         return {
             "test_id": self.test_id, "fails": self.fails, "against": self.against, "sentence": self.sentence,
-            "shares": self.shares, "left_over": self.left_over, "only_together": self.only_together,
-            "outcome_shares": self.outcome_shares,
-            "drives": [
-                {"parts": sorted(subset), "loss": loss, "failed": self.failed[subset]}
-                for subset, loss in self.losses.items()
-            ],
+            "shares": self.shares, "drives": drives,
         }  # fmt: skip
 
     def table(self) -> Table:
-        """Tabulate the parts of the explanation, the largest share first, then what is left over."""
-        columns = [
-            Column("part"), Column("share", "number"), Column(f"alone on {self.against}"),
-            Column(f"{self.fails} without it"),
-        ]  # fmt: skip
-        rows = [
-            (part, share, "fails" if self.brings(part) else "completes", "completes" if self.cures(part) else "fails")
-            for part, share in self.shares.items()
-        ]
+        """Tabulate the parts, the largest share first."""
+        end = {True: "fails", False: "completes"}
         return Table(
             name=f"explanation_{self.test_id}_{label_of(self.fails)}",
-            title=f"{self.test_id}: fails on {self.fails}, not on {self.against}",
-            columns=columns,
-            rows=[*rows, ("left over", self.left_over, "", "")],
-            notes=[f"{len(self.losses)} drives; {self.only_together:.2f} of the difference comes about only together."],
-        )
+            title=f"{self.test_id}: fails on {self.fails}, not on {self.against} ({len(self.losses)} drives)",
+            columns=[
+                Column("part"), Column("share", "number"), Column(f"alone on {self.against}"),
+                Column(f"{self.fails} without it"),
+            ],
+            rows=[(p, share, end[self.brings(p)], end[not self.cures(p)]) for p, share in self.shares.items()],
+        )  # fmt: skip
 
     @property
     def sentence(self) -> str:
@@ -157,28 +132,22 @@ class Explanation:
             )
         shares, named = self.shares, list[str]()
         for part in shares:
-            named.append(part)
-            if sum(shares[one] for one in named) >= NAMED:
-                break
-        innocent = [part for part in shares if part not in named and abs(shares[part]) <= INNOCENT]
+            if sum(shares[one] for one in named) < NAMED:
+                named.append(part)
         words = {part: f"the {part} ({share:.2f})" for part, share in shares.items()}
-        because = _joined([words[part] for part in named], "and")
         partly = [words[part] for part in shares if part not in named and shares[part] > INNOCENT]
-        other = f", partly {_joined(partly, 'and')}" if partly else ""
-        other += f", not the {_joined(innocent, 'or')}" if innocent else ""
-        cured = f"No single part of {self.against} makes it complete there."
+        innocent = [part for part in shares if part not in named and abs(shares[part]) <= INNOCENT]
+        because = _joined([words[part] for part in named], "and")
+        because += f", partly {_joined(partly, 'and')}" if partly else ""
+        because += f", not the {_joined(innocent, 'or')}" if innocent else ""
         cures = [
             f"default {CONDITIONS}" if part == CONDITIONS else f"the {part} of {self.against}"
-            for part in shares
-            if self.cures(part)
+            for part in filter(self.cures, shares)
         ]
-        if cures:
-            cured = f"With {_joined(cures, 'or')} alone it completes there."
-        return f"{self.test_id} fails on {self.fails} because of {because}{other}. {cured}"
-
-
-CONDITIONS = "conditions"
-"""The test's conditions, exchanged for the default ones, beside the parts of simulators."""
+        cured = f"With {_joined(cures, 'or')} alone it completes there." if cures else (
+            f"No single part of {self.against} makes it complete there."
+        )  # fmt: skip
+        return f"{self.test_id} fails on {self.fails} because of {because}. {cured}"
 
 
 def _joined(words: Sequence[str], last: str) -> str:
