@@ -217,7 +217,7 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
         ("scheduler: tcp://10.0.0.5:8786", "neither encrypted nor on this machine"),
         ("scheduler: tls://10.0.0.5:8786", "needs the files of tls"),
         ("listen: 0.0.0.0", "lets anybody on that network run code"),
-        ("tls: {ca: ca.pem}", "ca.pem, expected a file that exists; tls.cert: field required"),
+        ("tls: {ca: ca.pem}", "expected a file that exists; tls.cert: field required"),
         ("tls: {ca: *key}", "not YAML: line 1"),
     ],
 )

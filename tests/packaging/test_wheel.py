@@ -71,7 +71,9 @@ from ds_orchestrator import read_config
 from ds_sim.installation import share_folders
 from ds_cli import main
 print(sorted(name for name in typestore().types if name.startswith("ds_interfaces")))
-print(read_config(share_folders("ds_bringup")[0] / "config/paper.yaml").simulators, NetworkDriver("dave2").spec if hasattr(NetworkDriver, "spec") else "dave2")
+files = [folder / "config/paper.yaml" for folder in share_folders("ds_bringup")]
+paper = read_config(next(file for file in files if file.exists()))
+print(paper.simulators, NetworkDriver("dave2").spec if hasattr(NetworkDriver, "spec") else "dave2")
 for verb in (["--version"], ["doctor"], ["drive", "--sim", "bullet"], ["train", "--data", ".", "--out", "x"]):
     sys.argv = ["ds", *verb]
     if verb[0] == "train":
