@@ -67,20 +67,19 @@ class HybridSimulator(RoadSimulator):
             crop_top=camera.spec.crop_top,
             crop_bottom=camera.spec.crop_bottom,
         )
-        scene: Scene = PaintedScene(replace(spec.camera, latency=0), spec.look)
-        if whole_scene(camera) or whole_scene(look):
-            if camera is not look:
-                raise HybridError(
-                    f"camera of {names['camera']} with the look of {names['look']}: one of them draws its scene as a "
-                    "whole, so take both from the same simulator"
-                )
-            scene = camera.scene
+        whole = whole_scene(camera) or whole_scene(look)
+        if whole and camera is not look:
+            raise HybridError(
+                f"camera of {names['camera']} with the look of {names['look']}: one of them draws its scene as a "
+                "whole, so take both from the same simulator"
+            )
+        scene: Scene = camera.scene if whole else PaintedScene(replace(spec.camera, latency=0), spec.look)
         super().__init__(spec, vehicle.vehicle, scene=scene, limits=vehicle.limits)
         self._dead_time = dead_time_of(delays)
         if isinstance(self.vehicle, DelayedVehicle):
             self.vehicle.command_delay, self._dead_time = self._dead_time, 0.0
         self._sent: Actuation | None = None
-        self._latency = spec.camera.latency if scene is not camera.scene else 0
+        self._latency = 0 if whole else spec.camera.latency
         self._late: list[NDArray[np.uint8]] = []
 
     @classmethod
@@ -90,8 +89,7 @@ class HybridSimulator(RoadSimulator):
         Raises:
             HybridError: not such a name.
         """
-        pairs = [part.partition("=")[::2] for part in str(parts).split(",")]
-        return cls(dict(pairs))
+        return cls(dict(part.partition("=")[::2] for part in str(parts).split(",")))
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""
@@ -159,13 +157,13 @@ def differing_parts(one: RoadSimulator, other: RoadSimulator) -> Sequence[tuple[
     Physics always count as different, as they cannot be compared.
     """
     a, b = one.spec, other.spec
-    neutral = {field: getattr(b.camera, field) for field in (*SENSOR_LOOK, "latency")}
-    same = {
-        "camera": (replace(a.camera, **neutral), a.crop_top, a.crop_bottom) == (b.camera, b.crop_top, b.crop_bottom),
-        "look": a.look == b.look and all(getattr(a.camera, f) == getattr(b.camera, f) for f in SENSOR_LOOK),
-        "vehicle": False,
-        "delays": (a.camera.latency, dead_time_of(one)) == (b.camera.latency, dead_time_of(other)),
+    sensor = {field: getattr(b.camera, field) for field in (*SENSOR_LOOK, "latency")}
+    differ = {
+        "camera": (replace(a.camera, **sensor), a.crop_top, a.crop_bottom) != (b.camera, b.crop_top, b.crop_bottom),
+        "look": (a.look, *(getattr(a.camera, f) for f in SENSOR_LOOK)) != (b.look, *(sensor[f] for f in SENSOR_LOOK)),
+        "vehicle": True,
+        "delays": (a.camera.latency, dead_time_of(one)) != (b.camera.latency, dead_time_of(other)),
     }
     if whole_scene(one) or whole_scene(other):
-        return [("camera", "look"), *((part,) for part in ("vehicle", "delays") if not same[part])]
-    return [(part,) for part in PARTS if not same[part]]
+        return [("camera", "look"), *((part,) for part in PARTS[2:] if differ[part])]
+    return [(part,) for part in PARTS if differ[part]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from contextlib import closing, nullcontext
 from pathlib import Path
@@ -67,7 +68,9 @@ def explain_command(
         reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
     settings = with_engine_without_ros(data.config.drive_settings(), workers, engine, cluster)
     with nullcontext(out) if out is not None else TemporaryDirectory(prefix="ds_explain_") as place:
-        drives = Path(place) / "drives"
+        # A folder of drives belongs to its simulators, so that other experiments need another one.
+        pairs = sorted(f"{one.test.test_id}-{one.fails}-{one.against}" for one in experiments)
+        drives = Path(place) / "drives" / hashlib.sha256(" ".join(pairs).encode()).hexdigest()[:12]
         progress = Progress(listen=ScreenListener, say=say)
         with stopped_in(drives if out is not None else None):
             driven = drive_experiments(experiments, settings, drives, progress)
