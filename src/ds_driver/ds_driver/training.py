@@ -32,6 +32,7 @@ from ds_driver.data.dataset import (
     read_samples,
     translated_by,
 )
+from ds_driver.networks.backends import has_bfloat16
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.torch_networks import disable_dropout, load_network, make_network, save_weights
 from ds_driver.networks.weights import architecture_in, generators_in, path_of_weights, weights_sha256
@@ -288,6 +289,11 @@ def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list
     return parts[0], parts[1]
 
 
+def _precision(device: torch.device) -> torch.dtype:
+    """Numbers to compute with: bfloat16, or single precision on a processor that would emulate it, many times slower."""
+    return torch.bfloat16 if device.type != "cpu" or has_bfloat16() else torch.float32
+
+
 def _train_epoch(
     network: nn.Module,
     optimizer: torch.optim.Optimizer,
@@ -303,6 +309,7 @@ def _train_epoch(
     if number > plan.epochs - plan.without_dropout:
         disable_dropout(network)
     device = next(network.parameters()).device
+    precision = _precision(device)
     rng = np.random.default_rng([plan.seed, number])
     order = rng.permutation(len(samples))
     batches = [order[i : i + plan.batch_size] for i in range(0, len(order) - plan.batch_size + 1, plan.batch_size)]
@@ -310,8 +317,8 @@ def _train_epoch(
     started = time.monotonic()
     for index, (images, labels) in enumerate(_load_batches(samples, batches, crops, (plan.seed, number)), start=1):
         optimizer.zero_grad(set_to_none=True)
-        with torch.autocast(device.type, dtype=torch.bfloat16):
-            predicted = network(images.to(device, torch.bfloat16))
+        with torch.autocast(device.type, dtype=precision, enabled=precision is not torch.float32):
+            predicted = network(images.to(device, precision))
         loss = nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device))
         loss.backward()
         optimizer.step()
@@ -327,11 +334,12 @@ def _train_epoch(
 def _validate(network: nn.Module, samples: list[Sample], crops: dict[str, Crop], plan: TrainingPlan) -> float:
     network.eval()
     device = next(network.parameters()).device
+    precision = _precision(device)
     batches = [np.arange(i, min(i + plan.batch_size, len(samples))) for i in range(0, len(samples), plan.batch_size)]
     total = 0.0
     for images, labels in _load_batches(samples, batches, crops, None):
-        with torch.autocast(device.type, dtype=torch.bfloat16):
-            predicted = network(images.to(device, torch.bfloat16))
+        with torch.autocast(device.type, dtype=precision, enabled=precision is not torch.float32):
+            predicted = network(images.to(device, precision))
         total += float(nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device), reduction="sum"))
     return total / len(samples)
 
