@@ -118,6 +118,7 @@ def test_one_more_simulator_is_what_brute_force_says() -> None:
     assert ours - spread < levels.min() and ours + spread > levels.max()
 
 
+@pytest.mark.long
 def test_intervals_of_a_simulator_that_was_never_driven_hold_what_they_say() -> None:
     """A known population, drawn twenty times: 90 % intervals hold 85 to 95 % of the rates of cells."""
     forecasts = []

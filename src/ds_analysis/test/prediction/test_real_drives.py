@@ -94,6 +94,7 @@ def test_chosen_drives_tell_more_than_random_ones() -> None:
     assert np.mean(chosen) < np.mean(random)
 
 
+@pytest.mark.long
 def test_a_car_outside_is_noticed_within_four_drives_and_one_inside_is_not() -> None:
     noticed, alarms = 0, 0
     for seed in range(20):

@@ -13,6 +13,7 @@ from ds_analysis.prediction.calibration import check_in_turn
 from ds_analysis.prediction.twin_prediction import predict_twin
 
 
+@pytest.mark.long
 def test_calls_hold_on_populations_that_are_what_the_model_takes_them_for() -> None:
     checks = [check_in_turn(made_up(seed, tests=120, mean=(-1.0, 0.6, 0.4, -0.4, 0.2))[0]) for seed in range(400, 406)]
     calls = [calls for check in checks for calls in (check.safe, check.failing)]
