@@ -13,6 +13,8 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+from benchmarks.replication.networks import BACKEND
+
 from ds_analysis.common.parquet import write_tables
 from ds_analysis.common.restoration import restore_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, read_config
@@ -25,9 +27,6 @@ from ds_studies.whole_campaign import run_campaign
 NETWORKS = ("dave2", "chauffeur", "epoch", "dave2_real", "chauffeur_real", "epoch_real")
 WEIGHTS = Path("benchmarks/replication/networks")
 TABLES = Path("docs/data/replication")
-BACKEND = "openvino"
-"""In single precision, so that any x86-64 processor can go on with a campaign; it decides as bfloat16 does
-(docs/speed.md)."""
 KEEP_EVERY = 200
 """Executions between two tables; chosen: some minutes."""
 

@@ -32,6 +32,7 @@ SUCCESS = {
 }  # fmt: skip
 """Paper, Table 1: share of 50 drives that a network completes on the twin."""
 BACKEND = "openvino-bf16"
+"""As `paper.yaml`: the same verdicts as single precision (docs/speed.md) in 0.7 of its processor time."""
 ROADS, SEED = 25, 424242
 """As on the cards of the shipped networks."""
 
