@@ -16,6 +16,7 @@ rule was fixed before it was applied to any campaign:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -245,21 +246,24 @@ def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
     if not outcomes.tests:
         return f"No {thing} has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
     total, all_of = outcomes.share, count(len(outcomes.tests), thing)
+    split = best_split(outcomes)
+    clear = split is not None and split.is_clear
+    conditions = _conditions(outcomes, but=split.axis if split and clear else "")
+    where = f"{outcomes.where} under {listed(conditions)}" if conditions else outcomes.where
     if not total.failures:
         none = f"did not fail on the only {thing}" if total.roads == 1 else f"failed on none of {all_of}"
-        return f"{driver} {none} on {outcomes.where} ({_percent(total)})."
+        return f"{driver} {none} on {where} ({_percent(total)})."
     if total.failures == total.roads:
         every = f"the only {thing}" if total.roads == 1 else f"all {all_of}"
-        return f"{driver} failed on {every} on {outcomes.where} ({_percent(total)}); no gentler {thing} was driven."
-    split = best_split(outcomes)
-    if split is None or not split.is_clear:
+        return f"{driver} failed on {every} on {where} ({_percent(total)}); no gentler {thing} was driven."
+    if split is None or not clear:
         axes = ("the tightest bend", "the number of turns", *outcomes.varied_conditions)
         none = f"Neither {' nor '.join(axes)} separates" if len(axes) == 2 else f"None of {listed(axes)} separates"
         return (
-            f"{driver} failed on {total.failures} of {all_of} on {outcomes.where} ({_percent(total)}). {none} these "
+            f"{driver} failed on {total.failures} of {all_of} on {where} ({_percent(total)}). {none} these "
             f"{thing}s clearly from the others."
         )
-    first = f"On {outcomes.where}, {driver} fails on {thing}s with {_harder_than(split)}: {_sides(split, thing)}."
+    first = f"On {where}, {driver} fails on {thing}s with {_harder_than(split)}: {_sides(split, thing)}."
     second = best_split(outcomes, "road" if kind_of(split.axis) == "conditions" else "conditions")
     if second is None or not second.is_clear:
         return first
@@ -290,7 +294,11 @@ def _harder_than(split: Split) -> str:
         return f"{split.threshold:.0f} turns or more"
     if split.axis in FIELDS:
         unit = f" {FIELDS[split.axis].unit}" if FIELDS[split.axis].unit else ""
-        return f"{split.axis} {three_digits(split.threshold)}{unit} or {'more' if split.is_lower_bound else 'less'}"
+        side, meaning = (
+            "more" if split.is_lower_bound else "less",
+            re.split("[;:,(]", FIELDS[split.axis].doc)[0].strip(),
+        )
+        return f"{split.axis} {three_digits(split.threshold)}{unit} or {side} ({meaning})"
     return f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
 
 
@@ -309,7 +317,7 @@ def _limits(driver: str, outcomes: RoadOutcomes) -> str:
     low, high = min(curvatures), max(curvatures)
     tightest = f"of {radius(high)} radius" if low == high else f"from {radius(low)} down to {radius(high)} radius"
     number = count(min(turns), "turn") if min(turns) == max(turns) else f"{min(turns)} to {max(turns)} turns"
-    conditions = _conditions(outcomes)
+    conditions = f"Conditions: {', '.join(named)}." if (named := _conditions(outcomes)) else ""
     translated = TRANSLATED if conditions and sees_translated(driver) else ""
     rest = f"{conditions} {translated}{NOT_TESTED_EITHER}" if conditions else NOT_TESTED
     return (
@@ -318,18 +326,18 @@ def _limits(driver: str, outcomes: RoadOutcomes) -> str:
     )
 
 
-def _conditions(outcomes: RoadOutcomes) -> str:
-    """Name the conditions other than the simulators' own, with their ranges; "" if there are none."""
+def _conditions(outcomes: RoadOutcomes, but: str = "") -> list[str]:
+    """Name the conditions other than the simulators' own, with their ranges, leaving out one."""
     named = []
     for name, field in FIELDS.items():
         values = {getattr(test.conditions, name) for test in outcomes.tests}
         known = [value for value in values if value is not None]
-        if values == {getattr(DEFAULT, name)} or not known:
+        if values == {getattr(DEFAULT, name)} or not known or name == but:
             continue
         low, high = (three_digits(end) for end in (min(known), max(known)))
         unit = f" {field.unit}" if field.unit else ""
         named.append(f"{name} {low if low == high else f'{low} to {high}'}{unit}")
-    return f"Conditions: {', '.join(named)}." if named else ""
+    return named
 
 
 def listed(parts: Sequence[str]) -> str:

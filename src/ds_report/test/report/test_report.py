@@ -427,11 +427,11 @@ def under(made: RoadOutcomes, name: str, values: list[float]) -> RoadOutcomes:
 @pytest.mark.parametrize(
     ("name", "hard", "easy", "said"),
     [
-        ("visibility", 40.0, 90.0, "visibility 47 m or less"),
-        ("visibility", 3000.0, 4000.0, "visibility 3010 m or less"),
-        ("line_cover", 0.5, 0.2, "line_cover 0.5 or more"),
-        ("camera_pitch", -0.1, 0.02, "camera_pitch -0.093 rad or less"),
-        ("camera_pitch", 0.1, -0.02, "camera_pitch 0.1 rad or more"),
+        ("visibility", 40.0, 90.0, "visibility 47 m or less (meteorological visibility)"),
+        ("visibility", 3000.0, 4000.0, "visibility 3010 m or less (meteorological visibility)"),
+        ("friction", 0.2, 0.5, "friction 0.207 or less (factor on the tyres' grip on this simulator's dry road)"),
+        ("camera_pitch", -0.1, 0.02, "camera_pitch -0.093 rad or less (added to the camera's pitch)"),
+        ("camera_pitch", 0.1, -0.02, "camera_pitch 0.1 rad or more (added to the camera's pitch)"),
     ],
 )
 def test_the_headline_names_the_condition_that_separates_best(name: str, hard: float, easy: float, said: str) -> None:
@@ -442,10 +442,16 @@ def test_the_headline_names_the_condition_that_separates_best(name: str, hard: f
     assert f"net fails on tests with {said}: 8 of 8 such tests failed" in text and "none of the 20 others" in text
 
 
+def test_a_threshold_on_bends_names_the_conditions_under_which_it_was_found() -> None:
+    made = under(outcomes(*[(0.1 + 0.01 * k, 3, k >= 8) for k in range(20)]), "visibility", [40.0, 50.0] * 10)
+    text = where_it_fails("net", made)
+    assert text.startswith("On the twin T under visibility 40 to 50 m, net fails on tests with a bend of")
+
+
 def test_the_headline_names_the_conditions_that_separate_nothing() -> None:
     mixed = under(outcomes(*[(0.1, 3, k in (2, 9)) for k in range(12)]), "visibility", [20.0 + k for k in range(12)])
     text = where_it_fails("net", mixed)
-    assert text.startswith("net failed on 2 of 12 tests on the twin T")
+    assert text.startswith("net failed on 2 of 12 tests on the twin T under visibility 20 to 31 m (17 %")
     assert "None of the tightest bend, the number of turns and visibility separates these tests clearly" in text
 
 
