@@ -26,7 +26,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Listener
-from ds_orchestrator.campaign.folder import store_of
+from ds_orchestrator.campaign.folder import open_store, store_of
 from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.template import SIZES, template
@@ -404,6 +404,22 @@ def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
     assert (configs[1][0].engine, configs[1][0].workers) == ("graph", 1)
     other = ds("test", "autopilot", "--sims", "bullet,donkey", "--size", "medium")
     assert other.returncode == 2 and "holds another test: choose another --out" in other.stderr
+
+
+def test_a_campaign_of_several_networks_is_one_each_and_a_sorted_table(tmp_path: Path, engine: list[OfDriver]) -> None:
+    file, out = tmp_path / "campaign.yaml", tmp_path / "out"
+    file.write_text("{driver: dave2, record: none, search: {method: random, population: 3, iterations: 0, runs: 1}}")
+    named = ("campaign", "run", file, "--out", out, "--driver", "autopilot,epoch", "--sort=-network", "--json")
+    done = ds(*named)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["rows"]
+    assert [row["network"] for row in rows] == ["epoch", "autopilot"]
+    for row in rows:
+        with closing(open_store(out / row["network"])) as store:
+            lost = [one.outcome.is_failure for one in store.executions() if one.simulator == "donkey"]
+        assert row["tests"] == 6 == len(lost) and row["donkey"] == sum(lost) / 6
+    assert (out / "networks.csv").is_file() and (out / "epoch/report.html").is_file()
+    assert ds(*named, "--junit", tmp_path / "junit.xml").returncode == 2
 
 
 def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -30,15 +30,18 @@ from ds_cli.options import (
     Folder,
     JsonFlag,
     OutFolder,
+    Sort,
     Trust,
     Workers,
     cluster_of,
     complete_driver,
+    label_of_driver,
+    several,
     simulators_of,
     usual_workers,
     with_engine,
 )
-from ds_cli.output import Interrupted, Result, duration, end, say, warning
+from ds_cli.output import Interrupted, Result, duration, end, of_networks, say, warning
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.ci_results import Criteria
@@ -109,6 +112,35 @@ def campaign(
         print(outcome.report)
 
     return Result(document=document, show=show, error=outcome.executions_in_error > 0)
+
+
+def each_network(networks: Sequence[str], out: Path, run: Callable[[str, Path], Result], sort: str | None) -> Result:
+    """Run a campaign for each network, in a folder of its own, and join their failure rates in one table."""
+    from ds_analysis.common.table import Column, Table
+    from ds_orchestrator.campaign.folder import open_store, read_campaign
+
+    results, rows, simulators = [], [], []
+    for name in networks:
+        folder = out / label_of_driver(name)
+        say(f"network {name}, in {folder}")
+        results.append(run(name, folder))
+        with closing(open_store(folder)) as store:
+            data = read_campaign(store)
+        simulators = data.config.simulators
+        failed = {
+            one: [each.outcome.is_failure for each in data.verdicts if each.simulator == one] for one in simulators
+        }
+        rows.append((name, len(data.tests), *(sum(of) / len(of) if of else None for of in failed.values())))
+    table = Table(
+        name="networks",
+        title="Share of its tests on which each network fails",
+        columns=[Column("network"), Column("tests", "count"), *(Column(name, "number") for name in simulators)],
+        rows=rows,
+        notes=[
+            "Each network has tests of its own, which were searched to make it fail: `ds compare` drives the same ones"
+        ],
+    )
+    return of_networks(table, results, out, sort)
 
 
 def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None, videos: Path | None = None) -> Result:
@@ -208,7 +240,8 @@ def search_command(
     network: Annotated[
         str,
         typer.Argument(
-            help="Network: a name, a .safetensors or .yaml file, or module:Class.", autocompletion=complete_driver
+            help="Network: a name, a .safetensors or .yaml file, or module:Class; or several, separated by commas.",
+            autocompletion=complete_driver,
         ),
     ],
     sims: SimulatorsOfTemplate = SIMULATORS,
@@ -220,6 +253,7 @@ def search_command(
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
+    sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Search roads on which a network fails, and report where and why.
@@ -229,23 +263,30 @@ def search_command(
     """
     from ds_orchestrator.campaign.config import ConfigError, read_config
     from ds_orchestrator.store.folder_files import make_folder
-    from ds_sim.registry import label_of
 
-    folder = out or Path(f"{label_of(Path(network).stem)}_test")
-    file = folder / "campaign.yaml"
-    text = _template_of(network, sims, size, sensitivity, file)
-    make_folder(folder)
-    if file.exists() and file.read_text("utf-8") != text:
-        raise ConfigError(f"{folder} holds another test: choose another --out")
-    file.write_text(text, "utf-8")
-    config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
-    end(campaign(config, folder), as_json)
+    def tested(network: str, folder: Path) -> Result:
+        file = folder / "campaign.yaml"
+        text = _template_of(network, sims, size, sensitivity, file)
+        make_folder(folder)
+        if file.exists() and file.read_text("utf-8") != text:
+            raise ConfigError(f"{folder} holds another test: choose another --out")
+        file.write_text(text, "utf-8")
+        return campaign(with_engine(read_config(file), workers or usual_workers(engine), engine or "local"), folder)
+
+    if networks := several(network):
+        end(each_network(networks, out or Path("networks_test"), tested, sort), as_json)
+    else:
+        end(tested(network, out or Path(f"{label_of_driver(network)}_test")), as_json)
 
 
 @campaign_app.command("run")
 def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
     out: OutFolder,
+    driver: Annotated[
+        str | None,
+        typer.Option(help="Network instead of the configuration's; or several, separated by commas, each in a folder."),
+    ] = None,
     dry_run: Annotated[
         bool,
         typer.Option("--dry-run", help="Only say how many drives, how long here and how much disk, from one drive."),
@@ -258,23 +299,32 @@ def campaign_run_command(
     engine: EngineName = None,
     cluster: Cluster = None,
     attach: AttachFlag = False,
+    sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Run a campaign; resume it if the folder holds one with the same configuration."""
     from ds_orchestrator.campaign.config import ConfigError, read_config
+    from ds_orchestrator.engines.preflight import check_driver
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    changed = with_engine(read_config(config), workers, engine)
-    if dry_run:
-        if attach:
-            raise ConfigError("--dry-run starts the engine itself: leave out --attach")
-        end(_dry_run(changed, out, cluster_of(cluster)), as_json)
-        return
-    end(
-        judged(campaign(changed, out, attach=attach, cluster=cluster_of(cluster)), out, criteria, junit, videos),
-        as_json,
-    )
+    networks = several(driver) if driver else []
+    if networks and (dry_run or junit or videos):
+        raise ConfigError("--dry-run, --junit and --videos are for one network: give --driver one")
+
+    def run(network: str | None, folder: Path) -> Result:
+        changed = with_engine(read_config(config), workers, engine)
+        if network:
+            check_driver(network, changed.simulators)
+            changed = changed.model_copy(update={"driver": network})
+        if dry_run:
+            return _dry_run(changed, folder, cluster_of(cluster))
+        result = campaign(changed, folder, attach=attach, cluster=cluster_of(cluster))
+        return judged(result, folder, criteria, junit, videos)
+
+    if dry_run and attach:
+        raise ConfigError("--dry-run starts the engine itself: leave out --attach")
+    end(each_network(networks, out, run, sort) if networks else run(driver, out), as_json)
 
 
 @campaign_app.command("resume")
