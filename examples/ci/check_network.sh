@@ -16,9 +16,7 @@ if [[ $tests == *.json ]]; then
     --junit "$results/junit.xml" --markdown "$results/summary.md" || status=$?
 else
   [[ " $* " == *" --fail-on "* ]] || set -- --fail-on failure "$@"
-  [[ -e $network ]] && network=$(realpath "$network")
-  { grep -v "^driver:" "$tests"; printf 'driver: "%s"\n' "$network"; } >"$results/campaign.yaml"
-  ${DS:-ds} campaign run "$results/campaign.yaml" --out "$results/campaign" "$@" --videos "$results/videos" \
+  ${DS:-ds} campaign run "$tests" --driver "$network" --out "$results/campaign" "$@" --videos "$results/videos" \
     --junit "$results/junit.xml" >"$results/answer.txt" || status=$?
   cat "$results/answer.txt"
   { echo '```text'; cat "$results/answer.txt"; echo '```'; } >"$results/summary.md"
