@@ -249,7 +249,7 @@ def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
     split = best_split(outcomes)
     clear = split is not None and split.is_clear
     conditions = _conditions(outcomes, but=split.axis if split and clear else "")
-    where = f"{outcomes.where} under {listed(conditions)}" if conditions else outcomes.where
+    where = f"{outcomes.where} (all {thing}s under {listed(conditions)})" if conditions else outcomes.where
     if not total.failures:
         none = f"did not fail on the only {thing}" if total.roads == 1 else f"failed on none of {all_of}"
         return f"{driver} {none} on {where} ({_percent(total)})."
@@ -322,7 +322,8 @@ def _limits(driver: str, outcomes: RoadOutcomes) -> str:
     rest = f"{conditions} {translated}{NOT_TESTED_EITHER}" if conditions else NOT_TESTED
     return (
         f"Tested: {count(len(turns), 'road')} with {number}, the tightest bend of each {tightest} ({low:.3f} to "
-        f"{high:.3f} 1/m). {rest}. Intervals take the roads as independent, which mutants of one road are not."
+        f"{high:.3f} 1/m). {rest}. Intervals take the roads as independent, which mutants of one "
+        "road are not, and a threshold as given, which was chosen from the same tests."
     )
 
 

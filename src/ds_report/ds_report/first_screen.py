@@ -88,16 +88,16 @@ def _believe(data: CampaignData, failed: Failures) -> str:
         return f"{disagree}; only drives on a twin or on your car can say which to believe."
     right = {name: sum(failed[t.test_id, name] == failed[t.test_id, str(twin)] for t in judged) for name in siblings}
     believed = [name for name in siblings if jeffreys_interval(right[name], len(judged))[0] > 0.5]
-    shares = listed([f"{name} in {right[name]}" for name in siblings])
+    shares = listed([f"with {name} in {right[name]}" for name in siblings])
     of = f"of {len(judged)} of them that it drove" if len(judged) < len(split) else "there"
     verdict = (
-        f"believe {listed(believed)}"
+        f"where it has not driven, believe {listed(believed)}"
         if believed
         else "too few or too mixed to say which to believe: trust neither alone"
         if len(siblings) == 2
         else "too few or too mixed to say which to believe: trust none alone"
     )
-    return f"{disagree}; {of} the twin {twin} does as {shares}: {verdict}."
+    return f"{disagree}; {of} the twin {twin} agrees {shares}: {verdict}."
 
 
 def _twin_of(data: CampaignData, failed: Failures, tests: Sequence[Test]) -> str:
@@ -107,7 +107,7 @@ def _twin_of(data: CampaignData, failed: Failures, tests: Sequence[Test]) -> str
     if not judged:
         return ""
     alike = sum(failed[test.test_id, first] == failed[test.test_id, str(twin)] for test in judged)
-    return f"; the twin {twin} does as they do in {alike} of {len(judged)}"
+    return f"; the twin {twin} agrees with them in {alike} of {len(judged)}"
 
 
 def _next_step(data: CampaignData, failed: Failures, folder: str) -> tuple[str, str]:
@@ -126,7 +126,7 @@ def _next_step(data: CampaignData, failed: Failures, folder: str) -> tuple[str, 
     if config.twin is None:
         return "Drive on your car the tests that tell most about it.", shlex.join(("ds", "real", "propose", folder))
     return (
-        "Train it on these failures and test it again on new ones: this writes their roads.",
+        "Train it on the roads on which it failed, and test it again on new ones. This writes those roads:",
         shlex.join(("ds", "campaign", "roads", folder, "--failed", "--out", "failures.json")),
     )
 

@@ -88,14 +88,17 @@ def proposal(
 
 
 def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int], sensitivity: str = "") -> str:
-    """The command that writes and runs a campaign like the given one, but for its roads and conditions."""
+    """The command that writes and runs a campaign like the given one, but for its roads and conditions.
+
+    It drives without ROS, as `ds test` does and as an installation from the wheel has to.
+    """
     own = (config.search.population, config.search.iterations, config.search.runs)
     size = next((n for n, s in SIZES.items() if (s.population, s.iterations, s.runs) == own), "small")
     under = f"--sensitivity {shlex.quote(sensitivity)} " if sensitivity else ""
     return " ".join([
         f"ds campaign init {name}.yaml --driver {shlex.quote(config.driver)} --sims {_simulators(config)}",
         f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}",
-        f"{under}&& ds campaign run {name}.yaml --out {name} --engine {config.engine}",
+        f"{under}&& ds campaign run {name}.yaml --out {name} --engine local",
     ])  # fmt: skip
 
 

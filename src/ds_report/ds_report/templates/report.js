@@ -37,7 +37,7 @@ async function showWorst(box) {
   if (place < 0) return;
   const test = (await testsOf(place)).find(({ id }) => id === box.dataset.worst);
   const playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-  box.append(replayOf(test, { title: `The worst test, ${test.id}: ${test.conditions ? conditionWords(test) : plural(test.road.turns, "turn")}`, playing }));
+  box.append(replayOf(test, { title: `The worst test, ${test.id}: fails on ${test.runs.filter((run) => run && run.failed).length} of ${plural(test.runs.filter(Boolean).length, "simulator")}, ${test.conditions ? conditionWords(test) : plural(test.road.turns, "turn")}`, playing }));
 }
 
 function drawFigure(place) {

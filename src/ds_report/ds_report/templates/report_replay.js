@@ -67,7 +67,8 @@ function replayOf(test, { title = "Replay", playing = false } = {}) {
   slider.addEventListener("input", () => show(Number(slider.value)));
   timeline.onTime((t) => { stop(); show(t); });
   box.append(
-    html("p", { class: "hint" }, "All drives at the same time since their start: drag the slider, or focus it and press the arrow keys, Home or End. Below it, lateral position with the lane's edges, and steering; left is up."),
+    html("p", { class: "hint" }, "All drives at the same time since their start: drag the slider, or focus it and press the arrow keys, Home or End. Below it, lateral position with the lane's edges, and steering; left is up. ",
+      ...parts.flatMap(({ index }) => [html("b", { style: `color:${data.simulators[index].colour}` }, `— ${data.simulators[index].name}`), " "])),
     html("div", { class: "player" }, play, slider, clock), timeline.node,
     html("div", { class: "moment" }, map.node, html("div", { class: "views" }, ...parts.map(({ node }) => node))));
   show(failures.length && !playing ? Math.min(...failures) : 0);

@@ -38,7 +38,7 @@ def test_the_sibling_that_does_as_the_twin_is_believed(tmp_path: Path) -> None:
     first = first_screen(with_outcomes(tmp_path, CONFIG, failing))
 
     assert "disagree on 10 of 16 tests" in first.believe
-    assert "a:One in 9 and b:Two in 1: believe a:One" in first.believe
+    assert "with a:One in 9 and with b:Two in 1: where it has not driven, believe a:One" in first.believe
     assert first.worst and "--failed" in first.command
 
 
@@ -46,7 +46,7 @@ def test_siblings_that_are_right_equally_often_are_not_believed(tmp_path: Path) 
     failing = {"a:One": set(range(8)), "b:Two": set(), "c:Three": set(range(4))}
     first = first_screen(with_outcomes(tmp_path, CONFIG, failing))
 
-    assert "a:One in 4 and b:Two in 4: too few or too mixed" in first.believe
+    assert "with a:One in 4 and with b:Two in 4: too few or too mixed" in first.believe
 
 
 def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_campaigns_in_which_all_or_nothing_fails_read_as_such(
     first = first_screen(with_outcomes(tmp_path, CONFIG, dict.fromkeys(CONFIG.simulators, failing)))
 
     assert where in first.where and command in first.command
-    assert "agree on all 16 tests; the twin c:Three does as they do in 16 of 16" in first.believe
+    assert "agree on all 16 tests; the twin c:Three agrees with them in 16 of 16" in first.believe
 
 
 def test_an_unfinished_campaign_is_to_be_finished(tmp_path: Path) -> None:

@@ -445,13 +445,13 @@ def test_the_headline_names_the_condition_that_separates_best(name: str, hard: f
 def test_a_threshold_on_bends_names_the_conditions_under_which_it_was_found() -> None:
     made = under(outcomes(*[(0.1 + 0.01 * k, 3, k >= 8) for k in range(20)]), "visibility", [40.0, 50.0] * 10)
     text = where_it_fails("net", made)
-    assert text.startswith("On the twin T under visibility 40 to 50 m, net fails on tests with a bend of")
+    assert text.startswith("On the twin T (all tests under visibility 40 to 50 m), net fails on tests with a bend of")
 
 
 def test_the_headline_names_the_conditions_that_separate_nothing() -> None:
     mixed = under(outcomes(*[(0.1, 3, k in (2, 9)) for k in range(12)]), "visibility", [20.0 + k for k in range(12)])
     text = where_it_fails("net", mixed)
-    assert text.startswith("net failed on 2 of 12 tests on the twin T under visibility 20 to 31 m (17 %")
+    assert text.startswith("net failed on 2 of 12 tests on the twin T (all tests under visibility 20 to 31 m) (17 %")
     assert "None of the tightest bend, the number of turns and visibility separates these tests clearly" in text
 
 
