@@ -114,8 +114,10 @@ def test_tests_that_were_searched_against_the_reference_show_no_improvement() ->
     """All that changes is fixed; only where random roads are fixed, too, is the candidate better."""
     fixed = pairs("bullet", (0, 20, 5, 15))
     assert compared(fixed).simulators[0].verdict == "better"
+    assert re.fullmatch(r"Merge\? Yes: .* at least [1-9]\d* fewer fail on each simulator\.", answer_of(compared(fixed)))
     searched = compared(fixed, origin="reference")
     assert searched.simulators[0].verdict == "not significant"
+    assert "Nothing speaks against it: no drive newly fails; at most 0 more" in answer_of(searched)
     assert "no evidence that the candidate is better" in cautions_of(searched)[0]
     with_random = compared(pairs("bullet", (0, 20, 5, 15), unsearched=range(20)), origin="reference")
     assert with_random.simulators[0].verdict == "better"

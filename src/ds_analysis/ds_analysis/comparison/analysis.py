@@ -256,9 +256,12 @@ def answer_of(comparison: Comparison) -> str:
     if comparison.is_identical:
         return "Merge? Nothing changes: every drive is the same."
     worst = max(row.counts.interval[1] for row in comparison.simulators if row.counts.interval)
+    if worst < 0 and all(row.verdict == "better" for row in comparison.simulators):
+        fewer = math.floor(-100 * worst)
+        return f"Merge? Yes: no drive newly fails, and in 100 such tests at least {fewer} fewer fail on each simulator."
     return (
         "Merge? Nothing speaks against it: no drive newly fails; "
-        f"at most {math.ceil(100 * worst)} more failures in 100 such tests are compatible with that."
+        f"at most {max(0, math.ceil(100 * worst))} more failures in 100 such tests are compatible with that."
     )
 
 
