@@ -227,7 +227,7 @@ def change(*keys: str, to: object) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("alter", "said"),
     [
-        (change("inputs", to=1), r"inputs: Extra inputs.*keys of the file: file, input, outputs"),
+        (change("output", to=1), r"output: Extra inputs.*keys of the file: file, input, inputs, outputs"),
         (change("input", "color", to="rgb"), r"input\.color: Extra inputs.*keys of input: size, colour, layout"),
         (change("input", "colour", to="hsv"), "input.colour: Input should be 'rgb', 'bgr', 'yuv' or 'grey'"),
         (change("input", "size", to=[0, 160]), r"input\.size\.0: Input should be greater than or equal to 1"),
@@ -280,7 +280,7 @@ def test_wrong_types_and_inputs_are_refused(tmp_path: Path) -> None:
 
     with pytest.raises(DriverError, match="expects input of type uint8, its description gives float32: correct type"):
         NetworkDriver(save([TensorProto.UINT8]))
-    with pytest.raises(DriverError, match=r"has 2 inputs \(i0, i1\): expected one, the image"):
+    with pytest.raises(DriverError, match=r"has 2 inputs \(i0, i1\), its description gives 1: .*{state: OUTPUT}"):
         NetworkDriver(save([TensorProto.FLOAT, TensorProto.FLOAT]))
     with pytest.raises(
         DriverError, match=r"torch cannot run n\.onnx: expected onnx, openvino, openvino-bf16 or openvino-int8"
@@ -292,7 +292,13 @@ def test_wrong_types_and_inputs_are_refused(tmp_path: Path) -> None:
 
 def test_the_guides_descriptions_are_valid() -> None:
     found = [DescribedNetwork.model_validate(yaml.safe_load(text)) for text in examples("yaml")]
-    assert [f.file for f in found] == ["my_net.onnx", "mypilot.onnx", "mypilot.tflite"]
+    assert [f.file for f in found] == [
+        "my_net.onnx",
+        "recurrent.onnx",
+        "stacked.onnx",
+        "mypilot.onnx",
+        "mypilot.tflite",
+    ]
 
 
 @pytest.fixture

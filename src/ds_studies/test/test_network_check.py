@@ -14,10 +14,10 @@ import yaml
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from ds_driver.networks.pilot import DriverError
+from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_studies.network_check import recording
 from ds_studies.network_check.description import describe, form_of
-from ds_studies.network_check.diagnosis import NetworkCheck, check_network
+from ds_studies.network_check.diagnosis import NetworkCheck, ask_open_loop, check_network
 from ds_studies.network_check.recording import Recording, record
 
 ROWS, COLUMNS = 20, 80
@@ -214,3 +214,25 @@ def test_weights_alone_get_a_sentence_about_onnx(tmp_path: Path, drives: list[Re
     (tmp_path / "n.pth").write_bytes(b"PK")
     with pytest.raises(DriverError, match=r"holds weights alone: .*torch\.onnx\.export.*ds check n\.onnx"):
         check_network(str(tmp_path / "n.pth"), drives, 1)
+
+
+class Counting(Pilot):
+    """A network with memory that is of no use unless it sees every frame, and knows when a run begins."""
+
+    has_memory = True
+
+    def start(self) -> None:
+        self.before: int | None = None
+
+    def predict(self, frame: Frame) -> Prediction:
+        assert self.before is None or frame.step == self.before + 1
+        self.before = frame.step
+        return Prediction(0.0)
+
+
+def test_a_network_with_memory_is_shown_whole_pieces_of_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("ROADS", 1), ("LONGEST", 60), ("WHOLE", slice(20, 50)), ("map_in_processes", map)):
+        monkeypatch.setattr(recording, name, value)
+    found = record(["softbody"], 1, lambda _done, _all, _line: None, whole=True)
+    steering, _, _ = ask_open_loop(Counting(), found)
+    assert len(steering["softbody"]) == 2 * 30 and [one.step for one in found[0].frames[28:32]] == [48, 49, 20, 21]

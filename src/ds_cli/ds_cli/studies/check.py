@@ -48,10 +48,10 @@ def check_command(
     names, file = every_or_named(sims), Path(network)
     bare = file.suffix.lower() in KINDS
     forms = form_of(file) if bare else []
-    if not bare:
-        load_pilot(network)  # refuses what cannot be used before anything is driven
+    # Refuses what cannot be used before anything is driven.
+    has_memory = not bare and load_pilot(network).has_memory
     make_folder(out)
-    recordings = record(names, seed, countdown())
+    recordings = record(names, seed, countdown(), whole=has_memory)
     if bare:
         network = str(file.with_suffix(".yaml"))
         say(f"choosing a description for {file}")

@@ -34,21 +34,34 @@ class BackendError(DriverError):
 
 
 @dataclass(frozen=True)
+class NetworkInput:
+    """Input of a network file.
+
+    Attributes:
+        name: "" if it has none.
+        shape: with None for a free size; None if the file does not state it.
+        type: NumPy name of its data type; "" if the file does not state it.
+    """
+
+    name: str = ""
+    shape: tuple[int | None, ...] | None = None
+    type: str = ""
+
+
+@dataclass(frozen=True)
 class Runner:
     """Loaded network.
 
     Attributes:
-        compute: maps an input with a batch of one, or up to `largest_batch`, to all outputs.
+        compute: maps its inputs, in their order, to all outputs; with a batch of one, or up to `largest_batch`.
         outputs: names of the outputs, if the file has any.
-        shape: shape of the input, with None for a free size; None if the file does not state it.
-        type: NumPy name of the input's data type; "" if the file does not state it.
+        inputs: its inputs; () if the file does not state them.
         largest_batch: images in one input for which each result has the bits that it has alone.
     """
 
-    compute: Callable[[NDArray[Any]], list[NDArray[np.float32]]]
+    compute: Callable[..., list[NDArray[np.float32]]]
     outputs: tuple[str, ...] = ()
-    shape: tuple[int | None, ...] | None = None
-    type: str = ""
+    inputs: tuple[NetworkInput, ...] = ()
     largest_batch: int = 1
 
 
@@ -58,9 +71,10 @@ def last_line(error: BaseException) -> str:
     return (lines[-1] if lines else type(error).__name__)[:200]
 
 
-def shape_and_type(batch: NDArray[Any]) -> str:
-    """Describe an input, for messages."""
-    return f"an input of shape {'x'.join(map(str, batch.shape))} and type {batch.dtype}"
+def shape_and_type(*inputs: NDArray[Any]) -> str:
+    """Describe inputs, for messages."""
+    shown = " and ".join(f"of shape {'x'.join(map(str, one.shape))} and type {one.dtype}" for one in inputs)
+    return f"{'an input' if len(inputs) == 1 else 'inputs'} {shown}"
 
 
 def check_onnx(content: bytes, where: str) -> None:
@@ -101,7 +115,7 @@ def onnx_runner(content: bytes, where: str) -> Runner:
     """Run an ONNX graph with ONNX Runtime; check a foreign file with `check_onnx` first.
 
     Raises:
-        BackendError: the file is damaged, or has more than one input.
+        BackendError: the file is damaged.
     """
     import onnxruntime
 
@@ -115,24 +129,27 @@ def onnx_runner(content: bytes, where: str) -> Runner:
             f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
         ) from None
     inputs = session.get_inputs()
-    if len(inputs) != 1:
-        names = ", ".join(i.name for i in inputs)
-        raise BackendError(f"{where} has {len(inputs)} inputs ({names}): expected one, the image")
-    name = inputs[0].name
     kinds = {"tensor(float)": "float32", "tensor(uint8)": "uint8", "tensor(float16)": "float16"}
 
-    def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+    def compute(*given: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
-            found = session.run(None, {name: np.ascontiguousarray(batch)})
+            feed = {one.name: np.ascontiguousarray(array) for one, array in zip(inputs, given, strict=True)}
+            found = session.run(None, feed)
         except Exception as error:
-            raise BackendError(f"the network rejects {shape_and_type(batch)}: {last_line(error)}") from None
+            raise BackendError(f"the network rejects {shape_and_type(*given)}: {last_line(error)}") from None
         return [np.asarray(part, np.float32) for part in found]
 
     return Runner(
         compute,
         tuple(o.name for o in session.get_outputs()),
-        tuple(size if isinstance(size, int) else None for size in inputs[0].shape),
-        kinds.get(inputs[0].type, inputs[0].type),
+        tuple(
+            NetworkInput(
+                one.name,
+                tuple(size if isinstance(size, int) else None for size in one.shape),
+                kinds.get(one.type, one.type),
+            )
+            for one in inputs
+        ),
     )
 
 
@@ -179,25 +196,31 @@ def openvino_runner(
             compiled = core.compile_model(model, "CPU", settings)
     except Exception as error:  # its exceptions share no narrower base class
         raise BackendError(f"{where} cannot be loaded by OpenVINO ({last_line(error)}): is the file whole?") from None
-    if len(compiled.inputs) != 1:
-        raise BackendError(f"{where} has {len(compiled.inputs)} inputs: expected one, the image")
     request = compiled.create_infer_request()
-    only_input = compiled.inputs[0]
 
     def compile_for(size: int) -> Any:
         resized = model.clone()  # shares the weights
-        resized.reshape([size, *only_input.get_shape()[1:]])
+        resized.reshape([size, *compiled.inputs[0].get_shape()[1:]])
         return core.compile_model(resized, "CPU", settings).create_infer_request()
 
     return Runner(
         _Batches(request, compile_for).compute if batches else partial(_infer, request),
-        tuple(next(iter(sorted(o.get_names())), "") for o in compiled.outputs),
-        tuple(d.get_length() if d.is_static else None for d in only_input.get_partial_shape())
-        if only_input.get_partial_shape().rank.is_static
-        else None,
-        only_input.get_element_type().to_dtype().name,
+        tuple(map(_name_of, compiled.outputs)),
+        tuple(
+            NetworkInput(_name_of(one), _shape_of(one), one.get_element_type().to_dtype().name)
+            for one in compiled.inputs
+        ),
         LARGEST_BATCH if batches else 1,
     )
+
+
+def _name_of(port: Any) -> str:
+    return next(iter(sorted(port.get_names())), "")
+
+
+def _shape_of(port: Any) -> tuple[int | None, ...] | None:
+    shape = port.get_partial_shape()
+    return tuple(d.get_length() if d.is_static else None for d in shape) if shape.rank.is_static else None
 
 
 def graph_runner(content: bytes, where: str, backend: str) -> Runner:
@@ -271,9 +294,9 @@ def _read(core: Any, content: bytes, kind: str, folder: Path) -> Any:
     return core.read_model(BytesIO(content))
 
 
-def _infer(request: Any, batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+def _infer(request: Any, *inputs: NDArray[Any]) -> list[NDArray[np.float32]]:
     try:
-        found = request.infer([np.ascontiguousarray(batch)], share_inputs=True)
+        found = request.infer([np.ascontiguousarray(one) for one in inputs], share_inputs=True)
     except Exception as error:
-        raise BackendError(f"the network rejects {shape_and_type(batch)}: {last_line(error)}") from None
+        raise BackendError(f"the network rejects {shape_and_type(*inputs)}: {last_line(error)}") from None
     return [np.array(output, np.float32) for output in found.values()]

@@ -68,10 +68,12 @@ class Pilot(Protocol):
         largest_batch: frames that `predict_batch` takes at once; more than one only if a prediction depends on its
             frame alone, so that frames of several runs may alternate.
         sees_crop_only: whether it never looks at rows outside the crop of a frame.
+        has_memory: whether an answer may depend on earlier frames of its run, so that none may be left out.
     """
 
     largest_batch: int = 1
     sees_crop_only: bool = False
+    has_memory: bool = False
 
     def start(self) -> None:
         """Reset all state at the start of a run; most networks have none."""

@@ -151,16 +151,16 @@ def torch_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def torch_runner(network: Callable[[torch.Tensor], Any], device: torch.device) -> Runner:
-    """Run a network that maps one tensor to a tensor or a sequence of tensors, and is on the device already."""
+def torch_runner(network: Callable[..., Any], device: torch.device) -> Runner:
+    """Run a network that maps tensors to a tensor or a sequence of tensors, and is on the device already."""
     torch.set_num_threads(1)
 
     @torch.inference_mode()
-    def compute(batch: NDArray[Any]) -> list[NDArray[np.float32]]:
+    def compute(*inputs: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
-            found = network(torch.from_numpy(batch).to(device))
+            found = network(*(torch.from_numpy(one).to(device) for one in inputs))
         except Exception as error:  # TorchScript raises whatever its program raises: IndexError, KeyError, ...
-            raise BackendError(f"the network rejects {shape_and_type(batch)}: {last_line(error)}") from None
+            raise BackendError(f"the network rejects {shape_and_type(*inputs)}: {last_line(error)}") from None
         parts: Sequence[Any] = found if isinstance(found, (tuple, list)) else [found]
         if not parts or not all(isinstance(part, torch.Tensor) for part in parts):
             raise BackendError(f"the network returns {type(found).__name__}: expected a tensor or a tuple of them")

@@ -6,7 +6,7 @@ import copy
 import resource
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_driver.networks.backends import (
     BackendError,
+    NetworkInput,
     Runner,
     check_onnx,
     last_line,
@@ -27,6 +28,7 @@ from ds_driver.networks.backends import (
 )
 from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.images import Crop, checked
+from ds_driver.networks.memory import MOST_FRAMES, GivenInput, RunMemory
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.quantisation import Samples, for_backend
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded, read_yaml
@@ -103,7 +105,7 @@ PerChannel = float | Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class InputSpec(_Strict):
-    """Input that a network expects.
+    """Image that a network expects.
 
     Attributes:
         size: rows and columns.
@@ -114,6 +116,11 @@ class InputSpec(_Strict):
         type: data type.
         subtract: subtracted from pixel values (0 to 255), one number or one per channel.
         divide: divisor applied after that, one number or one per channel.
+        frames: number of images that it sees at once; before the first one, all are like it.
+        stride: frames from one of them to the next.
+        order: of these images.
+        stacked: as `channels` of one image, or over `time`, an axis of its own before the others.
+        name: name or position of this input, if it is not the one that `inputs` leaves.
     """
 
     size: tuple[Annotated[int, Field(ge=1, le=4096)], Annotated[int, Field(ge=1, le=4096)]]
@@ -124,6 +131,11 @@ class InputSpec(_Strict):
     type: Literal["float32", "uint8"] = "float32"
     subtract: PerChannel = 0.0
     divide: PerChannel = 1.0
+    frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
+    stride: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
+    order: Literal["oldest_first", "newest_first"] = "oldest_first"
+    stacked: Literal["channels", "time"] = "channels"
+    name: Annotated[int, Field(ge=0)] | str | None = None
 
     @model_validator(mode="after")
     def _makes_sense(self) -> InputSpec:
@@ -138,10 +150,17 @@ class InputSpec(_Strict):
         return self
 
     @property
-    def shape(self) -> tuple[int, int, int, int]:
+    def shape(self) -> tuple[int, ...]:
         """Return the shape of the input, with a batch of one."""
         channels = 1 if self.colour == "grey" else 3
-        return (1, channels, *self.size) if self.layout == "nchw" else (1, *self.size, channels)
+        channels *= 1 if self.axis is None else self.frames
+        one = (channels, *self.size) if self.layout == "nchw" else (*self.size, channels)
+        return (1, self.frames, *one) if self.axis is None else (1, *one)
+
+    @property
+    def axis(self) -> int | None:
+        """Return the axis of one image along which several are joined; None for an axis of their own."""
+        return None if self.stacked == "time" else 0 if self.layout == "nchw" else 2
 
 
 class OutputSpec(_Strict):
@@ -152,20 +171,31 @@ class OutputSpec(_Strict):
         index: index into the flattened output.
         scale: factor applied to the value; negative to flip the sign.
         offset: added after scaling.
-        bins: the output holds scores of bins from -1 to +1; the value is the centre of the bin with the highest score
-            (Donkey Car's `linear_unbin`), and `index` is not used.
+        bins: the output holds scores of bins, and the value is the centre of the bin with the highest score (Donkey
+            Car's `linear_unbin`); centres of the first and the last bin, or true for -1 and +1. `index` is not used.
+        expectation: of bins whose scores are probabilities, take the expected value instead.
     """
 
     output: Annotated[int, Field(ge=0)] | str = 0
     index: Annotated[int, Field(ge=0)] = 0
     scale: float = 1.0
     offset: float = 0.0
-    bins: bool = False
+    bins: bool | tuple[float, float] = False
+    expectation: bool = False
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> OutputSpec:
+        if self.expectation and not self.bins:
+            raise ValueError("expectation is over bins: add bins, such as [-1, 1]")
+        return self
 
     def value(self, numbers: NDArray[np.float32]) -> float:
         """Return the value in a flattened output, which is long enough."""
         if self.bins:
-            found = 2.0 * int(np.argmax(numbers)) / max(numbers.size - 1, 1) - 1.0
+            low, high = self.bins if isinstance(self.bins, tuple) else (-1.0, 1.0)
+            expected = float(np.sum(np.arange(numbers.size) * numbers.astype(np.float64)))
+            place = expected if self.expectation else int(np.argmax(numbers))
+            found = low + (high - low) * place / max(numbers.size - 1, 1)
         else:
             found = float(numbers[self.index])
         return found * self.scale + self.offset
@@ -183,7 +213,19 @@ class DescribedNetwork(_Strict):
 
     file: str
     input: InputSpec
+    inputs: dict[Annotated[int, Field(ge=0)] | str, GivenInput] = {}
     outputs: Outputs = Outputs()
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> DescribedNetwork:
+        if self.outputs.throttle is None and any(one.value == "commands" for one in self.inputs.values()):
+            raise ValueError("commands are steering and throttle: add outputs.throttle, or take steering")
+        return self
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether an answer depends on earlier frames."""
+        return self.input.frames > 1 or any(one.value != "speed" for one in self.inputs.values())
 
 
 def read_description(path: Path) -> DescribedNetwork:
@@ -209,6 +251,7 @@ def read_description(path: Path) -> DescribedNetwork:
         }
         unknown = {".".join(map(str, e["loc"][:-1])) for e in error.errors() if e["type"] == "extra_forbidden"}
         models: dict[str, type[BaseModel]] = {"": DescribedNetwork, "input": InputSpec, "outputs": Outputs}
+        models |= {place: GivenInput for place in unknown if place.startswith("inputs.")}
         hint = "".join(
             f" (keys of {place or 'the file'}: {', '.join(models.get(place, OutputSpec).model_fields)})"
             for place in sorted(unknown)
@@ -263,13 +306,17 @@ class DescribedNetworkPilot(Pilot):
     ) -> None:
         self.description = described or read_description(path)
         self.sees_crop_only = self.description.input.crop == "simulator"
+        self.has_memory = self.description.has_memory
         file = file_of(path, self.description)
         # The address space does not reflect the memory used on a GPU.
         self._bounded = nullcontext if device == "cuda" else limited_memory
         try:
             with self._bounded():
                 self._runner = runner_of(file, backend, device, self._samples)
+                self._place, self._given = _places(file.name, self._runner.inputs, self.description)
+                self.start()
                 self._check(file.name)
+                self.start()
         except MemoryError:
             raise DriverError(f"{file.name} needs more memory than a network may take: make it smaller") from None
 
@@ -279,13 +326,27 @@ class DescribedNetworkPilot(Pilot):
         other.description = description
         return other
 
+    def start(self) -> None:
+        """Forget the images, commands and states of the run before."""
+        spec = self.description.input
+        self._memory = RunMemory(
+            self._given,
+            frames=spec.frames,
+            stride=spec.stride,
+            newest_first=spec.order == "newest_first",
+            axis=spec.axis,
+        )
+
     def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
         outputs, spec = self.outputs(frame), self.description.outputs
-        return Prediction(
+        prediction = Prediction(
             self._number(outputs, "steering", spec.steering),
             None if spec.throttle is None else self._number(outputs, "throttle", spec.throttle),
         )
+        states = {k: self._state(outputs, k) for k, (one, _) in self._given.items() if one.state is not None}
+        self._memory.note(states, prediction.steering, prediction.throttle)
+        return prediction
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -293,10 +354,10 @@ class DescribedNetworkPilot(Pilot):
         return self._runner.outputs
 
     def outputs(self, frame: Frame) -> list[NDArray[np.float32]]:
-        """Compute all outputs of the network for a frame."""
-        batch = self.batch(frame)
+        """Compute all outputs of the network for the next frame of a run."""
+        inputs = self._memory.inputs(self.pixels(frame), self._place, frame.speed)
         with self._bounded():
-            return self._runner.compute(batch)
+            return self._runner.compute(*inputs)
 
     def seen(self, frame: Frame) -> NDArray[np.uint8]:
         """Return what the network sees of a frame, (rows, columns, channels) uint8, before pixels are scaled."""
@@ -312,8 +373,8 @@ class DescribedNetworkPilot(Pilot):
             image = np.asarray(cv2.cvtColor(image, _COLOURS[spec.colour]), np.uint8)
         return image.reshape(*spec.size, -1)
 
-    def batch(self, frame: Frame) -> NDArray[Any]:
-        """Convert a frame to the input of the network, with a batch of one."""
+    def pixels(self, frame: Frame) -> NDArray[Any]:
+        """Convert the image of a frame to that of the network, scaled, in its layout."""
         spec = self.description.input
         pixels: NDArray[Any] = self.seen(frame)
         if spec.type == "float32":
@@ -321,25 +382,25 @@ class DescribedNetworkPilot(Pilot):
             pixels = (pixels.astype(np.float32) - subtract) / divide
         if spec.layout == "nchw":
             pixels = pixels.transpose(2, 0, 1)
-        return np.ascontiguousarray(pixels[None])
+        return pixels
 
     def _samples(self) -> list[NDArray[Any]]:
-        return [self.batch(frame) for frame in calibration_frames()]
+        if self.description.inputs or self.description.has_memory:
+            raise BackendError("8 bits are calibrated on single images: use another backend for this network")
+        return [np.ascontiguousarray(self.pixels(frame)[None]) for frame in calibration_frames()]
 
     def _check(self, name: str) -> None:
         """Compare the file with the description, and warm up with a black image."""
-        runner, spec = self._runner, self.description.input
-        if runner.shape is not None and (
-            len(runner.shape) != 4 or any(a not in (None, b) for a, b in zip(runner.shape, spec.shape, strict=True))
-        ):
-            expected = "x".join("any" if size is None else str(size) for size in runner.shape)
-            described = "x".join(map(str, spec.shape))
+        spec = self.description.input
+        image = self._runner.inputs[self._place] if self._runner.inputs else NetworkInput()
+        if image.shape is not None and not _fits(image.shape, spec.shape):
             raise DriverError(
-                f"{name} expects an input of {expected}, its description gives {described}: correct size or layout"
+                f"{name} expects an input of {_sizes(image.shape)}, its description gives {_sizes(spec.shape)}: "
+                "correct size or layout"
             )
-        if runner.type and runner.type != spec.type:
+        if image.type and image.type != spec.type:
             raise DriverError(
-                f"{name} expects input of type {runner.type}, its description gives {spec.type}: correct type"
+                f"{name} expects input of type {image.type}, its description gives {spec.type}: correct type"
             )
         black = np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
         try:
@@ -347,20 +408,85 @@ class DescribedNetworkPilot(Pilot):
         except DriverError as error:
             raise DriverError(f"{name} fails on a black image: {error}") from None
 
-    def _number(self, outputs: list[NDArray[np.float32]], what: str, spec: OutputSpec) -> float:
+    def _output(self, outputs: list[NDArray[np.float32]], what: str, wanted: int | str) -> NDArray[np.float32]:
         names = self._runner.outputs
-        if isinstance(spec.output, str):
-            if spec.output not in names:
+        if isinstance(wanted, str):
+            if wanted not in names:
                 known = ", ".join(name for name in names if name) or "none has a name, give its position"
-                raise DriverError(f"there is no output {spec.output!r} for {what}: expected one of {known}")
-            found = outputs[names.index(spec.output)]
-        elif spec.output < len(outputs):
-            found = outputs[spec.output]
-        else:
-            raise DriverError(f"no output {spec.output} for {what}: the network has {len(outputs)}, counted from 0")
+                raise DriverError(f"there is no output {wanted!r} for {what}: expected one of {known}")
+            return outputs[names.index(wanted)]
+        if wanted >= len(outputs):
+            raise DriverError(f"no output {wanted} for {what}: the network has {len(outputs)}, counted from 0")
+        return outputs[wanted]
+
+    def _state(self, outputs: list[NDArray[np.float32]], place: int) -> NDArray[np.float32]:
+        spec, shape = self._given[place]
+        assert spec.state is not None
+        found = self._output(outputs, f"the state of input {place}", spec.state)
+        if found.size != np.prod(shape):
+            raise DriverError(
+                f"output {spec.state!r} has {found.size} numbers, the input that it comes back in has "
+                f"{int(np.prod(shape))}: name another output"
+            )
+        return found
+
+    def _number(self, outputs: list[NDArray[np.float32]], what: str, spec: OutputSpec) -> float:
+        found = self._output(outputs, what, spec.output)
         if spec.index >= found.size or (spec.bins and found.size < 2):
             raise DriverError(f"there is no index {spec.index} for {what}: the output has {found.size} numbers")
         return spec.value(found.reshape(-1))
+
+
+def _places(
+    name: str, inputs: Sequence[NetworkInput], described: DescribedNetwork
+) -> tuple[int, dict[int, tuple[GivenInput, tuple[int, ...]]]]:
+    """Find the position of the image, and of every other input with its shape.
+
+    Raises:
+        DriverError: file and description have other inputs.
+    """
+    known = [one.name for one in inputs]
+    count = len(inputs) or 1 + len(described.inputs)
+
+    def place_of(key: int | str) -> int:
+        if isinstance(key, str) and key in known:
+            return known.index(key)
+        if isinstance(key, int) and key < count:
+            return key
+        expected = ", ".join(filter(None, known)) or f"its position, 0 to {count - 1}"
+        raise DriverError(f"{name} has no input {key!r}: expected {expected}")
+
+    given = {place_of(key): one for key, one in described.inputs.items()}
+    free = [place for place in range(count) if place not in given]
+    if described.input.name is not None:
+        free = [place_of(described.input.name)] if place_of(described.input.name) in free else []
+    if len(free) + len(given) != count or len(free) != 1:
+        named = ", ".join(one or f"number {place}" for place, one in enumerate(known))
+        raise DriverError(
+            f"{name} has {count} inputs ({named}), its description gives {1 + len(described.inputs)}: `input` is the "
+            "image, and each other one stands in `inputs`, as `h: {state: OUTPUT}` or `speed: {value: speed}`"
+        )
+    shapes = {}
+    for place, one in given.items():
+        try:
+            shapes[place] = one, one.shape_in(inputs[place].shape if inputs else None)
+        except ValueError as error:
+            raise DriverError(f"{name}, input {known[place] if known else place}: {error}") from None
+        expected = inputs[place].shape if inputs else None
+        if expected is not None and not _fits(expected, shapes[place][1]):
+            raise DriverError(
+                f"{name} expects {_sizes(expected)} as input {known[place] or place}, its description gives "
+                f"{_sizes(shapes[place][1])}: correct shape"
+            )
+    return free[0], shapes
+
+
+def _fits(expected: Sequence[int | None], given: Sequence[int]) -> bool:
+    return len(expected) == len(given) and all(a in (None, b) for a, b in zip(expected, given, strict=True))
+
+
+def _sizes(shape: Sequence[int | None]) -> str:
+    return "x".join("any" if size is None else str(size) for size in shape)
 
 
 def runner_of(file: Path, backend: str = "auto", device: str = "cpu", samples: Samples = lambda: []) -> Runner:
@@ -409,6 +535,7 @@ class UserClassPilot(Pilot):
             raise DriverError(f"driver {target} cannot be created ({_describe(error)}): fix its __init__") from None
         if not callable(getattr(self._driver, "drive", None)):
             raise DriverError(f"driver {target} has no method drive(frame): see docs/bring_your_own_network.md")
+        self.has_memory = hasattr(self._driver, "start")
         self.start()
         self.predict(Frame(image=np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), speed=0.0))
         self.start()

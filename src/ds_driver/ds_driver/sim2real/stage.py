@@ -199,7 +199,7 @@ class TranslatingPilot(Pilot):
     def __init__(self, pilot: Pilot, stage: Sim2RealStage) -> None:
         self._pilot = pilot
         self.stage = stage
-        self.largest_batch = pilot.largest_batch
+        self.largest_batch, self.has_memory = pilot.largest_batch, pilot.has_memory
 
     def start(self) -> None:
         """See `ds_driver.networks.pilot.Pilot`."""

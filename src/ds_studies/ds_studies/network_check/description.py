@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ds_driver.networks.backends import NetworkInput
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.user_networks import (
+    GUIDE,
     DescribedNetwork,
     DescribedNetworkPilot,
     InputSpec,
@@ -48,7 +50,14 @@ def form_of(file: Path) -> list[InputSpec]:
         raise DriverError(f"{described} describes {file.name} already: `{ds_command('check', described)}` checks it")
     with limited_memory():
         runner = runner_of(file)
-    shape = runner.shape or (None,) * 4
+    if len(runner.inputs) > 1:
+        names = ", ".join(one.name for one in runner.inputs)
+        raise DriverError(
+            f"{file} has {len(runner.inputs)} inputs ({names}): write {described.name} as {GUIDE} shows, then "
+            f"`{ds_command('check', described)}`"
+        )
+    image = runner.inputs[0] if runner.inputs else NetworkInput()
+    shape = image.shape or (None,) * 4
     found = []
     for layout, place in (("nchw", 1), ("nhwc", 3)) if len(shape) == 4 else ():
         rows, columns = (shape[2], shape[3]) if layout == "nchw" else (shape[1], shape[2])
@@ -57,7 +66,7 @@ def form_of(file: Path) -> list[InputSpec]:
         for size in SIZES if rows is None or columns is None else ((rows, columns),):
             if (rows, columns) in ((None, None), size):
                 colour = "grey" if shape[place] == 1 else "rgb"
-                kind = "uint8" if runner.type == "uint8" else "float32"
+                kind = "uint8" if image.type == "uint8" else "float32"
                 scaled = {"divide": 255.0} if kind == "float32" else {}
                 form = {"size": size, "layout": layout, "colour": colour, "type": kind, **scaled}
                 found.append(InputSpec.model_validate(form))

@@ -27,6 +27,8 @@ LONGEST = 240
 """Frames of a drive, 12 s; chosen: the first two bends."""
 EVERY = 8
 """Frames from one kept image to the next, 0.4 s; chosen: closer ones look alike."""
+WHOLE = slice(80, 200)
+"""Frames of a drive that a network with memory is shown; chosen: six seconds around the first bend, 300 MB in all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,16 +59,25 @@ class _Job(NamedTuple):
     simulator: str
     road: Road
     seed: int
+    kept: slice
 
 
-def record(simulators: Sequence[str], seed: int, progress: Progress) -> list[Recording]:
+def record(simulators: Sequence[str], seed: int, progress: Progress, *, whole: bool = False) -> list[Recording]:
     """Let the autopilot drive on every simulator; the same seed gives the same images.
+
+    A network with memory is asked about `whole` pieces of drives, any other about some images of each.
 
     Raises:
         SimulatorError: a drive ended in an error.
     """
     roads = [(road, number) for road, number in candidate_roads(ROADS, seed) if road.reversed().validity.valid][:ROADS]
-    jobs = [_Job(name, way, number) for name in simulators for road, number in roads for way in (road, road.reversed())]
+    kept = WHOLE if whole else slice(None, None, EVERY)
+    jobs = [
+        _Job(name, way, number, kept)
+        for name in simulators
+        for road, number in roads
+        for way in (road, road.reversed())
+    ]
     drives: dict[str, list[Recording]] = {}
     for done, one in enumerate(map_in_processes(_record, jobs), start=1):
         drives.setdefault(one.simulator, []).append(one)
@@ -83,7 +94,7 @@ def record(simulators: Sequence[str], seed: int, progress: Progress) -> list[Rec
 
 
 def _record(job: _Job) -> Recording:
-    kept = _drive(job, lambda _: None)[::EVERY]
+    kept = _drive(job, lambda _: None)[job.kept]
     steering, throttle = np.array([(command.steering, command.throttle) for _, command in kept]).T
     return Recording(
         simulator=job.simulator, frames=tuple(frame for frame, _ in kept), steering=steering, throttle=throttle
@@ -92,7 +103,8 @@ def _record(job: _Job) -> Recording:
 
 def speeds_of_throttle(pilot: Pilot, simulator: str, seed: int) -> NDArray[np.float64]:
     """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
-    job = _Job(simulator, *candidate_roads(1, seed)[0])
+    job = _Job(simulator, *candidate_roads(1, seed)[0], slice(None))
+    pilot.start()
     return np.array([frame.speed for frame, _ in _drive(job, lambda frame: pilot.predict(frame).throttle)])
 
 
