@@ -65,6 +65,7 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
 
     monkeypatch.setattr(given_tests, "running_engine", running)
     monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", running)
+    monkeypatch.setattr("ds_studies.whole_campaign.running_engine", running)
     monkeypatch.setattr("ds_orchestrator.engines.preflight.check_driver", lambda *_: None)
     monkeypatch.setattr(
         "ds_driver.networks.network_driver.driver_sha256", lambda name: name.encode().hex().ljust(64, "0")
