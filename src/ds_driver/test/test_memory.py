@@ -14,7 +14,7 @@ from torch import nn
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_driver.networks.user_networks import DescribedNetworkPilot
+from ds_driver.networks.user_networks import DescribedNetworkPilot, OutputSpec
 from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.run_codec import encode_run
@@ -230,3 +230,14 @@ def test_wrong_descriptions_are_refused_in_one_line(tmp_path: Path, described: d
     with pytest.raises(DriverError, match=said) as raised:
         DescribedNetworkPilot(path)
     assert "\n" not in str(raised.value)
+
+
+def test_bins_are_read_as_donkey_car_reads_them_or_as_their_expected_value() -> None:
+    """`linear_unbin` of donkeycar 5: argmax * (R / (N + offset)) + offset, with N of 15 and 20 and R of 2 and 0.5."""
+    scores = np.random.default_rng(7).random(15, np.float32)
+    assert OutputSpec(bins=True).value(scores) == pytest.approx(np.argmax(scores) * (2.0 / (15 - 1)) - 1.0)
+    throttle = np.random.default_rng(8).random(20, np.float32)
+    assert OutputSpec(bins=(0.0, 0.475)).value(throttle) == pytest.approx(np.argmax(throttle) * (0.5 / 20))
+    shares = scores / scores.sum()
+    expected = float(np.linspace(-0.5, 1.0, 15) @ shares)
+    assert OutputSpec(bins=(-0.5, 1.0), expectation=True, scale=2.0).value(shares) == pytest.approx(2.0 * expected)
