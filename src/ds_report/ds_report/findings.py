@@ -294,10 +294,8 @@ def _harder_than(split: Split) -> str:
         return f"{split.threshold:.0f} turns or more"
     if split.axis in FIELDS:
         unit = f" {FIELDS[split.axis].unit}" if FIELDS[split.axis].unit else ""
-        side, meaning = (
-            "more" if split.is_lower_bound else "less",
-            re.split("[;:,(]", FIELDS[split.axis].doc)[0].strip(),
-        )
+        side = "more" if split.is_lower_bound else "less"
+        meaning = re.split("[;:,(]", FIELDS[split.axis].doc)[0].strip()
         return f"{split.axis} {three_digits(split.threshold)}{unit} or {side} ({meaning})"
     return f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
 

@@ -127,10 +127,8 @@ def each_network(networks: Sequence[str], out: Path, run: Callable[[str, Path], 
         with closing(open_store(folder)) as store:
             data = read_campaign(store)
         simulators = data.config.simulators
-        failed = {
-            one: [each.outcome.is_failure for each in data.verdicts if each.simulator == one] for one in simulators
-        }
-        rows.append((name, len(data.tests), *(sum(of) / len(of) if of else None for of in failed.values())))
+        failed = [[one.outcome.is_failure for one in data.verdicts if one.simulator == each] for each in simulators]
+        rows.append((name, len(data.tests), *(sum(of) / len(of) if of else None for of in failed)))
     table = Table(
         name="networks",
         title="Share of its tests on which each network fails",
