@@ -120,7 +120,6 @@ class InputSpec(_Strict):
         stride: frames from one of them to the next.
         order: of these images.
         stacked: as `channels` of one image, or over `time`, an axis of its own before the others.
-        name: name or position of this input, if it is not the one that `inputs` leaves.
     """
 
     size: tuple[Annotated[int, Field(ge=1, le=4096)], Annotated[int, Field(ge=1, le=4096)]]
@@ -135,7 +134,6 @@ class InputSpec(_Strict):
     stride: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
     order: Literal["oldest_first", "newest_first"] = "oldest_first"
     stacked: Literal["channels", "time"] = "channels"
-    name: Annotated[int, Field(ge=0)] | str | None = None
 
     @model_validator(mode="after")
     def _makes_sense(self) -> InputSpec:
@@ -458,9 +456,7 @@ def _places(
 
     given = {place_of(key): one for key, one in described.inputs.items()}
     free = [place for place in range(count) if place not in given]
-    if described.input.name is not None:
-        free = [place_of(described.input.name)] if place_of(described.input.name) in free else []
-    if len(free) + len(given) != count or len(free) != 1:
+    if len(free) != 1:
         named = ", ".join(one or f"number {place}" for place, one in enumerate(known))
         raise DriverError(
             f"{name} has {count} inputs ({named}), its description gives {1 + len(described.inputs)}: `input` is the "
