@@ -19,8 +19,8 @@ from benchmarks.campaign import processor_time
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.pilot import Frame
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road, generate
 from ds_sim.registry import make_simulator
@@ -35,7 +35,6 @@ def parts(name: str, driver: NetworkDriver, road: Road) -> dict[str, Total]:
     """Cost of each part of the frames of a road in this process, without ROS."""
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator)
-    crop = Crop(simulator.spec.crop_top, simulator.spec.crop_bottom)
     spent = dict.fromkeys(("physics", "camera, lane", "network"), 0.0)
     advance = simulator.vehicle.advance
 
@@ -48,7 +47,7 @@ def parts(name: str, driver: NetworkDriver, road: Road) -> dict[str, Total]:
     observation, frames = simulator.load(road, seed=0), 0
     while observation.outcome is Outcome.RUNNING:
         began = time.process_time()
-        command = driver.command(observation.image, observation.vehicle.speed, crop, observation.step)
+        command = driver.command(Frame.of(observation, simulator.spec))
         answered = time.process_time()
         observation = simulator.step(command)
         spent["network"] += answered - began

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from tests.command_line import ds
 
+from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.driver_name import DriverName
-from ds_driver.networks.user_networks import file_of, read_description
 from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.engines.cluster import read_cluster
 from ds_sim.registry import make_simulator

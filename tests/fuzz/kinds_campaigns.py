@@ -17,8 +17,8 @@ from tests.fuzz.harness import Kind
 
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines, maps_of
 from ds_driver.data.dataset import DatasetError, read_samples, write_drive
+from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.user_networks import DescribedNetworkPilot
 from ds_driver.networks.weights import WeightsError, load_weights
 from ds_orchestrator.campaign.config import ConfigError, read_config
 from ds_orchestrator.campaign.folder import read_campaign

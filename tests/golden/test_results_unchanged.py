@@ -21,8 +21,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ds_driver.closed_loop.simulation import make_driver
-from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.pilot import Frame
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import SEARCHES
@@ -48,7 +48,7 @@ def probe() -> str:
     """Digest of what NumPy, OpenCV and the network's back end compute of fixed inputs on this processor."""
     grid = np.linspace(-10.0, 10.0, 10_001)
     image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), np.uint8)
-    steering = NetworkDriver("dave2_short").command(image, 5.0, Crop(), 0).steering
+    steering = NetworkDriver("dave2_short").command(Frame(image=image, speed=5.0)).steering
     across, along = np.meshgrid(np.linspace(0, 300, 320), np.linspace(0, 150, 160))
     warped = cv2.remap(image, across.astype(np.float32), along.astype(np.float32), cv2.INTER_LINEAR)
     fused = components(sample_rays(CameraSpec(horizontal_fov=1.5, height=1.4), 1)[0], (0.1, -0.7, 0.3))

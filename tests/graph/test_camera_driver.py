@@ -23,7 +23,7 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import Image
 
-    from ds_driver.control.other_stacks import Geometry
+    from ds_driver.control.bicycle import Geometry
     from ds_driver.networks.images import Crop
     from ds_driver.networks.network_driver import NetworkDriver
     from ds_orchestrator.graph.session import RosDomain

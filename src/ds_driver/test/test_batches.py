@@ -36,7 +36,7 @@ def frames(count: int, seed: int = 5) -> list[Frame]:
 
 
 def alone(driver: NetworkDriver, frame: Frame) -> tuple[float, float]:
-    command = driver.command(frame.image, frame.speed, frame.crop, frame.step)
+    command = driver.command(frame)
     return command.steering, command.throttle
 
 

@@ -18,10 +18,11 @@ from torch import nn
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import throttle
+from ds_driver.networks.described_network import DescribedNetworkPilot
+from ds_driver.networks.description import DescribedNetwork
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_driver.networks.user_networks import DescribedNetwork, DescribedNetworkPilot
 from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome
@@ -112,7 +113,9 @@ def test_a_donkey_car_pilot_drives_as_the_guide_describes_it(tmp_path: Path, lin
             described["outputs"] = {"steering": {"output": 0}, "throttle": {"output": 1}}
         (tmp_path / "p.yaml").write_text(yaml.safe_dump(described))
         for backend in backends:
-            command = NetworkDriver(f"{tmp_path / 'p.yaml'}@{backend}").command(IMAGE, 3.0, Crop(40, 0))
+            command = NetworkDriver(f"{tmp_path / 'p.yaml'}@{backend}").command(
+                Frame(image=IMAGE, speed=3.0, crop=Crop(40, 0))
+            )
             assert (command.steering, command.throttle) == pytest.approx((angle, power), abs=1e-5), (file, backend)
 
 
@@ -125,7 +128,7 @@ def test_a_donkey_car_pilot_in_tensorflow_lite_agrees_with_tensorflow(tmp_path: 
     described = yaml.safe_load(next(text for text in examples("yaml") if "mypilot.tflite" in text))
     (tmp_path / "mypilot.tflite").write_bytes((Path(__file__).parent / "data" / "donkey_pilot.tflite").read_bytes())
     (tmp_path / "p.yaml").write_text(yaml.safe_dump(described))
-    command = NetworkDriver(str(tmp_path / "p.yaml")).command(IMAGE, 3.0, Crop(40, 0))
+    command = NetworkDriver(str(tmp_path / "p.yaml")).command(Frame(image=IMAGE, speed=3.0, crop=Crop(40, 0)))
     assert (command.steering, command.throttle) == pytest.approx((-0.243504, 0.731181), abs=1e-5)
     (tmp_path / "mypilot.tflite").write_bytes(b"not a network")
     with pytest.raises(DriverError, match="mypilot.tflite cannot be loaded by OpenVINO"):
@@ -202,14 +205,14 @@ def test_outputs_are_chosen_and_scaled(tmp_path: Path) -> None:
     image = np.full((160, 320, 3), 10, np.uint8)
     outputs = {"steering": {"index": 1, "scale": 0.04}, "throttle": {"scale": 0.01, "offset": 0.2}}
     path = written(tmp_path, Pixel(0, 0, 0), (1, 3, 8, 16), input={"size": [8, 16]}, outputs=outputs)
-    command = NetworkDriver(str(path)).command(image, 5.0, Crop())
+    command = NetworkDriver(str(path)).command(Frame(image=image, speed=5.0))
     assert (command.steering, command.throttle) == pytest.approx((-10 * 0.04, 10 * 0.01 + 0.2))
 
 
 def test_throttle_defaults_to_equation_2_and_steering_is_clipped(tmp_path: Path) -> None:
     path = written(tmp_path, Pixel(0, 0, 0), (1, 3, 8, 16), input={"size": [8, 16], "divide": 100})
     driver = NetworkDriver(str(path))
-    half, full = (driver.command(np.full((160, 320, 3), v, np.uint8), 5.0, Crop()) for v in (50, 250))
+    half, full = (driver.command(Frame(image=np.full((160, 320, 3), v, np.uint8), speed=5.0)) for v in (50, 250))
     assert half.steering == 0.5 and half.throttle == throttle(0.5, 5.0)
     assert full.steering == 1.0
 
@@ -244,7 +247,10 @@ def change(*keys: str, to: object) -> Callable[[dict[str, Any]], None]:
             change("outputs", "steering", to={"output": 2}),
             "no output 2 for steering: the network has 2, counted",
         ),
-        (change("outputs", "steering", to={"index": 1}), "no index 1 for steering: the output has 1 numbers"),
+        (
+            change("outputs", "steering", to={"index": 1}),
+            "output for steering has 1 numbers: its description needs 2",
+        ),
         (change("outputs", "steering", to={"scale": float("inf")}), r"outputs\.steering\.scale: .*finite number"),
         (change("file", to="gone.onnx"), "'gone.onnx' is missing: its path is relative to p.yaml"),
         (change("file", to="pilot.h5"), r"expected \.onnx, \.pt.*says how to convert"),

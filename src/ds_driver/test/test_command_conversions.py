@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.control.other_stacks import KINDS, Geometry, Motion, MotionError, part, set_part
+from ds_driver.control.bicycle import Geometry, MotionError
+from ds_driver.control.other_stacks import KINDS, Motion, part, set_part
 
 CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
 

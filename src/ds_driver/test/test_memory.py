@@ -13,8 +13,9 @@ import yaml
 from torch import nn
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.described_network import DescribedNetworkPilot
+from ds_driver.networks.description import OutputSpec
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_driver.networks.user_networks import DescribedNetworkPilot, OutputSpec
 from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.run_codec import encode_run
@@ -216,8 +217,9 @@ def test_runs_of_one_process_share_no_state(tmp_path: Path) -> None:
             "it takes 8 numbers, speed of 1 frames gives 1",
         ),
         ({"inputs": {"h": {"value": "commands", "last": 4}, "c": {"state": "c_out"}}}, "add outputs.throttle"),
-        ({"inputs": {"h": {}, "c": {"state": "c_out"}}}, "expected either state, an output that comes back, or value"),
-        ({"inputs": {"h": {"stat": 1}, "c": {"state": "c_out"}}}, r"keys of inputs\.h: state, value, last"),
+        ({"inputs": {"h": {}, "c": {"state": "c_out"}}}, "expected one of state, an output that comes back, value"),
+        ({"inputs": {"h": {"stat": 1}, "c": {"state": "c_out"}}}, r"keys of inputs\.h: state, value, constant"),
+        ({"inputs": {"h": {"constant": [1, 2]}, "c": {"state": "c_out"}}}, "it takes 8 numbers, its constant gives 2"),
         ({"inputs": {"x": {"state": "h_out"}, "c": {"state": "c_out"}}}, "has no input 'x': expected image, h, c"),
         ({**RECURRENT, "input": {"frames": 2}}, "expects an input of 1x3x40x80, its description gives 1x6x40x80"),
         ({**RECURRENT, "outputs": {"steering": {"expectation": True}}}, "expectation is over bins"),
@@ -235,7 +237,7 @@ def test_wrong_descriptions_are_refused_in_one_line(tmp_path: Path, described: d
 def test_bins_are_read_as_donkey_car_reads_them_or_as_their_expected_value() -> None:
     """`linear_unbin` of donkeycar 5: argmax * (R / (N + offset)) + offset, with N of 15 and 20 and R of 2 and 0.5."""
     scores = np.random.default_rng(7).random(15, np.float32)
-    assert OutputSpec(bins=True).value(scores) == pytest.approx(np.argmax(scores) * (2.0 / (15 - 1)) - 1.0)
+    assert OutputSpec(bins=(-1.0, 1.0)).value(scores) == pytest.approx(np.argmax(scores) * (2.0 / (15 - 1)) - 1.0)
     throttle = np.random.default_rng(8).random(20, np.float32)
     assert OutputSpec(bins=(0.0, 0.475)).value(throttle) == pytest.approx(np.argmax(throttle) * (0.5 / 20))
     shares = scores / scores.sum()

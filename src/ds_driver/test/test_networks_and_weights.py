@@ -16,6 +16,7 @@ from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.images import Crop, ImageError, prepare
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.onnx_export import to_onnx
+from ds_driver.networks.pilot import Frame
 from ds_driver.networks.torch_networks import FastDropout, disable_dropout, load_network, make_network, save_weights
 from ds_driver.networks.weights import Weights, WeightsError, compress, generators_in, load_weights, shipped_networks
 from ds_sim.registry import SIMULATORS
@@ -201,9 +202,11 @@ def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
         driver = NetworkDriver(name)
         rng = np.random.default_rng(1)
         image = rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)
-        command = driver.command(image, 5.0, Crop(60, 0), simulator="bullet")
-        assert driver.command(image, 5.0, Crop(60, 0), simulator="bullet") == command
-        assert bool(card.get("sim2real")) == (driver.command(image, 5.0, Crop(60, 0), simulator="donkey") != command)
+        command = driver.command(Frame(image=image, speed=5.0, crop=Crop(60, 0), step=1, simulator="bullet"))
+        assert driver.command(Frame(image=image, speed=5.0, crop=Crop(60, 0), step=1, simulator="bullet")) == command
+        assert bool(card.get("sim2real")) == (
+            driver.command(Frame(image=image, speed=5.0, crop=Crop(60, 0), step=1, simulator="donkey")) != command
+        )
         assert -1.0 <= command.steering <= 1.0 and 0.0 <= command.throttle <= 1.0
 
 

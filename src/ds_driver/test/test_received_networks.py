@@ -11,8 +11,8 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.user_networks import DescribedNetworkPilot
 
 
 def write(folder: Path, nodes: list[onnx.NodeProto], constants: list[onnx.TensorProto]) -> Path:

@@ -81,12 +81,12 @@ def test_a_network_sees_the_translation_by_the_generator_of_the_frames_simulator
         driver = NetworkDriver(name)
         for frame in frames(3):
             assert frame.simulator is not None
-            found = driver.command(frame.image, frame.speed, frame.crop, simulator=frame.simulator)
+            found = driver.command(replace(frame, step=1))
             seen, crop = frame.image, frame.crop
             if frame.simulator != NOT_SIMULATED:
                 generator = load_generator(folder / FOLDER / f"{frame.simulator}.safetensors")
                 seen, crop = Translator(generator).translate(frame.image), Crop()
-            assert found == plain.command(seen, frame.speed, crop)
+            assert found == plain.command(Frame(image=seen, speed=frame.speed, crop=crop, step=1))
         assert driver.rows_seen(Crop(54, 0), 160, "softbody") == (80, 159)
         assert driver.rows_seen(Crop(54, 0), 160, "donkey") is None
     assert plain.stage is None and plain.rows_seen(Crop(54, 0), 160, "softbody") == (54, 160)
@@ -100,7 +100,7 @@ def test_frames_of_several_simulators_are_answered_with_the_bits_of_each_alone(f
         pytest.skip("processor without VNNI")
     driver = NetworkDriver(f"{folder / 'real.safetensors'}@{backend}")
     asked = frames(7)
-    alone = [driver.command(f.image, f.speed, f.crop, simulator=f.simulator) for f in asked]
+    alone = [driver.command(replace(f, step=1)) for f in asked]
     assert driver.commands(asked) == alone and len(set(alone)) == 7
     missing = Frame(image=asked[0].image, speed=3.0, simulator="donkey")
     found = driver.commands([asked[0], missing, asked[1]])

@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_studies.network_check import recording
-from ds_studies.network_check.description import describe, form_of
+from ds_studies.network_check.description import describe, forms_of
 from ds_studies.network_check.diagnosis import NetworkCheck, ask_open_loop, check_network
 from ds_studies.network_check.recording import Recording, record
 
@@ -168,7 +168,7 @@ def test_a_weak_network_is_not_called_connected_rightly() -> None:
 def test_writes_a_description_that_passes(made: Made, drives: list[Recording]) -> None:
     path = made(bgr=True, times=-25.0)
     with pytest.raises(DriverError, match=r"n\.yaml describes n\.onnx already"):
-        form_of(path.with_suffix(".onnx"))
+        forms_of(path.with_suffix(".onnx"))
     path.unlink()
     file = path.with_suffix(".onnx")
 
@@ -194,7 +194,7 @@ def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Recor
         assert best in choices
         return next((one for one in choices if "255" not in one and "divide" in one), best)
 
-    path.write_text(describe(path.with_suffix(".onnx"), form_of(path.with_suffix(".onnx")), drives, answer))
+    path.write_text(describe(path.with_suffix(".onnx"), forms_of(path.with_suffix(".onnx")), drives, answer))
 
     assert any("Scale of the pixels" in question for question in asked) and not any(
         "Part of the image" in one for one in asked
@@ -205,8 +205,10 @@ def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Recor
 
 
 def form_of_file(file: Path) -> list[Any]:
-    forms = form_of(file)
-    assert [(form.size, form.layout, form.type) for form in forms] == [((ROWS, COLUMNS), "nchw", "float32")]
+    forms = forms_of(file)
+    assert [(form.input.size, form.input.layout, form.input.type) for form in forms] == [
+        ((ROWS, COLUMNS), "nchw", "float32")
+    ]
     return forms
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -154,7 +155,8 @@ def predict(
         data: folder of the data set; see `ds_driver.data.dataset`.
         network: any name that `ds_driver.networks.network_driver.NetworkDriver` accepts.
         progress: called with the number of images done, their total, and the simulator.
-        images: largest number of images per simulator, evenly spread over its drives; all if None.
+        images: largest number of images per simulator, evenly spread over its drives, or for a network with memory the
+            first of them; all if None.
         trusted: user-defined simulators whose code may run.
 
     Returns:
@@ -166,6 +168,7 @@ def predict(
         ValueError: the network cannot be used.
     """
     from ds_driver.control.autopilot import AUTOPILOT
+    from ds_driver.control.bicycle import Geometry
     from ds_driver.data.dataset import Sample, crops_of, decode, imported_names, read_samples
     from ds_driver.networks.network_driver import load_pilot
     from ds_driver.networks.pilot import NOT_SIMULATED, Frame
@@ -178,16 +181,27 @@ def predict(
     for sample in read_samples(data):
         groups.setdefault(sample.simulator, []).append(sample)
     if images is not None:
-        groups = {name: _spread(group, images) for name, group in groups.items()}
+        chosen = _first_drives if pilot.has_memory else _spread
+        groups = {name: chosen(group, images) for name, group in groups.items()}
     total, done = sum(map(len, groups.values())), 0
     found, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
     for name, group in groups.items():
+        if pilot.has_memory and any(b.step > a.step + 1 for a, b in pairwise(group) if a.drive == b.drive):
+            raise ErrorsError(
+                f"{data} leaves out frames of {name}, and {network} remembers earlier ones: collect with --every 1"
+            )
         steering = np.empty(len(group))
-        simulator = NOT_SIMULATED if name in recorded else spec_of(name).name
+        spec = None if name in recorded else spec_of(name)
         for index, sample in enumerate(group):
-            if index == 0 or sample.road_id != group[index - 1].road_id:
+            if index == 0 or sample.drive != group[index - 1].drive:
                 pilot.start()
-            frame = Frame(image=decode(sample.jpeg), speed=0.0, crop=crops[name], simulator=simulator)
+            frame = Frame(
+                image=decode(sample.jpeg),
+                speed=sample.speed,
+                crop=crops[name],
+                simulator=NOT_SIMULATED if spec is None else spec.name,
+                vehicle=None if spec is None else Geometry(spec.wheelbase, spec.max_steering_angle),
+            )
             steering[index] = pilot.predict(frame).steering
             done += 1
             if done % REPORT_EVERY == 0 or done == total:
@@ -209,6 +223,11 @@ def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
     if len(group) <= images:
         return group
     return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]
+
+
+def _first_drives(group: list, images: int) -> list:  # type: ignore[type-arg]
+    """Select at most `images` elements without leaving one out between them."""
+    return group[:images]
 
 
 def architecture_of(network: str) -> str:

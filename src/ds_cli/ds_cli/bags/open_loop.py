@@ -107,7 +107,6 @@ def _network(driver: str) -> Answer:
     network = NetworkDriver(driver)
 
     def answer(frame: RecordedFrame, crop: Crop) -> float:
-        assert frame.image is not None
-        return network.steering(frame.image, crop, frame.simulator)
+        return network.command(frame.seen(crop)).steering
 
     return answer

@@ -37,19 +37,19 @@ def check_command(
     from rich.table import Table
 
     from ds_driver.networks.network_driver import load_pilot
-    from ds_driver.networks.user_networks import KINDS
+    from ds_driver.networks.network_file import KINDS
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.camera.encodings import png
-    from ds_studies.network_check.description import describe, form_of
+    from ds_studies.network_check.description import describe, forms_of
     from ds_studies.network_check.diagnosis import check_network
     from ds_studies.network_check.picture import draw_check
     from ds_studies.network_check.recording import record
 
     names, file = every_or_named(sims), Path(network)
     bare = file.suffix.lower() in KINDS
-    forms = form_of(file) if bare else []
+    forms = forms_of(file) if bare else []
     # Refuses what cannot be used before anything is driven.
-    has_memory = not bare and load_pilot(network).has_memory
+    has_memory = forms[0].has_memory if bare else load_pilot(network).has_memory
     make_folder(out)
     recordings = record(names, seed, countdown(), whole=has_memory)
     if bare:

@@ -36,8 +36,8 @@ def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
         return lambda frame: autopilot.command(frame.lane.preview_lateral_position, frame.vehicle.speed)
     from ds_driver.networks.network_driver import NetworkDriver
 
-    network, crop = NetworkDriver(driver), Crop(spec.crop_top, spec.crop_bottom)
-    return lambda frame: network.command(frame.image, frame.vehicle.speed, crop, frame.step, spec.name)
+    network = NetworkDriver(driver)
+    return lambda seen: network.command(Frame.of(seen, spec))
 
 
 def drive_road(
@@ -158,7 +158,7 @@ class InterleavedDrives:
         probe = ContrastProbe(session.run, made) if request.probed else None
         if probe is not None:
             probe.see(seen)
-        return _Drive(request.simulator, session, crop, autopilot, seen, probe)
+        return _Drive(request.simulator, session, autopilot, seen, probe)
 
     def step(self) -> list[tuple[int, RunRecord]]:
         """Advance every drive by one frame; return keys and records of those that have ended."""
@@ -226,7 +226,6 @@ class _Drive:
 
     simulator: str
     session: Session
-    crop: Crop
     autopilot: Driver | None
     seen: Observation | None
     probe: ContrastProbe | None
@@ -237,11 +236,4 @@ class _Drive:
 
     def frame(self) -> Frame:
         assert self.seen is not None
-        seen = self.seen
-        return Frame(
-            image=seen.image,
-            speed=seen.vehicle.speed,
-            crop=self.crop,
-            step=seen.step,
-            simulator=self.session.simulator.spec.name,
-        )
+        return Frame.of(self.seen, self.session.simulator.spec)

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-STANDSTILL = 1e-3
-"""Commanded speed below which a yaw rate does not determine the wheel angle, m/s: a car cannot turn on the spot."""
+from ds_driver.control.bicycle import Geometry, MotionError
+
 FrameT = TypeVar("FrameT")
 CommandT = TypeVar("CommandT")
 
@@ -31,46 +31,6 @@ PROPORTIONAL = 0.3
 INTEGRAL = 0.005
 """Integral gain, throttle per m/s of error and frame; chosen by trial: at 3 and 6 m/s each of the three vehicles is
 within 0.3 m/s after six seconds, with an overshoot of 0.5 m/s at most."""
-
-
-class MotionError(ValueError):
-    """A request that no vehicle of this project can follow."""
-
-
-@dataclass(frozen=True, slots=True)
-class Geometry:
-    """Geometry of a vehicle, needed to convert yaw rates to steering.
-
-    Attributes:
-        wheelbase: m.
-        max_steering_angle: angle of the front wheels at |steering| = 1, rad.
-    """
-
-    wheelbase: float
-    max_steering_angle: float
-
-    def __post_init__(self) -> None:
-        if not (self.wheelbase > 0.0 and 0.0 < self.max_steering_angle < math.pi / 2):
-            raise MotionError(
-                f"wheelbase {self.wheelbase} m and steering angle {self.max_steering_angle} rad: expected a wheelbase "
-                "above 0 and an angle between 0 and pi/2"
-            )
-
-    def steering_of(self, angle: float) -> float:
-        """Steering in [-1, 1], right positive, for a wheel angle in rad, left positive; clipped at full lock."""
-        return min(max(-angle / self.max_steering_angle, -1.0), 1.0)
-
-    def angle_of(self, steering: float) -> float:
-        """Wheel angle in rad, left positive, for a steering in [-1, 1], right positive."""
-        return -steering * self.max_steering_angle
-
-    def angle_for(self, speed: float, yaw_rate: float) -> float:
-        """Wheel angle (rad, left positive) at which the bicycle model has a yaw rate (rad/s) at a speed (m/s)."""
-        return 0.0 if abs(speed) < STANDSTILL else math.atan(self.wheelbase * yaw_rate / speed)
-
-    def yaw_rate_of(self, speed: float, angle: float) -> float:
-        """Yaw rate of the bicycle model, rad/s, left positive, at a speed (m/s) and wheel angle (rad)."""
-        return speed * math.tan(angle) / self.wheelbase
 
 
 @dataclass(frozen=True, slots=True)

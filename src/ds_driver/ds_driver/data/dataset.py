@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -19,6 +20,7 @@ from ds_driver.whole_files import whole_file, write_json, write_whole
 from ds_sim.installation import ds_command
 from ds_sim.registry import label_of, received_simulator, spec_of
 
+_READ = ["image", "steering", "simulator", "road_id", "step", "speed"]
 JPEG_BEGIN, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 MOST_UNEQUAL = 2.0
 """Largest ratio between the numbers of images of two simulators; chosen: a larger one means that drives failed."""
@@ -66,12 +68,18 @@ class Sample:
         steering: label in [-1, 1].
         simulator: name of the simulator or of the recordings.
         road_id: id of the road, of the road that it is a mutant of, or of a block of a recording.
+        drive: name of its drive's file.
+        step: frames since the start of the drive; 0 if not recorded.
+        speed: m/s; 0 if not recorded.
     """
 
     jpeg: bytes
     steering: float
     simulator: str
     road_id: str
+    drive: str = ""
+    step: int = 0
+    speed: float = 0.0
 
 
 def decode(jpeg: bytes) -> NDArray[np.uint8]:
@@ -142,16 +150,16 @@ def read_samples(folder: Path) -> list[Sample]:
         size += int(table.nbytes)
         if size > LARGEST_DATASET:
             raise DatasetError(f"{folder} has more than {LARGEST_DATASET // 2**30} GiB of images: split it")
-        columns = (table[name].to_pylist() for name in ("image", "steering", "simulator", "road_id"))
+        columns = (table[name].to_pylist() for name in _READ)
         samples += [
-            Sample(jpeg=jpeg, steering=label, simulator=simulator, road_id=road_id)
-            for jpeg, label, simulator, road_id in zip(*columns, strict=True)
+            Sample(jpeg=image, steering=label, simulator=name, road_id=road, drive=file.stem, step=step, speed=speed)
+            for image, label, name, road, step, speed in zip(*columns, strict=True)
         ]
     return samples
 
 
 def read_drive(file: Path) -> pa.Table:
-    """Read and check the file of one drive; return the columns `image`, `steering`, `simulator` and `road_id`.
+    """Read and check the file of one drive; return its columns `_READ`, with 0 for steps and speeds that it lacks.
 
     Raises:
         DatasetError: see `read_samples`.
@@ -186,7 +194,11 @@ def read_drive(file: Path) -> pa.Table:
         longest = max(map(len, table[name].unique().to_pylist()), default=0)
         if longest > LONGEST_NAME:
             raise DatasetError(f"{file} has a {name} of {longest} characters, expected at most {LONGEST_NAME}")
-    return table.select(["image", "steering", "simulator", "road_id"])
+    for name in ("step", "speed"):
+        column = table[name] if name in table.column_names else pa.nulls(len(table), SCHEMA.field(name).type)
+        table = table.drop_columns([name] if name in table.column_names else [])
+        table = table.append_column(name, pc.fill_null(column, 0))
+    return table.select(_READ)
 
 
 def _is_like(found: pa.DataType, expected: pa.DataType) -> bool:

@@ -18,9 +18,10 @@ from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_driver.control.autopilot import Autopilot
+from ds_driver.control.bicycle import Geometry
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of_file, rgb_of_message
-from ds_driver.networks.pilot import NOT_SIMULATED
+from ds_driver.networks.pilot import NOT_SIMULATED, Frame
 from ds_driver.processes import Progress
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.encodings import jpeg
@@ -84,6 +85,19 @@ class RecordedFrame:
     speed: float = 0.0
     trouble: str = ""
     simulator: str = NOT_SIMULATED
+
+    def seen(self, crop: Crop) -> Frame:
+        """Return what a driver gets of an image that can be read; the first begins a run."""
+        assert self.image is not None
+        spec = spec_of(self.simulator) if self.simulator in SIMULATORS else None
+        return Frame(
+            image=self.image,
+            speed=self.speed,
+            crop=crop,
+            step=self.index,
+            simulator=self.simulator,
+            vehicle=None if spec is None else Geometry(spec.wheelbase, spec.max_steering_angle),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

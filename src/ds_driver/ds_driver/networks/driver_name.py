@@ -9,8 +9,9 @@ from pathlib import Path
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BACKENDS, DEVICES, BackendError
+from ds_driver.networks.description import file_of, read_description
+from ds_driver.networks.network_file import KINDS
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.user_networks import KINDS, file_of, read_description
 from ds_driver.networks.weights import shipped_networks
 from ds_sim.registry import path_moved
 

@@ -17,12 +17,13 @@ MOST_NUMBERS = 2**20
 
 
 class GivenInput(BaseModel):
-    """One input of a network beside the image; exactly one of `state` and `value` says what it is.
+    """One input of a network beside the image; exactly one of `state`, `value` and `constant` says what it is.
 
     Attributes:
         state: name or position of the output that comes back in the next frame.
         value: `speed` of the vehicle in m/s; or what the network itself answered in the `last` frames, the oldest
             first: its `steering`, or its `commands`, which are pairs of steering and throttle (Donkey Car's `mem_in`).
+        constant: the same numbers in every frame, or one for all: a route's command, a behaviour, an IMU at rest.
         last: number of frames; only with `steering` and `commands`.
         start: every number of it before the first frame.
         scale: factor on a speed.
@@ -32,6 +33,7 @@ class GivenInput(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     state: Annotated[int, Field(ge=0)] | str | None = None
     value: Literal["speed", "steering", "commands"] | None = None
+    constant: float | Annotated[list[float], Field(min_length=1, max_length=1024)] | None = None
     last: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
     start: float = 0.0
     scale: float = 1.0
@@ -41,13 +43,20 @@ class GivenInput(BaseModel):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> GivenInput:
-        if (self.state is None) == (self.value is None):
-            raise ValueError("expected either state, an output that comes back, or value: speed, steering or commands")
+        if [self.state, self.value, self.constant].count(None) != 2:
+            raise ValueError(
+                "expected one of state, an output that comes back, value: speed, steering or commands, and constant"
+            )
         if self.last != 1 and self.value not in ("steering", "commands"):
             raise ValueError("last counts frames of steering or commands: leave it out")
         if self.scale != 1.0 and self.value != "speed":
             raise ValueError("scale is for a speed: leave it out")
         return self
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it holds what was before."""
+        return self.value != "speed" and self.constant is None
 
     def shape_in(self, file: Sequence[int | None] | None) -> tuple[int, ...]:
         """Return its shape: the described one, else the file's, whose free sizes are 1, else one row of numbers.
@@ -55,10 +64,11 @@ class GivenInput(BaseModel):
         Raises:
             ValueError: it cannot be known, is too large, or does not hold the values.
         """
-        if self.value is None:
-            numbers = None
-        else:
+        numbers = None
+        if self.value is not None:
             numbers = 1 if self.value == "speed" else self.last * (2 if self.value == "commands" else 1)
+        elif isinstance(self.constant, list):
+            numbers = len(self.constant)
         if self.shape is not None:
             shape = tuple(self.shape)
         elif file is not None:
@@ -66,13 +76,12 @@ class GivenInput(BaseModel):
         elif numbers is not None:
             shape = (1, numbers)
         else:
-            raise ValueError("the file does not say the shape of this state: add shape, with a batch of 1")
+            raise ValueError("the file does not say the shape of this input: add shape, with a batch of 1")
         if np.prod(shape) > MOST_NUMBERS:
             raise ValueError(f"a state of {'x'.join(map(str, shape))} is too large")
         if numbers is not None and np.prod(shape) != numbers:
-            raise ValueError(
-                f"it takes {int(np.prod(shape))} numbers, {self.value} of {self.last} frames gives {numbers}"
-            )
+            given = f"{self.value} of {self.last} frames" if self.value else "its constant"
+            raise ValueError(f"it takes {int(np.prod(shape))} numbers, {given} gives {numbers}")
         return shape
 
 
@@ -104,7 +113,8 @@ class RunMemory:
         """Forget everything: a run begins."""
         self._images: deque[NDArray[Any]] = deque(maxlen=(self._frames - 1) * self._stride + 1)
         self._values: dict[int, NDArray[np.float32]] = {
-            place: np.full(shape, one.start, np.float32) for place, (one, shape) in self._given.items()
+            place: np.resize(np.array(one.start if one.constant is None else one.constant, np.float32), shape)
+            for place, (one, shape) in self._given.items()
         }
 
     def inputs(self, pixels: NDArray[Any], place: int, speed: float) -> list[NDArray[Any]]:
@@ -138,7 +148,7 @@ class RunMemory:
         for position, (one, shape) in self._given.items():
             if one.state is not None:
                 self._values[position] = np.array(states[position], np.float32).reshape(shape)
-            elif one.value != "speed":
+            elif one.remembers:
                 answer = [steering] if one.value == "steering" else [steering, throttle or 0.0]
                 before = self._values[position].reshape(-1)[len(answer) :]
                 self._values[position] = np.array([*before, *answer], np.float32).reshape(shape)

@@ -16,22 +16,16 @@ from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.calibration import calibration_frames
+from ds_driver.networks.described_network import DescribedNetworkPilot
+from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
 from ds_driver.networks.images import Crop, prepare
+from ds_driver.networks.network_file import KINDS, refuse_weights_alone
 from ds_driver.networks.onnx_export import to_onnx
-from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
+from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.quantisation import for_backend
-from ds_driver.networks.user_networks import (
-    KINDS,
-    DescribedNetworkPilot,
-    UserClassPilot,
-    file_of,
-    read_description,
-    refuse_weights_alone,
-    source_of,
-)
+from ds_driver.networks.user_class import UserClassPilot, source_of
 from ds_driver.networks.weights import generators_in, load_weights, path_of_weights, shipped_networks, weights_sha256
-from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.installation import ds_command
 from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
@@ -108,27 +102,23 @@ class NetworkDriver:
     def __init__(self, driver: str) -> None:
         self._pilot = load_pilot(driver)
         # Warm up: the first image allocates memory and selects kernels.
-        self.command(np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8), 0.0, Crop(), simulator=NOT_SIMULATED)
+        self.command(Frame.black())
         self._pilot.start()
 
     def steering(self, image: NDArray[np.uint8], crop: Crop, simulator: str | None = None) -> float:
-        """Predict steering in [-1, 1] for one camera image, (160, 320, 3) uint8 RGB; see `Frame` for the simulator.
+        """Predict steering in [-1, 1] for an image by itself, (160, 320, 3) uint8 RGB; see `command`."""
+        return self.command(Frame(image=image, speed=0.0, crop=crop, step=1, simulator=simulator)).steering
+
+    def command(self, frame: Frame) -> Command:
+        """Compute the command for a frame; step 0 begins a run.
 
         Raises:
             ds_driver.networks.images.ImageError: the image has another size or type.
             ds_driver.networks.pilot.DriverError: the network gives no valid answer.
         """
-        frame = Frame(image=image, speed=0.0, crop=crop, simulator=simulator)
-        return _within(self._pilot.predict(frame).steering, -1.0)
-
-    def command(
-        self, image: NDArray[np.uint8], speed: float, crop: Crop, step: int = 1, simulator: str | None = None
-    ) -> Command:
-        """Compute the command for an image and a speed in m/s; step 0 begins a run; see `Frame` for the simulator."""
-        if step == 0:
+        if frame.step == 0:
             self._pilot.start()
-        frame = Frame(image=image, speed=speed, crop=crop, step=step, simulator=simulator)
-        return _command(self._pilot.predict(frame), speed)
+        return _command(self._pilot.predict(frame), frame.speed)
 
     def commands(self, frames: Sequence[Frame]) -> list[Command | DriverError]:
         """Compute a command for each frame: the bits of `command`, or the error of that frame.
@@ -152,7 +142,7 @@ class NetworkDriver:
 
     def _attempt(self, frame: Frame) -> Command | DriverError:
         try:
-            return self.command(frame.image, frame.speed, frame.crop, frame.step, frame.simulator)
+            return self.command(frame)
         except DriverError as error:
             return error
 

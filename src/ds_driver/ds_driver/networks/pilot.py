@@ -10,7 +10,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.control.bicycle import Geometry
 from ds_driver.networks.images import Crop
+from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.simulator import Observation, SimulatorSpec
 
 NOT_SIMULATED = ""
 """In place of a simulator's name: a photograph, or an image that is translated already; a network sees it as it is."""
@@ -31,6 +34,8 @@ class Frame:
         step: number of frames since the start of the run.
         simulator: name of the simulator whose camera took the image, or `NOT_SIMULATED`; None if that is unknown, which
             networks refuse that see translated images (`ds_driver.sim2real.stage`).
+        vehicle: geometry of the vehicle, in road metres; None if unknown, which networks refuse whose answers are
+            angles, curvatures or paths.
     """
 
     image: NDArray[np.uint8]
@@ -38,6 +43,25 @@ class Frame:
     crop: Crop = Crop()
     step: int = 0
     simulator: str | None = None
+    vehicle: Geometry | None = None
+
+    @classmethod
+    def of(cls, seen: Observation, spec: SimulatorSpec) -> Frame:
+        """Return what a driver gets of an observation on a simulator."""
+        return cls(
+            image=seen.image,
+            speed=seen.vehicle.speed,
+            crop=Crop(spec.crop_top, spec.crop_bottom),
+            step=seen.step,
+            simulator=spec.name,
+            vehicle=Geometry(spec.wheelbase, spec.max_steering_angle),
+        )
+
+    @classmethod
+    def black(cls) -> Frame:
+        """Return a black image of no simulator on some vehicle, by which drivers are tried out and warmed up."""
+        image = np.zeros((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
+        return cls(image=image, speed=0.0, simulator=NOT_SIMULATED, vehicle=Geometry(2.5, 0.6))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import deque
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,10 +16,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
-from ds_driver.control.other_stacks import Geometry
+from ds_driver.control.bicycle import Geometry
 from ds_driver.networks.images import Crop, fit_to_network, rgb_of_message
 from ds_driver.networks.network_driver import NetworkDriver
-from ds_driver.networks.pilot import NOT_SIMULATED
+from ds_driver.networks.pilot import Frame
 from ds_driver.ros.command_publisher import OUTPUTS, CommandOutput
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
@@ -55,9 +56,10 @@ class CameraDriver(Node):
         top = declare(self, "crop_top", 0, about, low=0, high=MAX_CROP)
         about = "Rows at the bottom, of the image brought to 160 rows, that the network does not see."
         bottom = declare(self, "crop_bottom", 0, about, low=0, high=MAX_CROP)
-        geometry = Geometry(wheelbase, angle) if wheelbase and angle else None
-        self._output = CommandOutput(self, output, geometry, max_speed)
-        self._driver, self._crop = NetworkDriver(network), Crop(top, bottom)
+        vehicle = Geometry(wheelbase, angle) if wheelbase and angle else None
+        self._output = CommandOutput(self, output, vehicle, max_speed)
+        self._driver = NetworkDriver(network)
+        self._seen = replace(Frame.black(), crop=Crop(top, bottom), step=1, vehicle=vehicle)
         self._speed = 0.0
         self._latency = LatencyDiagnostics(self)
         kind, topic = (CompressedImage, "image_raw/compressed") if compressed else (Image, "image_raw")
@@ -74,7 +76,7 @@ class CameraDriver(Node):
         began = time.monotonic()
         try:
             image = fit_to_network(rgb_of_message(message))
-            command = self._driver.command(image, self._speed, self._crop, simulator=NOT_SIMULATED)
+            command = self._driver.command(replace(self._seen, image=image, speed=self._speed))
             self._output.send(command, message.header)
         except (ValueError, cv2.error) as error:
             self._latency.refused += 1

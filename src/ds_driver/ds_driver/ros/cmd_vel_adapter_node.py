@@ -11,7 +11,8 @@ from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from ds_driver.control.other_stacks import KINDS, Geometry, Motion, MotionError, SpeedController, StampMatcher, part
+from ds_driver.control.bicycle import Geometry, MotionError
+from ds_driver.control.other_stacks import KINDS, Motion, SpeedController, StampMatcher, part
 from ds_driver.ros.command_publisher import message_type
 from ds_driver.ros.simulator_client import SimulatorInfo
 from ds_sim.ros.parameters import declare

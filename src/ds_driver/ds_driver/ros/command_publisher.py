@@ -10,7 +10,8 @@ from ds_interfaces.msg import DriveCommand
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from ds_driver.control.other_stacks import KINDS, Geometry, MessageKind, Motion, set_part
+from ds_driver.control.bicycle import Geometry
+from ds_driver.control.other_stacks import KINDS, MessageKind, Motion, set_part
 from ds_sim.simulator import Command
 
 DRIVE_COMMAND = "drive_command"

@@ -79,6 +79,8 @@ class DriverClient:
         state = VehicleState(header=self._asked, step=self._step, speed=frame.speed)
         whole = Frame(header=self._asked, step=self._step, speed=frame.speed, image=image)
         whole.crop_top, whole.crop_bottom = crop.top, crop.bottom
+        if (vehicle := frame.seen(crop).vehicle) is not None:
+            whole.wheelbase, whole.max_steering_angle = vehicle.wheelbase, vehicle.max_steering_angle
         deadline, again = time.monotonic() + ANSWER_LIMIT, 0.0
         while self._answer is None and time.monotonic() < deadline:
             if time.monotonic() >= again:

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
+from ds_driver.control.bicycle import Geometry
 from ds_driver.networks.backends import BACKENDS, DEVICES
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
+from ds_driver.networks.pilot import Frame as Seen
 from ds_driver.ros.simulator_client import SimulatorClient, SimulatorInfo
 from ds_driver.sim2real.stage import Sim2RealStage
 from ds_sim.ros.conversions import pixels_of, pixels_to_message
@@ -112,12 +114,16 @@ class DriverNode(Node):
     def _answer(self, index: int, frame: Frame) -> Command:
         started = time.perf_counter()
         image = pixels_of(frame.image)
+        known = frame.wheelbase > 0.0 and frame.max_steering_angle > 0.0
+        vehicle = Geometry(frame.wheelbase, frame.max_steering_angle) if known else None
         if self._translated is None:
             crop, simulator = self._crop_for(index, frame), None
         else:
             # What the driver would do by itself, with the bits that are published.
             image, crop, simulator = self._translated.translate(index, frame, image), Crop(), NOT_SIMULATED
-        command = self._driver.command(image, frame.speed, crop, frame.step, simulator)
+        command = self._driver.command(
+            Seen(image=image, speed=frame.speed, crop=crop, step=frame.step, simulator=simulator, vehicle=vehicle)
+        )
         self._milliseconds.append(1e3 * (time.perf_counter() - started))
         return command
 

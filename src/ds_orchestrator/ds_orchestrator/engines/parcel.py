@@ -112,9 +112,9 @@ def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
 
 def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) -> str:
     """Add a driver's files; return its back end."""
+    from ds_driver.networks.description import file_of, read_description
     from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
     from ds_driver.networks.network_driver import BUILT_IN_BACKEND
-    from ds_driver.networks.user_networks import file_of, read_description
 
     name = DriverName.parse(driver)
     path = Path(name.network)

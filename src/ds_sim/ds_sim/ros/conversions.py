@@ -150,6 +150,8 @@ def frame_to_message(observation: Observation, header: Header, spec: SimulatorSp
         speed=observation.vehicle.speed,
         crop_top=spec.crop_top,
         crop_bottom=spec.crop_bottom,
+        wheelbase=spec.wheelbase,
+        max_steering_angle=spec.max_steering_angle,
         image=image_to_message(observation, header),
     )
 

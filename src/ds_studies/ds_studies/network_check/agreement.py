@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.networks.described_network import DescribedNetworkPilot
+from ds_driver.networks.description import OutputSpec
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.user_networks import DescribedNetworkPilot, OutputSpec
 from ds_studies.network_check.recording import Recording
 
 AGREES = 0.5
@@ -100,7 +101,7 @@ def readings(
     for k, output in enumerate(stacked):
         name = described.output if k == place else k
         if output.shape[1] >= FEWEST_BINS:
-            specs.append((k, OutputSpec(output=name, bins=True)))
+            specs.append((k, OutputSpec(output=name, bins=(-1.0, 1.0))))
         specs += [(k, OutputSpec(output=name, index=i)) for i in range(output.shape[1])][:MOST_NUMBERS]
     for k, spec in specs:
         yield spec, np.array([spec.value(row) for row in stacked[k]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,17 +10,12 @@ from typing import Any
 import numpy as np
 
 from ds_driver.networks.backends import NetworkInput
+from ds_driver.networks.described_network import DescribedNetworkPilot, sizes
+from ds_driver.networks.description import GUIDE, DescribedNetwork
+from ds_driver.networks.network_file import limited_memory, runner_of
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.user_networks import (
-    GUIDE,
-    DescribedNetwork,
-    DescribedNetworkPilot,
-    InputSpec,
-    limited_memory,
-    runner_of,
-)
 from ds_sim.installation import ds_command
-from ds_studies.network_check.agreement import FOUND, GAIN, Agreement
+from ds_studies.network_check.agreement import FOUND, GAIN, Agreement, agreement
 from ds_studies.network_check.diagnosis import (
     SHARE_TRIED,
     ask_open_loop,
@@ -34,54 +30,106 @@ from ds_studies.network_check.recording import Recording
 
 SIZES = ((160, 320), (66, 200), (120, 160), (80, 160), (224, 224), (128, 128), (64, 64))
 """Rows and columns tried where the file names none: this camera's, Nvidia's Dave-2's, Donkey Car's, and others."""
+MOST_STACKED = 16
+"""Images that an input with more channels than three is taken for at most."""
+OUTPUT_NAMES = {
+    "steering": r"steer|angle|^n_outputs0$|^out_0$|partitionedcall(_\d+)?:0$",
+    "throttle": r"throttle|gas|^n_outputs1$|^out_1$",
+}
+"""What an output is -> names that it has, Donkey Car's (maker's `n_outputs0`, TensorFlow Lite's numbers) among them."""
+DONKEY_BINS = {"angle_out": (-1.0, 1.0), "throttle_out": (0.0, 0.475)}
+"""Centres of the first and the last bin of Donkey Car's `categorical`: 15, and 20 up to a range of 0.5."""
 QUESTIONS = {"colour": "Colours", "crop": "Part of the image", "subtract": "Scale of the pixels"}
 Ask = Callable[[str, list[str], str], str]
 """Asks a person to choose: question, choices and proposed choice."""
 
 
-def form_of(file: Path) -> list[InputSpec]:
-    """Look at a network file: list the inputs that it may take, as far as the file says.
+def forms_of(file: Path) -> list[DescribedNetwork]:
+    """Look at a network file: list how it may be described, as far as shapes and names of inputs and outputs say.
 
     Raises:
-        DriverError: it cannot be loaded, takes no image, or has a description already.
+        DriverError: it cannot be loaded, takes no image or several, or has a description already.
     """
     described = file.with_suffix(".yaml")
     if described.exists():
         raise DriverError(f"{described} describes {file.name} already: `{ds_command('check', described)}` checks it")
     with limited_memory():
         runner = runner_of(file)
-    if len(runner.inputs) > 1:
-        names = ", ".join(one.name for one in runner.inputs)
+    known = list(runner.inputs) or [NetworkInput(shape=(None,) * 4)]
+    images = {place: found for place, one in enumerate(known) if (found := _images(one))}
+    if len(images) != 1:
+        shown = " and ".join(f"{one.name or 'an input'} of {sizes(one.shape or ())}" for one in known)
         raise DriverError(
-            f"{file} has {len(runner.inputs)} inputs ({names}): write {described.name} as {GUIDE} shows, then "
-            f"`{ds_command('check', described)}`"
+            f"{file} takes {shown}: expected one image of 1 or 3 channels, 4 numbers, or several of them; describe "
+            f"other networks in {described.name} as {GUIDE} shows, then `{ds_command('check', described)}`"
         )
-    image = runner.inputs[0] if runner.inputs else NetworkInput()
-    shape = image.shape or (None,) * 4
-    found = []
+    (place, found), states = next(iter(images.items())), set()
+    given: dict[int | str, dict[str, Any]] = {}
+    for other, one in enumerate(known):
+        if other != place:
+            values = _given(one, [name for name in runner.outputs if name not in states])
+            states |= {values["state"]} if "state" in values else set()
+            given[one.name or other] = values
+    outputs = _named_outputs([one for one in runner.outputs if one not in states])
+    if any(values.get("value") == "commands" for values in given.values()):
+        outputs.setdefault("throttle", {"output": next((one for one in runner.outputs if one.endswith(":1")), 1)})
+    made = ({"file": file.name, "input": image, "inputs": given, "outputs": outputs} for image in found)
+    return [DescribedNetwork.model_validate(one) for one in made]
+
+
+def _images(given: NetworkInput) -> list[dict[str, Any]]:
+    """List the images that an input may take; none if it takes no image."""
+    shape, found = given.shape or (None,) * 4, []
+    time = {} if len(shape) != 5 else {"frames": shape[1] or 1, "stacked": "time"}
+    shape = shape if len(shape) != 5 else (shape[0], *shape[2:])
     for layout, place in (("nchw", 1), ("nhwc", 3)) if len(shape) == 4 else ():
         rows, columns = (shape[2], shape[3]) if layout == "nchw" else (shape[1], shape[2])
-        if shape[place] not in (1, 3, None):
+        channels = shape[place] or 3
+        stack = channels // 3 if channels % 3 == 0 and not time else 1
+        if channels // stack not in (1, 3) or stack > MOST_STACKED:
             continue
         for size in SIZES if rows is None or columns is None else ((rows, columns),):
             if (rows, columns) in ((None, None), size):
-                colour = "grey" if shape[place] == 1 else "rgb"
-                kind = "uint8" if image.type == "uint8" else "float32"
+                kind = "uint8" if given.type == "uint8" else "float32"
+                form = {"size": size, "layout": layout, "colour": "grey" if channels == 1 else "rgb", "type": kind}
                 scaled = {"divide": 255.0} if kind == "float32" else {}
-                form = {"size": size, "layout": layout, "colour": colour, "type": kind, **scaled}
-                found.append(InputSpec.model_validate(form))
-    if not found:
-        shown = "x".join("any" if size is None else str(size) for size in shape)
-        raise DriverError(f"{file} expects an input of {shown}: expected one image of 1 or 3 channels, 4 numbers")
+                found.append({**form, **scaled, **time, **({"frames": stack} if stack > 1 else {})})
     return found
 
 
-def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Recording], ask: Ask | None) -> str:
+def _given(one: NetworkInput, outputs: Sequence[str]) -> dict[str, Any]:
+    """Guess what an input beside the image is, by its name and size; see `GivenInput`."""
+    name, size = one.name.lower(), int(np.prod([n or 1 for n in one.shape or (1,)]))
+    back = [name for name in outputs if one.name and name.lower().strip("_").startswith(one.name.lower())]
+    back += [f"{word}{one.name}" for word in ("new_", "next_", "out_") if f"{word}{one.name}" in outputs]
+    if back:
+        return {"state": back[0]}
+    if size == 1 and ("speed" in name or "vel" in name):
+        return {"value": "speed"}
+    if "mem" in name and size % 2 == 0:  # Donkey Car's `memory`
+        return {"value": "commands", "last": size // 2}
+    if "behavior" in name:  # Donkey Car's, one of several
+        return {"constant": [1.0, *[0.0] * (size - 1)]}
+    return {"constant": 0.0}
+
+
+def _named_outputs(names: Sequence[str]) -> dict[str, Any]:
+    """Find steering and throttle by the names of outputs, or by the order in which Keras numbers them for TF Lite."""
+    found: dict[str, Any] = {}
+    for what, pattern in OUTPUT_NAMES.items():
+        for name in names:
+            if re.search(pattern, name.lower()):
+                bins = {"bins": DONKEY_BINS[name]} if name in DONKEY_BINS else {}
+                found.setdefault(what, {"output": name, **bins})
+    return found
+
+
+def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence[Recording], ask: Ask | None) -> str:
     """Choose what a file does not say, and return its description with comments that say why.
 
     Args:
         file: the network.
-        forms: inputs that it may take; see `form_of`.
+        forms: how it may be described; see `forms_of`.
         recordings: drives of the autopilot, by which is chosen.
         ask: asks about what they do not decide; None takes what agrees best.
 
@@ -90,23 +138,29 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
     """
     pilot = _load(file, forms)
     tried = [one.sample(SHARE_TRIED) for one in recordings]
-    chosen, fit = ranked(pilot, recordings)[0]
-    comments = {}
-    for part, others in inputs(chosen.input).items():
+    chosen, fit = (pilot.description, None) if pilot.has_memory else ranked(pilot, recordings)[0]
+    parts = inputs(chosen.input)
+    comments = dict.fromkeys(parts, "a guess")
+    if fit is None:  # single images say nothing about it, and trying whole drives takes too long
+        parts = {}
+    for part, others in parts.items():
         fits = [(_shown(one), best_reading(pilot.described_as(changed(chosen, one)), tried)[1]) for one in others]
         comments[part] = _why(fits)
-        undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
+        undecided = [name for name, other in fits if fit and other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
             answer = ask(f"{QUESTIONS[part]}, which the drives do not decide", undecided, undecided[0])
             if answer not in undecided:
                 raise DriverError(f"{answer!r} was not offered: expected one of {', '.join(undecided)}")
             chosen = changed(chosen, others[[name for name, _ in fits].index(answer)])
             comments[part] = "as you answered"
-    chosen, fit = best_reading(pilot.described_as(chosen), tried)
+    if fit is not None:
+        chosen = best_reading(pilot.described_as(chosen), tried)[0]
     answers = np.concatenate(list(ask_open_loop(pilot.described_as(chosen), recordings)[0].values()))
     findings, fixed = findings_of(chosen, chosen, answers, recordings)
+    fit = agreement(answers, recordings)
     described = fixed or chosen
     steering = described.outputs.steering.model_dump(exclude_defaults=True) or {"output": 0}
+    throttle = described.outputs.throttle
     why = "; ".join(one.text for one in findings) or f"it answers as it has to, correlation {fit.correlation:.2f}"
     given = described.input
     lines = [
@@ -122,16 +176,24 @@ def describe(file: Path, forms: Sequence[InputSpec], recordings: Sequence[Record
     ]
     if given.type == "float32":
         lines += [f"  subtract: {flow(given.subtract)}  # {comments['subtract']}", f"  divide: {flow(given.divide)}"]
+    if given.frames > 1:
+        lines += [f"  frames: {given.frames}  # if they are {given.order}", f"  stacked: {given.stacked}"]
+    if described.inputs:
+        lines += ["inputs:  # by their names and sizes: correct what is not so"]
+        lines += [f"  {name}: {flow(one.model_dump(exclude_defaults=True))}" for name, one in described.inputs.items()]
     lines += ["outputs:", f"  steering: {flow(steering)}  # {why}"]
-    lines += [f"  # throttle: {{output: {k}}}  # if that is its throttle" for k in _others(pilot, tried, steering)]
+    if throttle is not None:
+        lines += [f"  throttle: {flow(throttle.model_dump(exclude_defaults=True))}  # by its name"]
+    elif not described.inputs:
+        lines += [f"  # throttle: {{output: {k}}}  # if that is its throttle" for k in _others(pilot, tried, steering)]
     return "\n".join(lines) + "\n"
 
 
-def _load(file: Path, forms: Sequence[InputSpec]) -> DescribedNetworkPilot:
+def _load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot:
     problem = None
     for form in forms:
         try:
-            return DescribedNetworkPilot(file, described=DescribedNetwork(file=file.name, input=form))
+            return DescribedNetworkPilot(file, described=form)
         except DriverError as error:
             problem = problem or error
     raise DriverError(f"{problem}: describe its input in {file.with_suffix('.yaml').name}")
@@ -153,5 +215,6 @@ def _why(fits: Sequence[tuple[str, Agreement]]) -> str:
 
 def _others(pilot: DescribedNetworkPilot, recordings: Sequence[Recording], steering: dict[str, Any]) -> list[int]:
     """Return positions of outputs with one number that are not the steering."""
-    outputs = pilot.outputs(recordings[0].frames[0])
-    return [k for k, one in enumerate(outputs) if one.size == 1 and k != steering.get("output", 0)]
+    outputs, place = pilot.outputs(recordings[0].frames[0]), steering.get("output", 0)
+    place = pilot.output_names.index(place) if isinstance(place, str) else place
+    return [k for k, one in enumerate(outputs) if one.size == 1 and k != place]

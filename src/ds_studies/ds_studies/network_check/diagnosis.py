@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.control.command_habits import command_habits
+from ds_driver.networks.described_network import DescribedNetworkPilot
+from ds_driver.networks.description import DescribedNetwork, InputSpec, OutputSpec
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Pilot
-from ds_driver.networks.user_networks import DescribedNetwork, DescribedNetworkPilot, InputSpec, OutputSpec
 from ds_studies.network_check.agreement import AGREES, FOUND, Agreement, agreement, readings
 from ds_studies.network_check.recording import Recording, speeds_of_throttle
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.images import prepare
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
-from ds_driver.networks.user_networks import DescribedNetworkPilot, UserClassPilot
+from ds_driver.networks.user_class import UserClassPilot
 from ds_road.figures import COLOURS, WIDTH, draw_figure, short_name
 from ds_studies.network_check.diagnosis import NetworkCheck
 from ds_studies.network_check.recording import EVERY, Recording

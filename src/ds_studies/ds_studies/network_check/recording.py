@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_driver.networks.images import Crop
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_driver.processes import Progress, map_in_processes
 from ds_road import Road
@@ -112,13 +111,11 @@ def _drive(job: _Job, throttle: Callable[[Frame], float | None]) -> list[tuple[F
     """Let the autopilot drive, with another throttle where there is one; return frames and the autopilot's commands."""
     simulator = simulator_of_process(job.simulator)
     spec, session = simulator.spec, Session(simulator)
-    autopilot, crop = make_driver(AUTOPILOT, spec), Crop(spec.crop_top, spec.crop_bottom)
+    autopilot = make_driver(AUTOPILOT, spec)
     driven = []
     seen = session.start(job.road, job.seed)
     while seen is not None and session.driving and seen.step < LONGEST:
-        frame = Frame(
-            image=seen.image.copy(), speed=seen.vehicle.speed, crop=crop, step=seen.step, simulator=job.simulator
-        )
+        frame = replace(Frame.of(seen, spec), image=seen.image.copy())
         command, given = autopilot(seen), throttle(frame)
         driven.append((frame, command))
         seen = session.advance(command if given is None else Command(command.steering, min(max(given, 0.0), 1.0)))

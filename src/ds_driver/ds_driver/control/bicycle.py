@@ -1,0 +1,88 @@
+"""The bicycle model of a vehicle: wheel angles for yaw rates, curvatures and points ahead.
+
+Sources: Rajamani, Vehicle Dynamics and Control, 2012, section 2.2; pure pursuit: Coulter, Implementation of the Pure
+Pursuit Path Tracking Algorithm, CMU-RI-TR-92-01, 1992; frames: REP-103.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+STANDSTILL = 1e-3
+"""Commanded speed below which a yaw rate does not determine the wheel angle, m/s: a car cannot turn on the spot."""
+
+
+class MotionError(ValueError):
+    """A request that no vehicle of this project can follow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Geometry of a vehicle, needed to convert angles, curvatures and yaw rates to steering.
+
+    Attributes:
+        wheelbase: m.
+        max_steering_angle: angle of the front wheels at |steering| = 1, rad.
+    """
+
+    wheelbase: float
+    max_steering_angle: float
+
+    def __post_init__(self) -> None:
+        if not (self.wheelbase > 0.0 and 0.0 < self.max_steering_angle < math.pi / 2):
+            raise MotionError(
+                f"wheelbase {self.wheelbase} m and steering angle {self.max_steering_angle} rad: expected a wheelbase "
+                "above 0 and an angle between 0 and pi/2"
+            )
+
+    def steering_of(self, angle: float) -> float:
+        """Steering in [-1, 1], right positive, for a wheel angle in rad, left positive; clipped at full lock."""
+        return min(max(-angle / self.max_steering_angle, -1.0), 1.0)
+
+    def angle_of(self, steering: float) -> float:
+        """Wheel angle in rad, left positive, for a steering in [-1, 1], right positive."""
+        return -steering * self.max_steering_angle
+
+    def angle_for(self, speed: float, yaw_rate: float) -> float:
+        """Wheel angle (rad, left positive) at which the bicycle model has a yaw rate (rad/s) at a speed (m/s)."""
+        return 0.0 if abs(speed) < STANDSTILL else math.atan(self.wheelbase * yaw_rate / speed)
+
+    def yaw_rate_of(self, speed: float, angle: float) -> float:
+        """Yaw rate of the bicycle model, rad/s, left positive, at a speed (m/s) and wheel angle (rad)."""
+        return speed * math.tan(angle) / self.wheelbase
+
+    def angle_of_curvature(self, curvature: float) -> float:
+        """Wheel angle (rad, left positive) that follows an arc of a curvature in 1/m, left positive."""
+        return math.atan(self.wheelbase * curvature)
+
+
+def pursuit_curvature(path: NDArray[np.float64], lookahead: float) -> float:
+    """Curvature of the arc from the rear axle to a path's first point at a distance: pure pursuit.
+
+    Args:
+        path: (n, 2) points that follow each other, m ahead and to the left of the middle of the rear axle, n >= 1.
+        lookahead: distance of the point, m; a shorter path is pursued to its end.
+
+    Returns:
+        1/m, left positive; 0 for a point on the axle itself.
+
+    Examples:
+        >>> import numpy as np
+        >>> pursuit_curvature(np.array([[3.0, 0.0], [5.0, 1.0]]), lookahead=4.0) > 0.0
+        True
+    """
+    goal, before = path[-1], np.zeros(2)
+    for point in path:
+        if math.hypot(*point) >= lookahead > math.hypot(*before):
+            # |before + t * step| = lookahead, of which the larger root lies on the way out.
+            step = point - before
+            a, b, c = float(step @ step), float(before @ step), float(before @ before) - lookahead**2
+            goal = before + step * (-b + math.sqrt(b * b - a * c)) / a
+            break
+        before = point
+    distance = float(goal @ goal)
+    return 0.0 if distance < STANDSTILL**2 else 2.0 * float(goal[1]) / distance

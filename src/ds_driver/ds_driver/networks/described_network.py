@@ -1,0 +1,227 @@
+"""Drives with a network file that a YAML file describes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.networks.backends import BackendError, NetworkInput
+from ds_driver.networks.calibration import calibration_frames
+from ds_driver.networks.description import DescribedNetwork, OutputSpec, PathSpec, Rows, file_of, read_description
+from ds_driver.networks.images import Crop, checked
+from ds_driver.networks.memory import GivenInput, RunMemory
+from ds_driver.networks.network_file import limited_memory, runner_of
+from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
+from ds_sim.camera.spec import IMAGE_HEIGHT
+
+_COLOURS = {"bgr": cv2.COLOR_RGB2BGR, "yuv": cv2.COLOR_RGB2YUV, "grey": cv2.COLOR_RGB2GRAY}
+_RESIZING = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA, "nearest": cv2.INTER_NEAREST}
+
+
+class DescribedNetworkPilot(Pilot):
+    """Drives with a network file, from the path of its description, or as `described` in its place.
+
+    Raises:
+        DriverError: the description or the file cannot be used.
+        BackendError: the backend cannot run the network.
+    """
+
+    def __init__(
+        self, path: Path, backend: str = "auto", device: str = "cpu", described: DescribedNetwork | None = None
+    ) -> None:
+        self.description = described or read_description(path)
+        self.sees_crop_only = self.description.input.crop == "simulator"
+        self.has_memory = self.description.has_memory
+        file = file_of(path, self.description)
+        # The address space does not reflect the memory used on a GPU.
+        self._bounded = nullcontext if device == "cuda" else limited_memory
+        try:
+            with self._bounded():
+                self._runner = runner_of(file, backend, device, self._samples)
+                self._place, self._given = _places(file.name, self._runner.inputs, self.description)
+                self.start()
+                self._check(file.name)
+                self.start()
+        except MemoryError:
+            raise DriverError(f"{file.name} needs more memory than a network may take: make it smaller") from None
+
+    def described_as(self, description: DescribedNetwork) -> DescribedNetworkPilot:
+        """Return a pilot with the same loaded network, of the same input shape, and another description."""
+        other = copy.copy(self)
+        other.description = description
+        return other
+
+    def start(self) -> None:
+        """Forget the images, commands and states of the run before."""
+        spec = self.description.input
+        self._memory = RunMemory(
+            self._given,
+            frames=spec.frames,
+            stride=spec.stride,
+            newest_first=spec.order == "newest_first",
+            axis=spec.axis,
+        )
+
+    def predict(self, frame: Frame) -> Prediction:
+        """See `ds_driver.networks.pilot.Pilot`."""
+        outputs, spec = self.outputs(frame), self.description.outputs
+        if spec.path is None:
+            steering = spec.steering.steering(self._number(outputs, "steering", spec.steering), frame.vehicle)
+        else:
+            steering = spec.path.steering(self._numbers(outputs, "path", spec.path, spec.path.numbers), frame.vehicle)
+        prediction = Prediction(
+            steering, None if spec.throttle is None else self._number(outputs, "throttle", spec.throttle)
+        )
+        states = {k: self._state(outputs, k) for k, (one, _) in self._given.items() if one.state is not None}
+        self._memory.note(states, prediction.steering, prediction.throttle)
+        return prediction
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Return the names of the outputs; () if the file has none."""
+        return self._runner.outputs
+
+    def outputs(self, frame: Frame) -> list[NDArray[np.float32]]:
+        """Compute all outputs of the network for the next frame of a run."""
+        inputs = self._memory.inputs(self.pixels(frame), self._place, frame.speed)
+        with self._bounded():
+            return self._runner.compute(*inputs)
+
+    def seen(self, frame: Frame) -> NDArray[np.uint8]:
+        """Return what the network sees of a frame, (rows, columns, channels) uint8, before pixels are scaled."""
+        spec = self.description.input
+        image = checked(frame.image)
+        crop = frame.crop if spec.crop == "simulator" else Crop()
+        if isinstance(spec.crop, Rows):
+            crop = Crop(spec.crop.top, spec.crop.bottom)
+        image = image[crop.top : IMAGE_HEIGHT - crop.bottom]
+        if image.shape[:2] != spec.size:
+            image = np.asarray(cv2.resize(image, spec.size[::-1], interpolation=_RESIZING[spec.resize]), np.uint8)
+        if spec.colour != "rgb":
+            image = np.asarray(cv2.cvtColor(image, _COLOURS[spec.colour]), np.uint8)
+        return image.reshape(*spec.size, -1)
+
+    def pixels(self, frame: Frame) -> NDArray[Any]:
+        """Convert the image of a frame to that of the network, scaled, in its layout."""
+        spec = self.description.input
+        pixels: NDArray[Any] = self.seen(frame)
+        if spec.type == "float32":
+            subtract, divide = (np.asarray(number, np.float32) for number in (spec.subtract, spec.divide))
+            pixels = (pixels.astype(np.float32) - subtract) / divide
+        if spec.layout == "nchw":
+            pixels = pixels.transpose(2, 0, 1)
+        return pixels
+
+    def _samples(self) -> list[NDArray[Any]]:
+        if self.description.inputs or self.description.has_memory:
+            raise BackendError("8 bits are calibrated on single images: use another backend for this network")
+        return [np.ascontiguousarray(self.pixels(frame)[None]) for frame in calibration_frames()]
+
+    def _check(self, name: str) -> None:
+        """Compare the file with the description, and warm up with a black image."""
+        spec = self.description.input
+        image = self._runner.inputs[self._place] if self._runner.inputs else NetworkInput()
+        if image.shape is not None and not _fits(image.shape, spec.shape):
+            raise DriverError(
+                f"{name} expects an input of {sizes(image.shape)}, its description gives {sizes(spec.shape)}: "
+                "correct size or layout"
+            )
+        if image.type and image.type != spec.type:
+            raise DriverError(
+                f"{name} expects input of type {image.type}, its description gives {spec.type}: correct type"
+            )
+        try:
+            self.predict(Frame.black())
+        except DriverError as error:
+            raise DriverError(f"{name} fails on a black image: {error}") from None
+
+    def _output(self, outputs: list[NDArray[np.float32]], what: str, wanted: int | str) -> NDArray[np.float32]:
+        names = self._runner.outputs
+        if isinstance(wanted, str):
+            if wanted not in names:
+                known = ", ".join(name for name in names if name) or "none has a name, give its position"
+                raise DriverError(f"there is no output {wanted!r} for {what}: expected one of {known}")
+            return outputs[names.index(wanted)]
+        if wanted >= len(outputs):
+            raise DriverError(f"no output {wanted} for {what}: the network has {len(outputs)}, counted from 0")
+        return outputs[wanted]
+
+    def _state(self, outputs: list[NDArray[np.float32]], place: int) -> NDArray[np.float32]:
+        spec, shape = self._given[place]
+        assert spec.state is not None
+        found = self._output(outputs, f"the state of input {place}", spec.state)
+        if found.size != np.prod(shape):
+            raise DriverError(
+                f"output {spec.state!r} has {found.size} numbers, the input that it comes back in has "
+                f"{int(np.prod(shape))}: name another output"
+            )
+        return found
+
+    def _number(self, outputs: list[NDArray[np.float32]], what: str, spec: OutputSpec) -> float:
+        return spec.value(self._numbers(outputs, what, spec, 2 if spec.bins else spec.index + 1))
+
+    def _numbers(
+        self, outputs: list[NDArray[np.float32]], what: str, spec: OutputSpec | PathSpec, wanted: int
+    ) -> NDArray[np.float32]:
+        found = self._output(outputs, what, spec.output)
+        if found.size < wanted:
+            raise DriverError(f"the output for {what} has {found.size} numbers: its description needs {wanted}")
+        return found.reshape(-1)
+
+
+def _places(
+    name: str, inputs: Sequence[NetworkInput], described: DescribedNetwork
+) -> tuple[int, dict[int, tuple[GivenInput, tuple[int, ...]]]]:
+    """Find the position of the image, and of every other input with its shape.
+
+    Raises:
+        DriverError: file and description have other inputs.
+    """
+    known = [one.name for one in inputs]
+    count = len(inputs) or 1 + len(described.inputs)
+
+    def place_of(key: int | str) -> int:
+        if isinstance(key, str) and key in known:
+            return known.index(key)
+        if isinstance(key, int) and key < count:
+            return key
+        expected = ", ".join(filter(None, known)) or f"its position, 0 to {count - 1}"
+        raise DriverError(f"{name} has no input {key!r}: expected {expected}")
+
+    given = {place_of(key): one for key, one in described.inputs.items()}
+    free = [place for place in range(count) if place not in given]
+    if len(free) != 1:
+        named = ", ".join(one or f"number {place}" for place, one in enumerate(known))
+        raise DriverError(
+            f"{name} has {count} inputs ({named}), its description gives {1 + len(described.inputs)}: `input` is the "
+            "image, and each other one stands in `inputs`, as `h: {state: OUTPUT}` or `speed: {value: speed}`"
+        )
+    shapes = {}
+    for place, one in given.items():
+        try:
+            shapes[place] = one, one.shape_in(inputs[place].shape if inputs else None)
+        except ValueError as error:
+            raise DriverError(f"{name}, input {known[place] if known else place}: {error}") from None
+        expected = inputs[place].shape if inputs else None
+        if expected is not None and not _fits(expected, shapes[place][1]):
+            raise DriverError(
+                f"{name} expects {sizes(expected)} as input {known[place] or place}, its description gives "
+                f"{sizes(shapes[place][1])}: correct shape"
+            )
+    return free[0], shapes
+
+
+def _fits(expected: Sequence[int | None], given: Sequence[int]) -> bool:
+    return len(expected) == len(given) and all(a in (None, b) for a, b in zip(expected, given, strict=True))
+
+
+def sizes(shape: Sequence[int | None]) -> str:
+    """Write a shape, for messages."""
+    return "x".join("any" if size is None else str(size) for size in shape)

@@ -1,0 +1,301 @@
+"""The YAML file that describes a network file: its inputs, its outputs, and what they mean."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ds_driver.control.bicycle import Geometry, pursuit_curvature
+from ds_driver.networks.images import Crop
+from ds_driver.networks.memory import MOST_FRAMES, GivenInput
+from ds_driver.networks.network_file import KINDS, refuse_weights_alone
+from ds_driver.networks.pilot import DriverError
+from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
+from ds_sim.camera.spec import IMAGE_HEIGHT
+
+GUIDE = "docs/bring_your_own_network.md"
+_LONGEST = 500
+"""Longest error text about a description, characters."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Rows(_Strict):
+    """Camera rows to crop."""
+
+    top: Annotated[int, Field(ge=0, lt=IMAGE_HEIGHT)] = 0
+    bottom: Annotated[int, Field(ge=0, lt=IMAGE_HEIGHT)] = 0
+
+
+PerChannel = float | Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class InputSpec(_Strict):
+    """Image that a network expects.
+
+    Attributes:
+        size: rows and columns.
+        colour: colour space and channel order.
+        layout: channels before the rows, or after the columns.
+        crop: `simulator` crops as for the paper's networks, `none` not at all, or rows out of 160.
+        resize: interpolation used to resize the image.
+        type: data type.
+        subtract: subtracted from pixel values (0 to 255), one number or one per channel.
+        divide: divisor applied after that, one number or one per channel.
+        frames: number of images that it sees at once; before the first one, all are like it.
+        stride: frames from one of them to the next.
+        order: of these images.
+        stacked: as `channels` of one image, or over `time`, an axis of its own before the others.
+    """
+
+    size: tuple[Annotated[int, Field(ge=1, le=4096)], Annotated[int, Field(ge=1, le=4096)]]
+    colour: Literal["rgb", "bgr", "yuv", "grey"] = "rgb"
+    layout: Literal["nchw", "nhwc"] = "nchw"
+    crop: Literal["simulator", "none"] | Rows = "none"
+    resize: Literal["linear", "area", "nearest"] = "linear"
+    type: Literal["float32", "uint8"] = "float32"
+    subtract: PerChannel = 0.0
+    divide: PerChannel = 1.0
+    frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
+    stride: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
+    order: Literal["oldest_first", "newest_first"] = "oldest_first"
+    stacked: Literal["channels", "time"] = "channels"
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> InputSpec:
+        if not np.all(np.asarray(self.divide)):
+            raise ValueError("divide is 0: expected the range of a pixel, such as 255")
+        if self.type == "uint8" and (np.any(np.asarray(self.subtract)) or np.any(np.asarray(self.divide) != 1)):
+            raise ValueError("type uint8 takes pixels as they are: leave out subtract and divide")
+        if self.colour == "grey" and not (isinstance(self.subtract, float) and isinstance(self.divide, float)):
+            raise ValueError("a grey image has one channel: give one number for subtract and divide")
+        if isinstance(self.crop, Rows):
+            Crop(self.crop.top, self.crop.bottom)
+        return self
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Return the shape of the input, with a batch of one."""
+        channels = 1 if self.colour == "grey" else 3
+        channels *= 1 if self.axis is None else self.frames
+        one = (channels, *self.size) if self.layout == "nchw" else (*self.size, channels)
+        return (1, self.frames, *one) if self.axis is None else (1, *one)
+
+    @property
+    def axis(self) -> int | None:
+        """Return the axis of one image along which several are joined; None for an axis of their own."""
+        return None if self.stacked == "time" else 0 if self.layout == "nchw" else 2
+
+
+class OutputSpec(_Strict):
+    """Location and scaling of one value among the outputs.
+
+    Attributes:
+        output: name or position of the output.
+        index: index into the flattened output.
+        scale: factor applied to the value; negative to flip the sign.
+        offset: added after scaling.
+        bins: the output holds scores of bins, and the value is the centre of the bin with the highest score (Donkey
+            Car's `linear_unbin`); centres of the first and the last bin. `index` is not used.
+        expectation: of bins whose scores are probabilities, take the expected value instead.
+        unit: what steering is measured in, after scale and offset, right positive: a share of full steering, an angle
+            of the wheels, or the curvature of the arc in 1/m.
+        ratio: angle of a steering wheel per angle of the wheels, where it is the wheel's that is given.
+    """
+
+    output: Annotated[int, Field(ge=0)] | str = 0
+    index: Annotated[int, Field(ge=0)] = 0
+    scale: float = 1.0
+    offset: float = 0.0
+    bins: tuple[float, float] | None = None
+    expectation: bool = False
+    unit: Literal["share", "degrees", "radians", "curvature"] = "share"
+    ratio: Annotated[float, Field(gt=0.0)] = 1.0
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> OutputSpec:
+        if self.expectation and self.bins is None:
+            raise ValueError("expectation is over bins: add bins, such as [-1, 1]")
+        if self.ratio != 1.0 and self.unit not in ("degrees", "radians"):
+            raise ValueError("ratio is of a steering wheel's angle: add unit, degrees or radians")
+        return self
+
+    def value(self, numbers: NDArray[np.float32]) -> float:
+        """Return the value in a flattened output, which is long enough."""
+        if self.bins is not None:
+            low, high = self.bins
+            expected = float(np.sum(np.arange(numbers.size) * numbers.astype(np.float64)))
+            place = expected if self.expectation else int(np.argmax(numbers))
+            found = low + (high - low) * place / max(numbers.size - 1, 1)
+        else:
+            found = float(numbers[self.index])
+        return found * self.scale + self.offset
+
+    def steering(self, value: float, vehicle: Geometry | None) -> float:
+        """Return the share of full steering, -1 left to +1 right, that a value in its unit is on a vehicle.
+
+        Raises:
+            DriverError: the unit needs the vehicle, which is unknown.
+        """
+        if self.unit == "share":
+            return value
+        known = _known(vehicle, f"steering in {self.unit}")
+        if self.unit == "curvature":
+            return known.steering_of(known.angle_of_curvature(-value))
+        return known.steering_of(-(math.radians(value) if self.unit == "degrees" else value) / self.ratio)
+
+
+class PathSpec(_Strict):
+    """Points on the ground that a network wants to pass, or one; pure pursuit steers towards them.
+
+    Attributes:
+        output: name or position of the output.
+        index: of the first number in the flattened output.
+        points: number of points, the nearest first; each has two numbers, which follow each other.
+        axes: directions of these two from the origin.
+        scale: m for each unit.
+        ahead: distance of the origin ahead of the middle of the rear axle, m.
+        lookahead: distance at which the path is pursued, m; needed for more than one point.
+    """
+
+    output: Annotated[int, Field(ge=0)] | str = 0
+    index: Annotated[int, Field(ge=0)] = 0
+    points: Annotated[int, Field(ge=1, le=1024)] = 1
+    axes: tuple[Literal["forward", "left", "right"], Literal["forward", "left", "right"]] = ("forward", "left")
+    scale: Annotated[float, Field(gt=0.0)] = 1.0
+    ahead: float = 0.0
+    lookahead: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> PathSpec:
+        if self.axes.count("forward") != 1:
+            raise ValueError("axes are forward and either left or right")
+        if (self.lookahead is None) != (self.points == 1):
+            raise ValueError("lookahead is the distance in m at which several points are pursued: one point needs none")
+        return self
+
+    @property
+    def numbers(self) -> int:
+        """Return how many numbers the output has at least."""
+        return self.index + 2 * self.points
+
+    def steering(self, numbers: NDArray[np.float32], vehicle: Geometry | None) -> float:
+        """Return the share of full steering of a vehicle that follows the path in a flattened output.
+
+        Raises:
+            DriverError: the vehicle is unknown.
+        """
+        known = _known(vehicle, "a path")
+        given = numbers[self.index : self.numbers].astype(np.float64).reshape(-1, 2) * self.scale
+        forward = self.axes.index("forward")
+        left = given[:, 1 - forward] * (-1.0 if "right" in self.axes else 1.0)
+        path = np.column_stack([given[:, forward] + self.ahead, left])
+        return known.steering_of(known.angle_of_curvature(pursuit_curvature(path, self.lookahead or math.inf)))
+
+
+def _known(vehicle: Geometry | None, what: str) -> Geometry:
+    if vehicle is None:
+        raise DriverError(
+            f"{what} needs the vehicle, which is unknown for these images: give its wheelbase and max_steering_angle"
+        )
+    return vehicle
+
+
+class Outputs(_Strict):
+    """Outputs of a network: steering, or a path instead, and optionally throttle, 0 to 1."""
+
+    steering: OutputSpec = OutputSpec()
+    path: PathSpec | None = None
+    throttle: OutputSpec | None = None
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Outputs:
+        if self.path is not None and "steering" in self.model_fields_set:
+            raise ValueError("expected either steering or path")
+        if self.throttle is not None and self.throttle.unit != "share":
+            raise ValueError("throttle is a share from 0 to 1: leave unit out")
+        return self
+
+
+class DescribedNetwork(_Strict):
+    """Content of the YAML description; `file` is relative to its folder."""
+
+    file: str
+    input: InputSpec
+    inputs: dict[Annotated[int, Field(ge=0)] | str, GivenInput] = {}
+    outputs: Outputs = Outputs()
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> DescribedNetwork:
+        if self.outputs.throttle is None and any(one.value == "commands" for one in self.inputs.values()):
+            raise ValueError("commands are steering and throttle: add outputs.throttle, or take steering")
+        return self
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether an answer depends on earlier frames."""
+        return self.input.frames > 1 or any(one.remembers for one in self.inputs.values())
+
+
+def read_description(path: Path) -> DescribedNetwork:
+    """Read and check a description.
+
+    Raises:
+        DriverError: a key is invalid; one line names it and the allowed values.
+    """
+    try:
+        raw = read_yaml(path, unique_keys=True)
+    except OSError as error:
+        raise DriverError(f"{path}: cannot be read ({error.strerror}): check the path") from None
+    except BoundedYamlError as error:
+        raise DriverError(f"{path}: not YAML ({error})") from None
+    try:
+        return DescribedNetwork.model_validate(raw)
+    except ValidationError as error:
+        # pydantic reports a value of a union once for each member type.
+        problems = {
+            f"{'.'.join(str(part) for part in e['loc'] if not _is_kind(part)) or 'top level'}: "
+            f"{e['msg'].removeprefix('Value error, ')}"
+            for e in error.errors()
+        }
+        unknown = {".".join(map(str, e["loc"][:-1])) for e in error.errors() if e["type"] == "extra_forbidden"}
+        models: dict[str, type[BaseModel]] = {"": DescribedNetwork, "input": InputSpec, "outputs": Outputs}
+        models["outputs.path"] = PathSpec
+        models |= {place: GivenInput for place in unknown if place.startswith("inputs.")}
+        hint = "".join(
+            f" (keys of {place or 'the file'}: {', '.join(models.get(place, OutputSpec).model_fields)})"
+            for place in sorted(unknown)
+        )
+        text = " ".join(f"{'; '.join(sorted(problems))}{hint}".split())
+        printable = "".join(c if c.isprintable() else "?" for c in text)
+        shown = printable if len(printable) <= _LONGEST else f"{printable[:_LONGEST]}..."
+        raise DriverError(f"{path}: {shown}: see {GUIDE}") from None
+
+
+def file_of(path: Path, description: DescribedNetwork) -> Path:
+    """Return the path of the network file that a description, from `path`, names.
+
+    Raises:
+        DriverError: the file is missing, or of an unknown format.
+    """
+    file = path.parent / description.file
+    refuse_weights_alone(file)
+    if file.suffix.lower() not in KINDS or "\0" in description.file or len(description.file) > 4096:
+        raise DriverError(
+            f"{path}: file {description.file!r:.100}: expected {', '.join(KINDS)}; {GUIDE} says how to convert"
+        )
+    if not file.is_file():
+        raise DriverError(f"{path}: file {description.file!r} is missing: its path is relative to {path.name}")
+    return file
+
+
+def _is_kind(part: object) -> bool:
+    """Check for the parts that pydantic adds to a path to name a member type of a union."""
+    return isinstance(part, str) and (part in ("float", "int", "str", "Rows") or "[" in part)
