@@ -16,11 +16,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import onnx
 
 from ds_analysis.paper.open_loop import Answers, predict
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
+from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.weights import SHIPPED, compress, generators_in, load_weights
 from ds_driver.sim2real.stage import FOLDER, shipped_set_of
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -55,6 +57,10 @@ def main() -> None:
     parser.add_argument("--backend", default="onnx", choices=BACKENDS, help="what computes the network when assessed")
     arguments = parser.parse_args()
     name = arguments.name or arguments.network
+    described = arguments.training / f"{arguments.network}.yaml"  # as `examples/networks_of_today.py` writes it
+    if described.exists():
+        _ship_described(described, arguments)
+        return
     weights = arguments.training / f"{arguments.network}.safetensors"
     if arguments.eight_bit:
         compress(weights, weights)
@@ -65,11 +71,7 @@ def main() -> None:
     shipped_set = shipped_set_of(generators) if generators else None
     if generators and shipped_set is None:
         sys.exit(f"the generators of {weights} are not shipped: put them into {SHIPPED / FOLDER}/NAME first")
-    roads = roads_both_ways(arguments.roads, arguments.seed)
-    trained_on = road_ids(arguments.data)
-    overlap = sorted(trained_on & ({road.road_id for road in roads} | road_ids(arguments.offline)))
-    if overlap:
-        sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
+    roads = _unseen_roads(arguments)
     assessed = f"{weights}@{arguments.backend}"
     found = predict(arguments.offline, assessed, _print_progress)
     errors = {name: answers.absolute_errors for name, answers in found.items()}
@@ -132,6 +134,51 @@ def main() -> None:
     shutil.copyfile(weights, SHIPPED / f"{name}.safetensors")
     (SHIPPED / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
     print(json.dumps({"success": success, **card["offline"]}))
+
+
+def _unseen_roads(arguments: argparse.Namespace) -> list[Road]:
+    roads = roads_both_ways(arguments.roads, arguments.seed)
+    trained_on = road_ids(arguments.data)
+    overlap = sorted(trained_on & ({road.road_id for road in roads} | road_ids(arguments.offline)))
+    if overlap:
+        sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
+    return roads
+
+
+def _ship_described(path: Path, arguments: argparse.Namespace) -> None:
+    """Ship a network file with its description."""
+    roads = _unseen_roads(arguments)
+    found = predict(arguments.offline, str(path), _print_progress)
+    manifest = json.loads((arguments.data / "manifest.json").read_text())
+    training = json.loads((arguments.training / f"{path.stem}.training.json").read_text())
+    network, collection = file_of(path, read_description(path)), manifest["plan"]
+    card = {
+        "network": path.stem,
+        "parameters": sum(int(np.prod(one.dims)) for one in onnx.load(network).graph.initializer),
+        "sha256": hashlib.sha256(network.read_bytes()).hexdigest(),
+        "data": {"collection": collection, "images": training["images"]},
+        "seeds": {"collection": collection["seed"], "training": training["plan"]["seed"], "assessment": arguments.seed},
+        "commands": [
+            f"./ds collect --out data --roads {collection['roads']} --seed {collection['seed']}",
+            f"python examples/networks_of_today.py {path.stem} --data data --out trained",
+            f"python tools/ship_network.py --data data --offline offline --training trained --network {path.stem}",
+        ],
+        "training": training["plan"],
+        "loss": {"mean_squared_error": "of steering in [-1, 1]", "history": training["history"]},
+        "offline": {
+            "mean_squared_error": {
+                name: round(float(np.mean(answers.absolute_errors**2)), 6) for name, answers in found.items()
+            },
+            "steering_gain": {name: round(_gain(answers), 3) for name, answers in found.items()},
+        },
+        "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
+        "success": _success_rates(str(path), roads, arguments.seed),
+        "versions": manifest["versions"],
+    }
+    for file in (path, network):
+        shutil.copyfile(file, SHIPPED / file.name)
+    (SHIPPED / f"{path.stem}.json").write_text(json.dumps(card, indent=1) + "\n")
+    print(json.dumps({"success": card["success"], "offline": card["offline"]}))
 
 
 def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[str, float]]:

@@ -155,18 +155,13 @@ def _steps_of(text: str) -> tuple[int, ...]:
 @app.command("models")
 def models_command(as_json: JsonFlag = False) -> None:
     """List the shipped networks and their success rates."""
-    from ds_driver.networks.weights import load_weights, shipped_networks
+    from ds_driver.networks.weights import SHIPPED, shipped_networks
 
-    document = [
-        {
-            "name": name,
-            "parameters": load_weights(name).architecture.parameters,
-            "bytes": path.stat().st_size,
-            "input": [160, 320, 3],
-            "card": json.loads(path.with_suffix(".json").read_text()),
-        }
-        for name, path in shipped_networks().items()
-    ]
+    document = []
+    for name, path in shipped_networks().items():
+        card = json.loads(path.with_suffix(".json").read_text())
+        size = next(SHIPPED.glob(f"{name}.[so][an]*")).stat().st_size  # .safetensors, or .onnx
+        document.append({"name": name, "parameters": card["parameters"], "bytes": size, "card": card})
 
     def show() -> None:
         table = Table("name", "parameters", "bytes", "success on unseen roads")

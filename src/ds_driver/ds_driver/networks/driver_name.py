@@ -70,6 +70,12 @@ class DriverName:
         return Path(self.network).suffix.lower()
 
     @property
+    def description(self) -> Path | None:
+        """Path of the description of its network file, the user's or a shipped one; None for other networks."""
+        path = shipped_networks().get(self.network, Path(self.network))
+        return path if path.suffix.lower() in DESCRIPTIONS else None
+
+    @property
     def is_class(self) -> bool:
         """Whether the network is a Python class, `module:Class`."""
         return ":" in self.network and self.file_type not in (WEIGHTS, *DESCRIPTIONS)

@@ -18,7 +18,7 @@ from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import file_of, read_description
-from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
+from ds_driver.networks.driver_name import WEIGHTS, DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_file import KINDS, refuse_weights_alone
 from ds_driver.networks.onnx_export import to_onnx
@@ -250,13 +250,14 @@ def sees_translated(driver: str) -> bool:
 
 def has_weights(name: DriverName) -> bool:
     """Whether a driver is a network of this project's architectures, which every backend computes."""
-    return name.network in {**NETWORKS, **shipped_networks()} or name.file_type == WEIGHTS
+    known = name.network in {**NETWORKS, **shipped_networks()} or name.file_type == WEIGHTS
+    return known and name.description is None
 
 
 def _load_network(name: DriverName, stage: Sim2RealStage | None) -> Pilot:
     network = name.network
-    if name.file_type in DESCRIPTIONS:
-        return DescribedNetworkPilot(Path(network), name.backend, name.device)
+    if name.description is not None:
+        return DescribedNetworkPilot(name.description, name.backend, name.device)
     if name.file_type in KINDS:
         raise DriverError(f"{network} has no description of its input: `{ds_command('check', network)}` writes one")
     refuse_weights_alone(Path(network))
@@ -282,8 +283,7 @@ def driver_sha256(driver: str) -> str:
         generators = generators_of(driver)
         parts_of_both = f"{driver_sha256(name.network)} {generators.sha256 if generators else name.generators}"
         return hashlib.sha256(parts_of_both.encode()).hexdigest()
-    if name.file_type in DESCRIPTIONS:
-        path = Path(name.network)
+    if (path := name.description) is not None:
         parts = [path, file_of(path, read_description(path))]
     elif name.is_class:
         parts = [source_of(name.network)]

@@ -57,14 +57,14 @@ class Weights:
 
 
 def shipped_networks() -> dict[str, Path]:
-    """Return the shipped networks: name -> weights file.
+    """Return the shipped networks: name -> weights file, or description of a network file.
 
     Examples:
         >>> from ds_driver import shipped_networks
         >>> "dave2" in shipped_networks()
         True
     """
-    return {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
+    return {path.stem: path for path in sorted((*SHIPPED.glob("*.safetensors"), *SHIPPED.glob("*.yaml")))}
 
 
 def weights_sha256(name_or_path: str) -> str:
@@ -121,7 +121,9 @@ def path_of_weights(name_or_path: str) -> Path:
     """
     path = Path(name_or_path)
     if name_or_path in NETWORKS or name_or_path in shipped_networks():
-        path = SHIPPED / f"{name_or_path}.safetensors"
+        path = shipped_networks().get(name_or_path, SHIPPED / f"{name_or_path}.safetensors")
+        if path.suffix != ".safetensors":
+            raise UnknownNetworkError(f"{name_or_path} is described, and has no weights to continue from")
         if not path.exists():
             raise WeightsError(f"weights of {name_or_path} are missing ({path.name}): train them with `ds train`")
     elif path.suffix != ".safetensors":
