@@ -169,7 +169,7 @@ def _order(rule: str, table: OutcomeTable, rng: np.random.Generator) -> list[int
 def _outcome(table: OutcomeTable, row: int) -> MarginDrive:
     column = table.column(str(table.twin))
     failed = bool(table.failed(str(table.twin))[row])
-    known = margin(table.lateral[row : row + 1, column], table.half_lanes[row : row + 1])
+    known = margin(table.lateral[row : row + 1, column], table.limits[row : row + 1, column])
     return MarginDrive(row=row, failed=failed, margin=None if failed else float(known[0]))
 
 

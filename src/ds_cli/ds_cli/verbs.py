@@ -86,6 +86,12 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "Choose, record and use a few drives on a real car.",
                 ("propose", "record", "update"),
             ),
+            Verb(
+                "outcomes",
+                "outcomes",
+                "Read outcomes of any simulators and cars, and write ours.",
+                ("import", "export"),
+            ),
             Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
             Verb(
                 "sim2real",

@@ -70,13 +70,15 @@ class OutcomeTable:
         test_ids: (tests,) ids.
         siblings: names of the siblings.
         twin: name of the simulator whose failures are predicted; None if no such simulator was driven.
-        roads: (tests,) roads.
-        conditions: (tests,) operating conditions.
+        roads: (tests,) roads; () if the tests are known by their features alone.
+        conditions: (tests,) operating conditions; () likewise.
         axes: names of the feature map's axes.
         cells: (tests,) cell of that map; None for a test without one.
         states: (tests, simulators) values of `State`.
         lateral: (tests, simulators) largest absolute lateral position, m, at most half a lane: how far a car goes after
-            leaving its lane does not tell how it drove; 0 without a verdict.
+            leaving its lane does not tell how it drove; 0 without a verdict. Of imported outcomes whatever tells how
+            close a run came to its limit; NaN if only the verdict is known.
+        limits: (tests, simulators) lateral position at which a test fails: half a lane, m.
         decoders: (tests, simulators) functions that decode the lateral positions along the lane; see `profiles`.
         feature_names: names of the features' columns.
         features: (tests, features) what is known of a test before anything is driven: `ROAD_FEATURES` of the road, then
@@ -94,6 +96,7 @@ class OutcomeTable:
     cells: tuple[Cell | None, ...]
     states: NDArray[np.int8]
     lateral: Array
+    limits: Array
     decoders: NDArray[np.object_]
     feature_names: tuple[str, ...]
     features: Array
@@ -130,6 +133,7 @@ class OutcomeTable:
             decoders: functions that decode lateral positions; there are none if None.
         """
         conditions = [DEFAULT] * len(roads) if conditions is None else conditions
+        limits = np.repeat([[road.lane_width / 2] for road in roads], states.shape[1], axis=1).reshape(states.shape)
         return cls(
             test_ids=tuple(road.road_id for road in roads) if test_ids is None else tuple(test_ids),
             siblings=tuple(siblings),
@@ -139,8 +143,9 @@ class OutcomeTable:
             axes=tuple(axes),
             cells=tuple(map(cell_of, roads)) if cells is None else tuple(cells),
             states=states,
-            lateral=np.minimum(lateral, np.array([road.lane_width / 2 for road in roads])[:, None]),
-            decoders=np.full(states.shape, _no_profile) if decoders is None else decoders,
+            lateral=np.minimum(lateral, limits),
+            limits=limits,
+            decoders=np.full(states.shape, no_profile) if decoders is None else decoders,
             **_known_undriven(roads, conditions),
         )
 
@@ -151,11 +156,6 @@ class OutcomeTable:
     def simulators(self) -> tuple[str, ...]:
         """Siblings, then the twin if there is one."""
         return (*self.siblings, *([self.twin] if self.twin else []))
-
-    @cached_property
-    def half_lanes(self) -> Array:
-        """(tests,) half the width of a lane, m."""
-        return np.array([road.lane_width / 2 for road in self.roads])
 
     @cached_property
     def profiles(self) -> Mapping[str, Sequence[Array]]:
@@ -197,15 +197,15 @@ class OutcomeTable:
     def select(self, rows: Bools | Indices) -> OutcomeTable:
         """Keep some tests, with the features and families that they have among all."""
         kept = np.arange(len(self))[rows]
-        lists = "test_ids", "roads", "conditions", "cells"
-        arrays = "states", "lateral", "decoders", "features", "families"
+        lists = [name for name in ("test_ids", "roads", "conditions", "cells") if getattr(self, name)]
+        arrays = "states", "lateral", "limits", "decoders", "features", "families"
         found: dict[str, Any] = {name: tuple(getattr(self, name)[k] for k in kept) for name in lists}
         return replace(self, **found, **{name: getattr(self, name)[kept] for name in arrays})
 
     def judged(self) -> OutcomeTable:
         """Keep the tests with a verdict on every simulator; features and families are those among these alone."""
         kept = self.select(np.all([self.known(name) for name in self.simulators], axis=0))
-        return replace(kept, **_known_undriven(kept.roads, kept.conditions))
+        return replace(kept, **_known_undriven(kept.roads, kept.conditions)) if self.roads else kept
 
     def as_population(self) -> OutcomeTable:
         """Let a twin that was driven be one more sibling, to predict a car; one that was not is left out."""
@@ -225,7 +225,7 @@ class OutcomeTable:
         if not siblings:
             raise OutcomeTableError(f"{name} is the only simulator: expected a sibling beside it")
         order = [self.column(s) for s in (*siblings, *([name] if name else []))]
-        columns = {key: getattr(self, key)[:, order] for key in ("states", "lateral", "decoders")}
+        columns = {key: getattr(self, key)[:, order] for key in ("states", "lateral", "limits", "decoders")}
         return replace(self, siblings=siblings, twin=name, **columns)
 
 
@@ -267,7 +267,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> Outcome
     row = {test.test_id: k for k, test in enumerate(tests)}
     states = np.zeros((len(row), len(names)), np.int8)
     lateral = np.zeros((len(row), len(names)))
-    decoders = np.full(states.shape, _no_profile)
+    decoders = np.full(states.shape, no_profile)
     for test_id, simulator, *_ in data.errors:
         if test_id in row and simulator in column:
             states[row[test_id], column[simulator]] = State.ERROR
@@ -341,7 +341,7 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
 
 
 def read_table(folder: Path, *, twin: str | None = None, most: int | None = None) -> OutcomeTable:
-    """Read a folder of `ds campaign run`, finished or running, or of `ds siblings compare --out`.
+    """Read a folder of `ds campaign run`, finished or running, of `ds siblings compare --out`, or `ds outcomes import`.
 
     Args:
         folder: the folder.
@@ -361,9 +361,14 @@ def read_table(folder: Path, *, twin: str | None = None, most: int | None = None
         return table.with_twin(twin) if twin else table
     if (folder / "comparison.json").exists():
         return table_of_comparison(folder, twin=twin)
+    if (folder / "outcomes.parquet").exists():
+        from ds_analysis.outcomes.study import read_study
+
+        table = read_study(folder).table()
+        return table.with_twin(twin) if twin else table
     raise OutcomeTableError(
-        f"{folder} holds no campaign.sqlite and no comparison.json: expected a folder of `ds campaign run` or of "
-        "`ds siblings compare --out`"
+        f"{folder} holds no campaign.sqlite, comparison.json or outcomes.parquet: expected a folder of `ds campaign "
+        "run`, `ds siblings compare --out` or `ds outcomes import`"
     )
 
 
@@ -400,5 +405,6 @@ def _profile(run: DrivenRoad) -> Array:
     return run.profile
 
 
-def _no_profile() -> Array:
+def no_profile() -> Array:
+    """Stand for lateral positions that nobody recorded."""
     return np.empty(0)

@@ -91,19 +91,19 @@ def margins_of(table: OutcomeTable) -> Margins:
             raise OutcomeTableError(f"no test has a verdict on {name}: drive tests there, or leave it out")
     centre, scale = table.features[tests].mean(axis=0), table.features[tests].std(axis=0)
     scale = np.where(scale > 1e-12, scale, 1.0)
-    values = margin(table.lateral[:, columns], table.half_lanes[:, None])
-    inside = completed & (values < INSIDE)
+    values = margin(table.lateral[:, columns], table.limits[:, columns])
+    inside, unknown = completed & (values < INSIDE), completed & np.isnan(values)
     return Margins(
         predictors=np.column_stack((np.ones(len(table)), (table.features - centre) / scale)),
-        values=np.where(inside, INSIDE, np.where(completed, values, 0.0)),
-        signs=np.where(failed, 1, np.where(inside, -1, 0)).astype(np.int8),
+        values=np.where(inside, INSIDE, np.where(completed & ~unknown, values, 0.0)),
+        signs=np.where(failed, 1, np.where(inside | unknown, -1, 0)).astype(np.int8),
         driven=driven,
     )
 
 
-def margin(lateral: Array, half_lane: Array) -> Array:
+def margin(lateral: Array, limits: Array) -> Array:
     """Margin of largest absolute lateral positions, m: 0 at the lane's edge, negative within the lane."""
-    return np.asarray(np.log(np.maximum(lateral, 1e-3) / half_lane))
+    return np.asarray(np.log(np.maximum(lateral, 1e-3 * limits) / limits))
 
 
 def curvature_of(margins: Margins, linear: Array, sigma: float, omega: float) -> Curvature:

@@ -29,7 +29,7 @@ def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None)
     """
 
     def draw(figure: Figure) -> None:
-        values, limits = table.feature(feature), (0.0, 1.08 * float(table.half_lanes.max()))
+        values, limits = table.feature(feature), (0.0, 1.08 * float(table.limits.max()))
         panels = figure.subplots(len(table.simulators), sharex=True, squeeze=False)[:, 0]
         for axes, name in zip(panels, table.simulators, strict=True):
             failed, lateral = table.failed(name), table.largest_lateral(name)

@@ -240,6 +240,9 @@ def feature_of(name: str) -> Feature:
         >>> feature_of("minimum_radius:20").title
         'minimum radius, feet'
     """
+    if name.startswith(_COLUMN):
+        title, _, width_text = name.removeprefix(_COLUMN).rpartition("/")
+        return Feature(name=name, title=title, unit=float(width_text), edge=lambda bin_: bin_ * float(width_text))
     base = base_of(name)
     known = name.partition(":")[0]
     if base not in FEATURES and known in FEATURES:
@@ -251,6 +254,15 @@ def feature_of(name: str) -> Feature:
         raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {base}:20")
     feature = FEATURES[base] if base in FEATURES else load_extension(base, Feature, "feature")
     return replace(feature, name=name, width=width)
+
+
+_COLUMN = "column "
+"""Begin of the name of an axis of imported outcomes."""
+
+
+def column_axis(column: str, width: float) -> str:
+    """Name the axis of a map over a column of imported outcomes, in bins of a width, as `feature_of` takes it."""
+    return f"{_COLUMN}{column}/{width!r}"
 
 
 def cell_of(

@@ -103,7 +103,7 @@ def margin_drives(table: OutcomeTable, drives: Sequence[RealDrive]) -> list[Marg
             MarginDrive(
                 row=row,
                 failed=drive.failed,
-                margin=None if known is None else float(margin(known, table.half_lanes[row : row + 1])[0]),
+                margin=None if known is None else float(margin(known, table.limits[row : row + 1, 0])[0]),
             )
         )
     return found

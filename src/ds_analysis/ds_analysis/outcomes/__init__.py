@@ -1,0 +1,1 @@
+"""Outcomes that came from elsewhere: any simulators' and cars' verdicts on the same tests, read from tables."""

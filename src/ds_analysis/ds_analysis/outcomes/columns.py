@@ -1,0 +1,217 @@
+"""What the columns of a table of outcomes are: the YAML file beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ds_analysis.common.outcome_table import OutcomeTableError
+from ds_analysis.common.statistics import Bools
+from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
+
+GUIDE = "docs/outcomes.md"
+WORDS = {
+    True: {"true", "1", "1.0", "yes", "fail", "failed", "failure", "out_of_bounds", "unsafe"},
+    False: {"false", "0", "0.0", "no", "pass", "passed", "completed", "success", "safe"},
+}
+"""Whether a test failed -> how a table says so, in lower case."""
+_SHOWN = 6
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Rule(_Strict):
+    """Condition on one column; exactly one of the others says which.
+
+    Attributes:
+        column: its name.
+        is_: rows with this value.
+        is_not: rows with another value.
+        above: rows with a larger number.
+        below: rows with a smaller number.
+    """
+
+    column: str
+    is_: str | float | bool | None = Field(default=None, alias="is")
+    is_not: str | float | bool | None = None
+    above: float | None = None
+    below: float | None = None
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Rule:
+        if [self.is_, self.is_not, self.above, self.below].count(None) != 3:
+            raise ValueError("expected one of is, is_not, above and below")
+        return self
+
+    def holds(self, frame: pd.DataFrame, source: str) -> Bools:
+        """(rows,) where it holds."""
+        column = column_of(frame, self.column, source)
+        if self.above is not None or self.below is not None:
+            numbers = numbers_of(frame, self.column, source)
+            found = numbers > self.above if self.above is not None else numbers < self.below
+            return np.asarray(found, np.bool_)
+        wanted = self.is_ if self.is_ is not None else self.is_not
+        same = np.array([_word(one) == _word(wanted) for one in column])
+        return same if self.is_ is not None else ~same
+
+
+class Margin(_Strict):
+    """Column with how close a run came to its limit, beyond which it failed.
+
+    Attributes:
+        column: its name; at least 0, such as the largest distance from the lane's centre; empty where only the verdict
+            is known.
+        limit: number, one for each simulator, or the name of a column.
+    """
+
+    column: str
+    limit: Annotated[float, Field(gt=0.0)] | dict[str, Annotated[float, Field(gt=0.0)]] | str
+
+
+Failed = str | list[Rule] | Rule
+"""Column that says whether a test failed, or rules of which one has to hold."""
+
+
+class Verdict(_Strict):
+    """How one simulator's columns of a wide table say whether a test failed."""
+
+    failed: Failed | None = None
+    margin: Margin | None = None
+
+
+class Columns(_Strict):
+    """Content of the YAML file; left out, columns have the names that `ds outcomes export` gives them, if they exist.
+
+    Attributes:
+        test: column, or columns, with the id of the test.
+        simulator: column, or columns, that name the simulator.
+        simulators: of a wide table, with one row a test: simulator -> its columns; instead of `simulator`.
+        failed: column or rules; see `Failed`.
+        margin: instead of, or beside, `failed`.
+        repeat: column with the number of the repetition.
+        family: column of what tests have in common that are not independent, such as the road that they change.
+        features: columns with numbers that are known before a test is driven; all other numeric columns if left out.
+        where: rows to read.
+        map: axes of the map, feature -> width of a bin; the first two features in ten bins each if left out.
+        twin: simulator, or car, that the others are to predict.
+    """
+
+    test: str | list[str] = "test_id"
+    simulator: str | list[str] = "simulator"
+    simulators: dict[str, Verdict] | None = None
+    failed: Failed | None = None
+    margin: Margin | None = None
+    repeat: str | None = None
+    family: str | None = None
+    features: list[str] | None = None
+    where: list[Rule] = []
+    map: Annotated[dict[str, Annotated[float, Field(gt=0.0)]], Field(min_length=2, max_length=3)] | None = None
+    twin: str | None = None
+
+    def filled(self, known: Sequence[str]) -> Columns:
+        """Return the same, with columns of the usual names where nothing was said."""
+        usual: dict[str, Any] = {
+            name: name for name in ("repeat", "family") if getattr(self, name) is None and name in known
+        }
+        if self.simulators is None and self.margin is None and {"margin", "limit"} <= set(known):
+            usual["margin"] = Margin(column="margin", limit="limit")
+        if self.simulators is None and self.failed is None and "failed" in known:
+            usual["failed"] = "failed"
+        return self.model_copy(update=usual)
+
+
+def read_columns(path: Path) -> Columns:
+    """Read and check the YAML file.
+
+    Raises:
+        OutcomeTableError: one line says which key is wrong, and what is expected.
+    """
+    try:
+        return Columns.model_validate(read_yaml(path, unique_keys=True))
+    except OSError as error:
+        raise OutcomeTableError(f"{path}: cannot be read ({error.strerror}): check the path") from None
+    except BoundedYamlError as error:
+        raise OutcomeTableError(f"{path}: not YAML ({error})") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        named = (str(part) for part in first["loc"])  # pydantic adds the member type of a union
+        place = ".".join(part for part in named if not part.startswith(("Rule", "list[", "str", "dict")))
+        known = f" (keys: {', '.join(Columns.model_fields)})" if first["type"] == "extra_forbidden" else ""
+        text = " ".join(str(first["msg"]).removeprefix("Value error, ").split())
+        raise OutcomeTableError(f"{path}: {place or 'top level'}: {text}{known}: see {GUIDE}") from None
+
+
+def column_of(frame: pd.DataFrame, name: str, source: str) -> list[Any]:
+    """Return a column.
+
+    Raises:
+        OutcomeTableError: there is none; the line names those that there are.
+    """
+    if name not in frame.columns:
+        known = [str(one) for one in frame.columns]
+        more = ", ..." if len(known) > 3 * _SHOWN else ""
+        raise OutcomeTableError(f"{source} has no column {name!r}: expected {', '.join(known[: 3 * _SHOWN])}{more}")
+    return frame[name].tolist()
+
+
+def texts_of(frame: pd.DataFrame, names: str | list[str], source: str) -> list[str]:
+    """Return a column as text, or several, joined by hyphens."""
+    parts = [[str(one) for one in column_of(frame, name, source)] for name in listed(names)]
+    return ["-".join(one) for one in zip(*parts, strict=True)]
+
+
+def listed(names: str | list[str]) -> list[str]:
+    """Return one name, or several, as a list."""
+    return [names] if isinstance(names, str) else names
+
+
+def numbers_of(frame: pd.DataFrame, name: str, source: str) -> np.ndarray:
+    """Return a column of finite numbers.
+
+    Raises:
+        OutcomeTableError: a row has none; the line shows it.
+    """
+    column_of(frame, name, source)
+    numbers = pd.to_numeric(frame[name], errors="coerce").to_numpy(np.float64)
+    wrong = np.flatnonzero(~np.isfinite(numbers))
+    if len(wrong):
+        raise OutcomeTableError(f"{row_of(frame, int(wrong[0]), source)}: {name} is not a finite number")
+    return numbers
+
+
+def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> Bools:
+    """(rows,) whether each test failed.
+
+    Raises:
+        OutcomeTableError: a row does not say so; the line shows it.
+    """
+    if isinstance(failed, str):
+        words = [_word(one) for one in column_of(frame, failed, source)]
+        for row, word in enumerate(words):
+            if word not in WORDS[True] | WORDS[False]:
+                expected = "true or false, 1 or 0, failed or completed"
+                raise OutcomeTableError(
+                    f"{row_of(frame, row, source)}: {failed} is {word!r:.60}, expected {expected}, or rules: {GUIDE}"
+                )
+        return np.array([word in WORDS[True] for word in words])
+    rules = failed if isinstance(failed, list) else [failed]
+    return np.any([rule.holds(frame, source) for rule in rules], axis=0)
+
+
+def row_of(frame: pd.DataFrame, row: int, source: str) -> str:
+    """Name a row of a table, and show its first values."""
+    shown = ", ".join(f"{name}={frame.iloc[row][name]}" for name in list(frame.columns)[:_SHOWN])
+    return f"{source}, row {row + 1} ({shown:.150})"
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return str(value).strip().lower()

@@ -1,0 +1,315 @@
+"""A study: imported outcomes in one Parquet file, which every verb that only reads takes like a campaign."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, OutcomeTableError, State, no_profile
+from ds_analysis.outcomes.columns import Columns, Margin, Rule, listed, numbers_of, row_of, texts_of, verdicts_of
+from ds_driver.whole_files import whole_file
+from ds_orchestrator.search.features import column_axis
+
+FILE = "outcomes.parquet"
+KEY = b"digital siblings study 1"
+"""Key of the metadata of that file."""
+LARGEST_FILE = 2**29
+MOST_ROWS = 2_000_000
+BINS = 10
+"""Bins of an axis whose width nobody gave."""
+LONG = ("test_id", "repeat", "simulator", "failed", "margin", "limit", "family")
+"""Columns of the file, then the features."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Imported outcomes.
+
+    Attributes:
+        rows: one row for each drive, with the columns `LONG` and a column for each feature; `margin` and `limit` are
+            NaN where only the verdict is known.
+        features: names of the features.
+        axes: feature -> width of a bin of the map.
+        twin: simulator or car that the others are to predict; None if there is none.
+    """
+
+    rows: pd.DataFrame
+    features: tuple[str, ...]
+    axes: dict[str, float]
+    twin: str | None = None
+
+    @property
+    def simulators(self) -> list[str]:
+        """Names, the twin last."""
+        names = list(dict.fromkeys(self.rows["simulator"]))
+        return sorted(names, key=lambda name: name == self.twin)
+
+    def flakiness(self) -> dict[str, tuple[int, int, float, float]]:
+        """Simulator -> tests, drives, share of drives that failed, and of repeated tests whose repeats disagree."""
+        found = {}
+        for name in self.simulators:
+            of = self.rows[self.rows["simulator"] == name]
+            shares = of.groupby("test_id")["failed"].agg(["mean", "size"])
+            repeated = shares[shares["size"] > 1]["mean"]
+            flaky = float(((repeated > 0) & (repeated < 1)).mean()) if len(repeated) else float("nan")
+            found[name] = (len(shares), len(of), float(of["failed"].mean()), flaky)
+        return found
+
+    def table(self) -> OutcomeTable:
+        """Convert to the table that everything reads; each repetition is a row, of the family of its test.
+
+        Raises:
+            OutcomeTableError: there are too many tests.
+        """
+        keys = self.rows[["test_id", "repeat"]].drop_duplicates().reset_index(drop=True)
+        if len(keys) > MOST_TESTS:
+            raise OutcomeTableError(f"{len(keys)} tests and repetitions, expected at most {MOST_TESTS}: import fewer")
+        place = {key: k for k, key in enumerate(keys.itertuples(index=False, name=None))}
+        names = self.simulators
+        shape = len(keys), len(names)
+        states, lateral, limits = np.zeros(shape, np.int8), np.zeros(shape), np.ones(shape)
+        at = [place[key] for key in zip(self.rows["test_id"], self.rows["repeat"], strict=True)]
+        on = [names.index(name) for name in self.rows["simulator"]]
+        states[at, on] = np.where(self.rows["failed"], State.FAILED, State.COMPLETED)
+        margin, limit = (self.rows[name].to_numpy(np.float64) for name in ("margin", "limit"))
+        lateral[at, on], limits[at, on] = margin, np.where(np.isfinite(limit), limit, 1.0)
+        first = self.rows.iloc[np.unique(at, return_index=True)[1]]
+        features = first[list(self.features)].to_numpy(np.float64).reshape(len(keys), len(self.features))
+        families = pd.factorize(first["family"])[0]
+        repeated = len(set(keys["repeat"])) > 1
+        axes = [column_axis(name, width) for name, width in self.axes.items()]
+        binned = [np.floor(first[name].to_numpy(np.float64) / width) for name, width in self.axes.items()]
+        return OutcomeTable(
+            test_ids=tuple(f"{one}#{two}" if repeated else str(one) for one, two in place),
+            siblings=tuple(name for name in names if name != self.twin),
+            twin=self.twin,
+            roads=(),
+            conditions=(),
+            axes=tuple(axes),
+            cells=tuple(tuple(map(int, cell)) for cell in zip(*binned, strict=True)),
+            states=states,
+            lateral=lateral,
+            limits=limits,
+            decoders=np.full(shape, no_profile),
+            feature_names=self.features,
+            features=features,
+            families=families.astype(np.intp),
+        )
+
+
+def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
+    """Read tables, CSV or Parquet: the first has the outcomes, each other one further columns for every test.
+
+    Raises:
+        OutcomeTableError: one line says what is wrong, in which row.
+    """
+    source = tables[0].name
+    frame = _read(tables[0])
+    tests = listed(columns.test)
+    for path in tables[1:]:
+        more = _read(path)
+        texts_of(frame, tests, source)
+        if len(set(texts_of(more, tests, path.name))) != len(more):
+            raise OutcomeTableError(f"{path}: several rows have the same {', '.join(tests)}, expected one each test")
+        frame = frame.merge(more, on=tests, how="left", suffixes=("", f" of {path.stem}"))
+    columns = columns.filled(list(frame.columns))
+    frame = frame[np.all([np.ones(len(frame), bool), *(one.holds(frame, source) for one in columns.where)], axis=0)]
+    frame = frame.reset_index(drop=True)
+    if not len(frame):
+        raise OutcomeTableError(f"{source} has no rows{' where they have to be' if columns.where else ''}")
+    used = {*tests, *listed(columns.simulator)}
+    parts, outcomes = _outcomes(frame, columns, source, used)
+    rows = pd.concat(parts, ignore_index=True)
+    if columns.features is None:
+        numeric = [name for name in frame.columns if pd.api.types.is_numeric_dtype(frame[name])]
+        names = [name for name in numeric if name not in used | outcomes and frame[name].nunique() > 1]
+    else:
+        names = columns.features
+    if not names:
+        raise OutcomeTableError(f"{source} has no feature: name columns with numbers that are known before a drive")
+    for name in names:
+        values = dict(zip(texts_of(frame, tests, source), numbers_of(frame, name, source), strict=True))
+        rows[name] = rows["test_id"].map(values)
+    twice = rows.duplicated(["test_id", "repeat", "simulator"])
+    if twice.any():
+        one = rows[twice].iloc[0]
+        hint = "" if columns.repeat else ": name the column of the repetition as repeat"
+        raise OutcomeTableError(f"{source}: test {one.test_id} comes twice on {one.simulator}{hint}")
+    axes = columns.map or {name: max(float(np.ptp(rows[name])) / BINS, 1e-9) for name in names[:2]}
+    for name in axes:
+        if name not in names:
+            raise OutcomeTableError(f"{source}: the map's axis {name!r} is no feature: expected {', '.join(names)}")
+    known = sorted(set(rows["simulator"]))
+    if columns.twin is not None and columns.twin not in known:
+        raise OutcomeTableError(f"{source} has no simulator {columns.twin!r}: expected {', '.join(known)}")
+    return Study(rows=rows[[*LONG, *names]], features=tuple(names), axes=axes, twin=columns.twin)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise OutcomeTableError(f"{path}: more than {LARGEST_FILE // 2**20} MiB: import a part of it")
+        if path.suffix.lower() in (".parquet", ".pq"):
+            if pq.read_metadata(path).num_rows > MOST_ROWS:
+                raise OutcomeTableError(f"{path}: more than {MOST_ROWS} rows: import a part of it")
+            return pq.read_table(path).to_pandas()
+        return pd.read_csv(path, nrows=MOST_ROWS)
+    except OSError as error:
+        raise OutcomeTableError(f"{path}: cannot be read ({error.strerror or error}): check the path") from None
+    except (ValueError, pa.ArrowException) as error:
+        if isinstance(error, OutcomeTableError):
+            raise
+        text = " ".join(str(error).split())[:150]
+        raise OutcomeTableError(f"{path}: neither CSV nor Parquet ({text}): expected a table with a header") from None
+
+
+def _outcomes(
+    frame: pd.DataFrame, columns: Columns, source: str, used: set[str]
+) -> tuple[list[pd.DataFrame], set[str]]:
+    """Return the rows of each simulator, and the columns that say what became of a test."""
+    names: list[tuple[list[str], Any]] = []
+    if columns.simulators is not None:
+        names = [([name] * len(frame), verdict) for name, verdict in columns.simulators.items()]
+    else:
+        names = [(texts_of(frame, columns.simulator, source), columns)]
+    tests = texts_of(frame, columns.test, source)
+    family = tests if columns.family is None else texts_of(frame, columns.family, source)
+    repeat = np.zeros(len(frame)) if columns.repeat is None else numbers_of(frame, columns.repeat, source)
+    outcomes = {one for one in (columns.repeat, columns.family) if one}
+    found = []
+    for simulators, verdict in names:
+        failed = verdict.failed
+        margin, limit = np.full(len(frame), np.nan), np.full(len(frame), np.nan)
+        if verdict.margin is not None:
+            margin, limit = _margins(frame, verdict.margin, simulators, source, needed=failed is None)
+            outcomes |= {verdict.margin.column, str(verdict.margin.limit)}
+        elif failed is None:
+            raise OutcomeTableError(f"{source}: name the column that says whether a test failed, as failed or margin")
+        if failed is None:
+            is_failure = margin > limit
+        else:
+            is_failure = verdicts_of(frame, failed, source)
+            rules = [failed] if isinstance(failed, Rule) else failed
+            outcomes |= {rules} if isinstance(rules, str) else {rule.column for rule in rules}
+        found.append(
+            pd.DataFrame(
+                {
+                    "test_id": tests,
+                    "repeat": repeat.astype(np.int64),
+                    "simulator": simulators,
+                    "failed": is_failure,
+                    "margin": margin,
+                    "limit": limit,
+                    "family": family,
+                }
+            )
+        )
+    return found, outcomes
+
+
+def _margins(
+    frame: pd.DataFrame, margin: Margin, simulators: Sequence[str], source: str, *, needed: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return margins and limits; NaN where a row has none, unless they are needed for the verdict."""
+    missing = np.asarray(frame[margin.column].isna()) if margin.column in frame.columns and not needed else None
+    found = np.full(len(frame), np.nan)
+    given = np.ones(len(frame), np.bool_) if missing is None else ~missing
+    found[given] = numbers_of(frame[given], margin.column, source)
+    if isinstance(margin.limit, str):
+        limits = np.full(len(frame), np.nan)
+        limits[given] = numbers_of(frame[given], margin.limit, source)
+    else:
+        limits = np.array([_limit(margin.limit, name) for name in simulators])
+    wrong = np.flatnonzero((found < 0.0) | (limits <= 0.0))
+    if len(wrong):
+        raise OutcomeTableError(
+            f"{row_of(frame, int(wrong[0]), source)}: {margin.column} is negative, or its limit not above 0"
+        )
+    return found, np.where(given, limits, np.nan)
+
+
+def _limit(limit: float | dict[str, float], simulator: str) -> float:
+    if isinstance(limit, float):
+        return limit
+    if simulator not in limit:
+        raise OutcomeTableError(f"margin.limit names no limit for {simulator}: expected one for every simulator")
+    return limit[simulator]
+
+
+def write_rows(path: Path, study: Study) -> None:
+    """Write the rows of a study as CSV or Parquet, by the suffix.
+
+    Raises:
+        OutcomeTableError: another suffix.
+    """
+    if path.suffix not in (".csv", ".parquet"):
+        raise OutcomeTableError(f"{path}: expected a name that ends in .csv or .parquet")
+    with whole_file(path) as partial:
+        if path.suffix == ".csv":
+            study.rows.to_csv(partial, index=False)
+        else:
+            study.rows.to_parquet(partial, index=False)
+
+
+def write_study(folder: Path, study: Study) -> Path:
+    """Write a study's file."""
+    about = {"features": study.features, "axes": study.axes, "twin": study.twin}
+    table = pa.Table.from_pandas(study.rows, preserve_index=False)
+    table = table.replace_schema_metadata({KEY: json.dumps(about).encode()})
+    with whole_file(folder / FILE) as partial:
+        pq.write_table(table, partial, compression="zstd")
+    return folder / FILE
+
+
+def read_study(folder: Path) -> Study:
+    """Read a study's file.
+
+    Raises:
+        OutcomeTableError: it is damaged, or not one.
+    """
+    path = folder / FILE
+    frame = _read(path)
+    damaged = OutcomeTableError(f"{path} is no study: make it again with `ds outcomes import`")
+    try:
+        about = json.loads((pq.read_schema(path).metadata or {})[KEY])
+        study = Study(
+            rows=frame,
+            features=tuple(map(str, about["features"])),
+            axes={str(name): float(width) for name, width in about["axes"].items()},
+            twin=about["twin"],
+        )
+        whole = [*LONG, *study.features] == list(frame.columns) and set(study.axes) <= set(study.features)
+        numbers = frame[["margin", "limit", *study.features]].to_numpy(np.float64)
+        features = numbers[:, 2:]
+        if not (whole and len(frame) and np.isfinite(features).all() and not np.isinf(numbers).any()):
+            raise damaged
+        if frame["failed"].dtype != np.bool_ or not all(width > 0.0 for width in study.axes.values()):
+            raise damaged
+        if study.twin is not None and study.twin not in study.simulators:
+            raise damaged
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise damaged from None
+    return study
+
+
+def study_of(table: OutcomeTable) -> Study:
+    """Make a study of any table, such as a campaign's, to export it."""
+    rows = []
+    for k, test in enumerate(table.test_ids):
+        for column, name in enumerate(table.simulators):
+            if table.states[k, column] in (State.COMPLETED, State.FAILED):
+                rows.append(
+                    (test, 0, name, table.states[k, column] == State.FAILED, table.lateral[k, column],
+                     table.limits[k, column], str(table.families[k]), *table.features[k])
+                )  # fmt: skip
+    frame = pd.DataFrame(rows, columns=[*LONG, *table.feature_names])
+    axes = {name: max(float(np.ptp(frame[name])) / BINS, 1e-9) for name in table.feature_names[:2]}
+    return Study(rows=frame, features=table.feature_names, axes=axes, twin=table.twin)

@@ -1,0 +1,82 @@
+"""`ds outcomes`: outcomes that came from elsewhere, in and out."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ds_cli.options import JsonFlag
+from ds_cli.output import Result, answer
+
+app = typer.Typer()
+outcomes_app = typer.Typer(no_args_is_help=True)
+app.add_typer(outcomes_app, name="outcomes", help="Read outcomes of any simulators and cars, and write ours.")
+
+
+@outcomes_app.command("import")
+def outcomes_import_command(
+    tables: Annotated[
+        list[Path],
+        typer.Argument(metavar="TABLE...", help="CSV or Parquet: outcomes, then further columns of each test."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the study, created if missing.")],
+    columns: Annotated[Path | None, typer.Option(help="YAML file that says which column is what.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Make a study of the same tests' outcomes on any simulators, to predict, propose drives and compare.
+
+    Without --columns: test_id, simulator and failed; every other number is a feature. docs/outcomes.md begins with a
+    table of ten lines.
+    """
+    from ds_analysis.outcomes.columns import Columns, read_columns
+    from ds_analysis.outcomes.study import import_outcomes, write_study
+    from ds_orchestrator.store.folder_files import make_folder
+
+    study = import_outcomes(tables, Columns() if columns is None else read_columns(columns))
+    study.table()
+    make_folder(out)
+    path = write_study(out, study)
+    found = study.flakiness()
+    document = {
+        "study": str(path),
+        "features": list(study.features),
+        "twin": study.twin,
+        "simulators": {
+            name: {"tests": tests, "drives": drives, "failed": failed, "flaky": None if math.isnan(flaky) else flaky}
+            for name, (tests, drives, failed, flaky) in found.items()
+        },
+    }
+
+    def show() -> None:
+        table = Table("simulator", "tests", "drives", "failed", "tests whose repeats disagree")
+        for name, (tests, drives, failed, flaky) in found.items():
+            shown = "" if math.isnan(flaky) else f"{flaky:.0%}"
+            table.add_row(
+                f"{name}{' (twin)' if name == study.twin else ''}", str(tests), str(drives), f"{failed:.0%}", shown
+            )
+        Console().print(table)
+        print(f"features: {', '.join(study.features)}")
+        if len(found) - (study.twin is not None) < 2:
+            print("warning: only one sibling: how much simulators differ is then a prior, not a measurement")
+        print(path)
+
+    answer(Result(document=document, show=show), as_json)
+
+
+@outcomes_app.command("export")
+def outcomes_export_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign, a comparison or a study.")],
+    out: Annotated[Path, typer.Option(help="Table to write: .csv or .parquet.")],
+) -> None:
+    """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it."""
+    from ds_analysis.common.outcome_table import read_table
+    from ds_analysis.outcomes.study import FILE, read_study, study_of, write_rows
+
+    study = read_study(folder) if (folder / FILE).exists() else study_of(read_table(folder))
+    write_rows(out, study)
+    print(f"{out}: {len(study.rows)} drives of {', '.join(study.simulators)}")
