@@ -133,7 +133,8 @@ class OutcomeTable:
             decoders: functions that decode lateral positions; there are none if None.
         """
         conditions = [DEFAULT] * len(roads) if conditions is None else conditions
-        limits = np.repeat([[road.lane_width / 2] for road in roads], states.shape[1], axis=1).reshape(states.shape)
+        half = np.array([road.lane_width / 2 for road in roads], np.float64)
+        limits = np.repeat(half[:, None], states.shape[1], axis=1)
         return cls(
             test_ids=tuple(road.road_id for road in roads) if test_ids is None else tuple(test_ids),
             siblings=tuple(siblings),

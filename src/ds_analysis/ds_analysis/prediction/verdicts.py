@@ -246,7 +246,8 @@ def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
         name="cell_verdicts",
         title="Predicted failures per cell",
         columns=[
-            *(Column(name) for name in found.features), Column("tests", "count"), Column("driven", "count"),
+            *(Column(name.partition(" in bins of ")[0]) for name in found.features),
+            Column("tests", "count"), Column("driven", "count"),
             Column("failure rate", "number"), Column("90 %", "number"), Column("verdict"),
             Column("drives needed", "count"),
         ],

@@ -76,7 +76,7 @@ def test_bad_input_is_one_line(compared: Path, tmp_path: Path, capsys: pytest.Ca
     (damaged / "comparison.json").write_text('{"outcomes": 3}')
     few = write_comparison(tmp_path / "few", ROADS[:6])
     for named, arguments in (
-        ("holds no campaign.sqlite and no comparison.json", ["predict", str(tmp_path)]),
+        ("holds no campaign.sqlite, comparison.json or outcomes.parquet", ["predict", str(tmp_path)]),
         ("no simulator 'carla', expected one of bullet", ["predict", str(compared), "--twin", "carla"]),
         ("holds no comparison: expected", ["predict", str(damaged)]),
         ("expected at least 10: drive more tests", ["predict", str(few)]),

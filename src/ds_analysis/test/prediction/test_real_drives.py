@@ -140,8 +140,8 @@ def test_conditions_are_set_in_the_car_s_own_lengths_and_speeds(tmp_path: Path) 
         "line_contrast=0.4617371566636695,visibility=48,camera_pitch=3deg,illuminance=1000,speed_limit=4,steering_lag=0.2"
     )
     drive = ProposedDrive(
-        test_id="a", road=ROADS[0], conditions=conditions, scale=16.0, probability=0.5, gain=0.01,
-        siblings={"bullet": "failed"}, if_fails=0.9, if_completes=0.1, decided=(0, 1, 2),
+        test_id="a", road=ROADS[0], conditions=conditions, features={}, limit=2.0, scale=16.0, probability=0.5,
+        gain=0.01, siblings={"bullet": "failed"}, if_fails=0.9, if_completes=0.1, decided=(0, 1, 2),
     )  # fmt: skip
     assert drive.to_set == {
         "line_contrast": "0.462", "visibility": "3 m (48 m at full scale)", "camera_pitch": "3 degrees",
@@ -233,7 +233,7 @@ def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.Ca
     assert "3 real drives, 0 failed" in shown and "warning: the car is outside" in shown
     assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
     more = {one["test_id"] for one in json.loads(capsys.readouterr().out)["drives"]}
-    assert not more & driven and len(read_proposed(folder).half_lanes) == 6
+    assert not more & driven and len(read_proposed(folder).limits) == 6
     assert (folder / "comparison.json").read_bytes() == before
 
 

@@ -55,7 +55,7 @@ def _recorded(
         "test_id": test, "outcome": outcome, "who": who or "", "when": when or found.when,
         "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale), "note": "",
     }  # fmt: skip
-    return drive_of(values, proposed.half_lanes, scale, path.name)
+    return drive_of(values, proposed.limits, scale, path.name)
 
 
 def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Result:
@@ -233,7 +233,7 @@ def record_command(
         if is_recording(file):
             new = [_recorded(file, proposed, test, outcome, topic, who=who, when=when)]
         else:
-            new = read_csv(file, proposed.half_lanes, scale=proposed.scale, who=who, when=when)
+            new = read_csv(file, proposed.limits, scale=proposed.scale, who=who, when=when)
         path = write_drives(folder, added(read_drives(folder), new))
         say(f"{len(new)} drives recorded in {path}")
         result = update_prediction(folder, tolerated=tolerated, out=None)

@@ -240,9 +240,9 @@ def feature_of(name: str) -> Feature:
         >>> feature_of("minimum_radius:20").title
         'minimum radius, feet'
     """
-    if name.startswith(_COLUMN):
-        title, _, width_text = name.removeprefix(_COLUMN).rpartition("/")
-        return Feature(name=name, title=title, unit=float(width_text), edge=lambda bin_: bin_ * float(width_text))
+    if _IN_BINS in name:
+        title, _, size = name.rpartition(_IN_BINS)
+        return Feature(name=name, title=title, edge=lambda bin_: bin_ * float(size))
     base = base_of(name)
     known = name.partition(":")[0]
     if base not in FEATURES and known in FEATURES:
@@ -256,13 +256,13 @@ def feature_of(name: str) -> Feature:
     return replace(feature, name=name, width=width)
 
 
-_COLUMN = "column "
-"""Begin of the name of an axis of imported outcomes."""
+_IN_BINS = " in bins of "
+"""Part of the name of an axis of imported outcomes."""
 
 
 def column_axis(column: str, width: float) -> str:
     """Name the axis of a map over a column of imported outcomes, in bins of a width, as `feature_of` takes it."""
-    return f"{_COLUMN}{column}/{width!r}"
+    return f"{column}{_IN_BINS}{width!r}"
 
 
 def cell_of(

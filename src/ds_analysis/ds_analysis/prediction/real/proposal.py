@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path, PurePath
@@ -26,7 +26,7 @@ from ds_orchestrator.store.folder_files import read_file
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_road import Road, road_from_json, road_to_json
 from ds_sim.camera.encodings import png
-from ds_sim.conditions.model import FIELDS, Conditions
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions, three_digits
 
 PROPOSAL = "proposal.json"
@@ -41,8 +41,10 @@ class ProposedDrive:
 
     Attributes:
         test_id: id of the test.
-        road: road to tape out.
+        road: road to tape out; None if the test is known by its features alone.
         conditions: conditions to set.
+        features: imported feature -> value, of a test without a road.
+        limit: lateral position at which it fails, m of the road frame, or of imported outcomes their own unit.
         scale: metres of the road per metre of the car's.
         probability: predicted probability that the car fails.
         gain: expected reduction of the mean squared error of all predicted probabilities, by this drive after those
@@ -54,8 +56,10 @@ class ProposedDrive:
     """
 
     test_id: str
-    road: Road
+    road: Road | None
     conditions: Conditions
+    features: Mapping[str, float]
+    limit: float
     scale: float
     probability: float
     gain: float
@@ -81,7 +85,7 @@ class ProposedDrive:
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
-        road = road_to_json(self.road)
+        road = None if self.road is None else road_to_json(self.road)
         fields = {key: value for key, value in asdict(self).items() if key not in ("road", "conditions")}
         return {**fields, "road": road, "conditions": format_conditions(self.conditions), "decides": self.sentence}
 
@@ -119,11 +123,14 @@ def _proposed(table: OutcomeTable, prediction: TwinPrediction, choice: Choice, n
         return int(np.logical_or(*called(probabilities)).sum())
 
     words = {State.FAILED: "failed", State.COMPLETED: "completed"}
+    features = dict(zip(table.feature_names, table.features[choice.row].tolist(), strict=True))
     return ProposedDrive(
         test_id=table.test_ids[choice.row],
-        road=table.roads[choice.row],
-        conditions=table.conditions[choice.row],
-        scale=scale,
+        road=table.roads[choice.row] if table.roads else None,
+        conditions=table.conditions[choice.row] if table.conditions else DEFAULT,
+        features={} if table.roads else features,
+        limit=float(table.limits[choice.row, 0]),
+        scale=scale if table.roads else 1.0,
         probability=float(now[choice.row]),
         gain=choice.gain,
         siblings={
@@ -141,19 +148,16 @@ class Proposed:
     """What was proposed for a folder so far.
 
     Attributes:
-        roads: test -> road.
+        roads: test -> road; tests that are known by their features alone have none.
+        limits: test -> lateral position at which it fails, m of the road frame.
         scale: metres of the road per metre of the car's; None before the first proposal.
         rounds: proposals, as JSON values.
     """
 
     roads: dict[str, Road]
+    limits: dict[str, float]
     scale: float | None
     rounds: list[list[dict[str, Any]]]
-
-    @property
-    def half_lanes(self) -> dict[str, float]:
-        """Test -> half the width of its lane, m of the road frame."""
-        return {test_id: road.lane_width / 2 for test_id, road in self.roads.items()}
 
 
 def read_proposed(folder: Path) -> Proposed:
@@ -171,18 +175,20 @@ def read_proposed(folder: Path) -> Proposed:
         rows = list(chain.from_iterable(document.rounds))
         if len(rows) > MOST_ROWS:
             raise damaged
-        roads = {row.test_id: road_from_json(row.road) for row in rows}
+        roads = {row.test_id: road_from_json(row.road) for row in rows if row.road is not None}
+        limits = {row.test_id: row.limit for row in rows}
         for row in rows:
             parse_conditions(row.conditions)
-            if roads[row.test_id] != road_from_json(row.road):
+            if row.road is not None and roads[row.test_id] != road_from_json(row.road):
                 raise damaged
+            limits[row.test_id] = roads[row.test_id].lane_width / 2 if row.test_id in roads else limits[row.test_id]
     except FileNotFoundError:
-        return Proposed(roads={}, scale=None, rounds=[])
+        return Proposed(roads={}, limits={}, scale=None, rounds=[])
     except (StoreError, RecordError):
         raise
     except ValueError:  # as pydantic, JSON, roads and conditions raise
         raise damaged from None
-    return Proposed(roads=roads, scale=document.scale, rounds=rounds)
+    return Proposed(roads=roads, limits=limits, scale=document.scale, rounds=rounds)
 
 
 class _Row(BaseModel):
@@ -191,6 +197,7 @@ class _Row(BaseModel):
     test_id: Text
     road: Any
     conditions: Annotated[str, Field(max_length=1000)]
+    limit: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
 
 
 class _Document(BaseModel):
@@ -218,14 +225,18 @@ def write_proposal(folder: Path, drives: Sequence[ProposedDrive]) -> list[Path]:
         )
     number = len(before.rounds) + 1
     place = folder / FOLDER / f"round_{number}"
-    lines = [f"# Drives on the car, round {number}", "", f"Scale 1:{scale:g}. {_HOW}", ""]
+    how = f"Scale 1:{scale:g}. {_HOW}" if drives[0].road else "Drive each test on the car, then fill in `outcomes.csv`."
+    lines = [f"# Drives on the car, round {number}", "", how, ""]
     for rank, drive in enumerate(drives, start=1):
         stem = f"{rank}_{drive.test_id}"
+        if drive.road is None:
+            lines += _section(rank, drive, None)
+            continue
         sheet = sheet_of(drive.road, scale)
         title = f"{rank}. test {drive.test_id}, drive in the {drive.road.lane} lane"
         write_whole(place / f"{stem}.png", png(draw_sheet(sheet, title)))
         write_whole(place / f"{stem}.csv", sheet.csv())
-        lines += _section(rank, drive, stem, f"{sheet.width:.1f} x {sheet.height:.1f} m")
+        lines += _section(rank, drive, f"{stem}.csv`, {sheet.width:.1f} x {sheet.height:.1f} m")
     write_whole(place / "README.md", "\n".join(lines))
     write_whole(place / TO_FILL, _to_fill(drives))
     rounds = [*before.rounds, [drive.document() for drive in drives]]
@@ -241,13 +252,17 @@ _HOW = (
 )
 
 
-def _section(rank: int, drive: ProposedDrive, stem: str, size: str) -> list[str]:
-    conditions = [f"- set {name} to {value}: {FIELDS[name].doc}" for name, value in drive.to_set.items()]
+def _section(rank: int, drive: ProposedDrive, sheet: str | None) -> list[str]:
     said = ", ".join(f"{name} {outcome}" for name, outcome in drive.siblings.items())
+    if sheet is None or drive.road is None:
+        how = [f"- {name}: {three_digits(value)}" for name, value in drive.features.items()]
+    else:
+        how = [f"- set {name} to {value}: {FIELDS[name].doc}" for name, value in drive.to_set.items()]
+        how = how or ["- conditions: none to set, a dry road in even light"]
+        drawing = f"![road]({sheet.partition('.csv')[0]}.png)"
+        how = [drawing, "", f"- road: `{sheet}; drive in the {drive.road.lane} lane", *how]
     return [
-        f"## {rank}. {drive.test_id}", "", f"![road]({stem}.png)", "",
-        f"- road: `{stem}.csv`, {size}; drive in the {drive.road.lane} lane",
-        *(conditions or ["- conditions: none to set, a dry road in even light"]),
+        f"## {rank}. {drive.test_id}", "", *how,
         f"- in simulation: {said}", f"- decides: {drive.sentence}", "",
     ]  # fmt: skip
 

@@ -1,0 +1,153 @@
+"""Outcomes from elsewhere: tables in, one line where they are wrong, the same table out again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from ds_analysis.common.outcome_table import OutcomeTableError, State, read_table
+from ds_analysis.outcomes.columns import Columns, read_columns
+from ds_analysis.outcomes.study import Study, import_outcomes, read_study, study_of, write_rows, write_study
+from ds_analysis.prediction.margins import INSIDE, margins_of
+from ds_analysis.prediction.twin_prediction import predict_twin
+
+RNG = np.random.default_rng(9)
+SPEED, CURVE = RNG.uniform(5, 20, 40), RNG.uniform(0, 0.2, 40)
+
+
+def long_table() -> pd.DataFrame:
+    """Forty tests, three simulators, two repeats: the lateral position follows speed and curve."""
+    rows = []
+    for test in range(40):
+        for factor, simulator in ((1.0, "lofi"), (1.1, "hifi"), (0.9, "car")):
+            for rep in (1, 2):
+                lateral = factor * 0.05 * SPEED[test] * (1 + 8 * CURVE[test]) * (1 + 0.01 * rep)
+                rows.append((test, simulator, rep, round(lateral, 4), SPEED[test], CURVE[test]))
+    return pd.DataFrame(rows, columns=["route", "sim", "rep", "xte", "speed", "curve"])
+
+
+LONG: dict[str, Any] = {
+    "test": "route", "simulator": "sim", "repeat": "rep", "margin": {"column": "xte", "limit": 1.2}, "twin": "car",
+}  # fmt: skip
+
+
+def imported(folder: Path, frame: pd.DataFrame, columns: dict[str, Any] | None, *more: Path) -> Study:
+    frame.to_csv(folder / "t.csv", index=False)
+    if columns is None:
+        return import_outcomes([folder / "t.csv", *more], Columns())
+    (folder / "c.yaml").write_text(yaml.safe_dump(columns))
+    return import_outcomes([folder / "t.csv", *more], read_columns(folder / "c.yaml"))
+
+
+def test_a_long_table_becomes_the_outcomes_that_it_states(tmp_path: Path) -> None:
+    frame = long_table()
+    study = imported(tmp_path, frame, LONG)
+    assert study.features == ("speed", "curve") and study.simulators == ["lofi", "hifi", "car"]
+    write_study(tmp_path, study)
+    table = read_table(tmp_path)
+    assert (table.siblings, table.twin, len(table)) == (("lofi", "hifi"), "car", 80)
+    assert len(set(table.families)) == 40 and table.feature_names == ("speed", "curve")
+    for row, test_id in enumerate(table.test_ids):
+        route, rep = map(int, test_id.split("#"))
+        for column, name in enumerate(table.simulators):
+            (xte,) = frame[(frame.route == route) & (frame.rep == rep) & (frame.sim == name)].xte
+            assert table.states[row, column] == (State.FAILED if xte > 1.2 else State.COMPLETED)
+            assert table.lateral[row, column] == xte and table.limits[row, column] == 1.2
+        width = study.axes["speed"]
+        assert table.cells[row] is not None and table.cells[row][0] == SPEED[route] // width  # type: ignore[index]
+    prediction = predict_twin(table).probabilities()
+    truth = table.failed("car")
+    assert ((prediction - truth) ** 2).mean() < ((truth.mean() - truth) ** 2).mean() / 2
+
+
+def test_a_wide_table_with_rules_and_features_in_a_second_file(tmp_path: Path) -> None:
+    wide = pd.DataFrame({"a": [1, 1, 2], "b": [0, 1, 0], "lo": ["ok", "crash", "ok"], "hi": [0, 3, 1]})
+    pd.DataFrame({"a": [1, 1, 2], "b": [0, 1, 0], "length": [3.0, 4.0, 5.0]}).to_csv(tmp_path / "f.csv", index=False)
+    columns = {
+        "test": ["a", "b"],
+        "simulators": {
+            "lo": {"failed": {"column": "lo", "is_not": "ok"}}, "hi": {"failed": [{"column": "hi", "above": 0}]},
+        },
+        "features": ["length", "a"],
+    }  # fmt: skip
+    study = imported(tmp_path, wide, columns, tmp_path / "f.csv")
+    found = {(row.test_id, row.simulator): row.failed for row in study.rows.itertuples()}
+    assert found == {
+        ("1-0", "lo"): False, ("1-1", "lo"): True, ("2-0", "lo"): False,
+        ("1-0", "hi"): False, ("1-1", "hi"): True, ("2-0", "hi"): True,
+    }  # fmt: skip
+    assert study.rows["length"].tolist() == [3.0, 4.0, 5.0] * 2 and np.isnan(study.rows["margin"]).all()
+
+
+def test_a_verdict_alone_bounds_the_margin_at_the_limit(tmp_path: Path) -> None:
+    frame = long_table()
+    frame["failed"] = frame.xte > 1.2
+    study = imported(tmp_path, frame.drop(columns="xte"), {**LONG, "margin": None, "failed": "failed"})
+    margins = margins_of(study.table())
+    failed = study.table().states[:, :2] == State.FAILED
+    assert (margins.signs == np.where(failed, 1, -1)).all() and (margins.values == 0.0).all()
+    known = margins_of(imported(tmp_path, frame, LONG).table())
+    assert set(np.unique(known.values[known.signs == -1])) <= {INSIDE}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_export_and_import_are_inverse(tmp_path: Path, suffix: str) -> None:
+    study = imported(tmp_path, long_table(), LONG)
+    write_rows(tmp_path / f"out{suffix}", study)
+    again = import_outcomes([tmp_path / f"out{suffix}"], Columns(twin="car"))
+    pd.testing.assert_frame_equal(again.rows, study.rows)
+    assert (again.features, again.twin, again.simulators) == (study.features, study.twin, study.simulators)
+    one, other = study.table(), study_of(study.table()).table()
+    assert np.array_equal(one.states, other.states) and np.array_equal(one.features, other.features)
+
+
+def test_repeats_that_disagree_are_counted(tmp_path: Path) -> None:
+    frame = long_table()
+    frame["failed"] = np.where((frame.sim == "car") & (frame.route < 10), frame.rep == 2, False)
+    study = imported(tmp_path, frame.drop(columns="xte"), {**LONG, "margin": None, "failed": "failed"})
+    assert study.flakiness()["car"] == (40, 80, 0.125, 0.25) and study.flakiness()["lofi"][3] == 0.0
+
+
+def changed(**values: Any) -> dict[str, Any]:
+    return {**LONG, **values}
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        (changed(test="id"), r"has no column 'id': expected route, sim, rep, xte"),
+        (changed(margin={"column": "xte", "limit": {"lofi": 1.0}}), "margin.limit names no limit for hifi"),
+        (changed(margin=None, failed="sim"), r"row 1 \(route=0, sim=lofi, .*: sim is 'lofi', expected true or false"),
+        (changed(repeat=None), "test 0 comes twice on lofi: name the column of the repetition"),
+        (changed(features=["sim"]), r"row 1 .*: sim is not a finite number"),
+        (changed(twin="bus"), "has no simulator 'bus': expected car, hifi, lofi"),
+        (changed(map={"speed": 1.0, "age": 1.0}), "axis 'age' is no feature: expected speed, curve"),
+        (changed(where=[{"column": "rep", "above": 9}]), "has no rows where they have to be"),
+        (changed(where=[{"column": "rep"}]), "where.0: expected one of is, is_not, above and below"),
+        (changed(tests="route"), r"tests: Extra inputs are not permitted \(keys: test, simulator, simulators"),
+        (changed(margin=None), "name the column that says whether a test failed"),
+    ],
+)
+def test_what_is_wrong_gets_one_line(tmp_path: Path, columns: dict[str, Any], said: str) -> None:
+    with pytest.raises(OutcomeTableError, match=said) as raised:
+        imported(tmp_path, long_table(), {key: value for key, value in columns.items() if value is not None})
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe" * 50, b'"unclosed', b"PAR1 and no more PAR1"])
+def test_received_files_that_are_no_tables_get_one_line(tmp_path: Path, content: bytes) -> None:
+    for name in ("t.csv", "t.parquet", "outcomes.parquet"):
+        (tmp_path / name).write_bytes(content)
+        read: Any = read_study if name == "outcomes.parquet" else (lambda folder, name=name: _read(folder / name))
+        with pytest.raises(OutcomeTableError) as raised:
+            read(tmp_path)
+        assert "\n" not in str(raised.value)
+
+
+def _read(path: Path) -> Study:
+    return import_outcomes([path], Columns())
