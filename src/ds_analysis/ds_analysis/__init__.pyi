@@ -44,7 +44,7 @@ from .paper.correlation import (
     paired_differences,
 )
 from .paper.simulator_agreement import PairComparison
-from .prediction.calibration import CellForecast, SelfCheck, check_in_turn, forecast_cells
+from .prediction.calibration import CellForecast, forecast_cells
 from .prediction.predictor_scores import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
 from .prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
 from .prediction.verdicts import CellVerdict, TestVerdict, Verdicts, judge
@@ -79,7 +79,6 @@ __all__ = [
     "ROAD_FEATURES",
     "ResidualCorrelation",
     "RobustnessCheck",
-    "SelfCheck",
     "SiblingAnalysis",
     "SimulatorComparison",
     "State",
@@ -93,7 +92,6 @@ __all__ = [
     "analysis_tables",
     "answer_of",
     "cautions_of",
-    "check_in_turn",
     "check_robustness",
     "compare_networks",
     "compare_predictors",

@@ -137,19 +137,26 @@ def maps_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Show a campaign's feature maps as coloured grids.
+    """Show a campaign's feature maps, or those of imported outcomes, as coloured grids.
 
     Every simulator's map, and the siblings' merged into one; --map shows another one alone. With --json, all of them.
     """
+    from ds_analysis.outcomes.maps import maps_of_study
+    from ds_analysis.outcomes.study import FILE, read_study
     from ds_analysis.paper.campaign_contents import exclusion_lines, maps_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.maps.feature_map import compared_ids, slices_of, to_json
 
-    named = None if axes is None else axes_named(axes)
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
-    every = maps_of(data, features=named)
+    data = None
+    if (folder / FILE).exists():
+        named = None if axes is None else [one.strip() for one in axes.split(",")]
+        every = maps_of_study(read_study(folder), named)
+    else:
+        named = None if axes is None else axes_named(axes)
+        with closing(open_store(folder)) as store:
+            data = read_campaign(store)
+        every = maps_of(data, features=named)
     if named is not None and not any(made.cells or made.excluded for made in every.values()):
         raise ConfigError(
             f"no test in {folder} has a cell over {','.join(named)}: expected other --axes, or tests driven"
@@ -167,11 +174,11 @@ def maps_command(
                     console.print(grid)
             console.print(count_line(feature_map, value), highlight=False)
         console.print(legend(value), highlight=False)
-        for excluded in exclusion_lines(data):
+        for excluded in exclusion_lines(data) if data is not None else ():
             console.print(excluded, highlight=False)
         others = ", ".join(other for other in found if other not in chosen)
         console.print(f"Other maps, with --map NAME: {others}", highlight=False)
-        if named is None and data.config.further_axes:
+        if named is None and data is not None and data.config.further_axes:
             further = "; ".join(",".join(other) for other in data.config.further_axes)
             console.print(f"Other axes, with --axes A,B: {further}", highlight=False)
 

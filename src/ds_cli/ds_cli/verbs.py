@@ -69,7 +69,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
             Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
             Verb("explain", "studies.explain", "Find out why tests of a campaign fail."),
-            Verb("maps", "maps", "Show a campaign's feature maps as coloured grids."),
+            Verb("maps", "maps", "Show a campaign's feature maps, or those of imported outcomes, as coloured grids."),
         ),
     ),
     (

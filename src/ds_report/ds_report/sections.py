@@ -9,7 +9,6 @@ from pathlib import Path
 from ds_analysis.common.heatmap import bounds_of, draw_map
 from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, table_of_campaign
 from ds_analysis.common.table import Table
-from ds_analysis.prediction.calibration import check_in_turn
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.real.records import RecordError, read_drives
 from ds_analysis.prediction.twin_prediction import span_of
@@ -69,12 +68,12 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
         car = predict_car(folder, table_of_campaign(data, most=None if read_drives(folder) else MOST_ANALYSED))
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
-    check = check_in_turn(car.table)
     titles = [feature_of(name).title for name in car.verdicts.features]
+    kinds = car.prediction.kinds_sentence
     return AnswerSection(
         sentence=car.sentence,
-        reading=f"{_reading(car.verdicts, car.drives)} {check.sentence}. {car.table.sample_note}".rstrip(),
-        warnings=[text for text in (span_of(car.prediction).warning, check.warning) if text],
+        reading=f"{_reading(car.verdicts, car.drives)} {kinds[0].upper()}{kinds[1:]}. {car.table.sample_note}".rstrip(),
+        warnings=[text for text in (span_of(car.prediction).warning,) if text],
         axes=(titles[0], titles[1]),
         panels=_panels(car.verdicts),
     )

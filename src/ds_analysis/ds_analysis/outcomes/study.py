@@ -143,7 +143,7 @@ def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
         one = rows[twice].iloc[0]
         hint = "" if columns.repeat else ": name the column of the repetition as repeat"
         raise OutcomeTableError(f"{source}: test {one.test_id} comes twice on {one.simulator}{hint}")
-    axes = columns.map or _axes(rows, names)
+    axes = columns.map or axes_of(rows, names[:2])
     for name in axes:
         if name not in names:
             raise OutcomeTableError(f"{source}: the map's axis {name!r} is no feature: expected {', '.join(names)}")
@@ -311,9 +311,11 @@ def study_of(table: OutcomeTable) -> Study:
                      table.limits[k, column], str(table.families[k]), *table.features[k])
                 )  # fmt: skip
     frame = pd.DataFrame(rows, columns=[*LONG, *table.feature_names])
-    return Study(rows=frame, features=table.feature_names, axes=_axes(frame, table.feature_names), twin=table.twin)
+    return Study(
+        rows=frame, features=table.feature_names, axes=axes_of(frame, table.feature_names[:2]), twin=table.twin
+    )
 
 
-def _axes(rows: pd.DataFrame, names: Sequence[str]) -> dict[str, float]:
-    """Let the first two features span the map, in about ten bins each, of a width of one digit."""
-    return {name: max(float(f"{np.ptp(rows[name]) / BINS:.1g}"), 1e-9) for name in names[:2]}
+def axes_of(rows: pd.DataFrame, names: Sequence[str]) -> dict[str, float]:
+    """Let features span a map, in about ten bins each, of a width of one digit."""
+    return {name: max(float(f"{np.ptp(rows[name]) / BINS:.1g}"), 1e-9) for name in names}

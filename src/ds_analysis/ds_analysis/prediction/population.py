@@ -39,6 +39,10 @@ _MEAN_SLOPE_SCALE = 1.0
 _NOISE_CENTRE, _NOISE_SCALE = float(np.log(0.3)), 0.5
 """Prior of log sigma and log omega: ratios of lateral positions of repeated or similar tests between 1.1 and 2.3 (two
 standard deviations either way of 0.3). It decides where few margins are known."""
+KINDS = ("alike", "other level", "unlike")
+"""Kinds of simulators, as the siblings tell of one more: *alike* ones are draws from the population and share what is
+hard about a test; of those of an *other level* only the features' slopes are told, and not how often they fail; of
+*unlike* ones nothing, so that their drives alone tell their failure rate."""
 _GRID = (9, 5)
 """Values of tau_a and tau_b: Gauss-Legendre nodes of their prior probabilities."""
 _SPREAD_NODES = 3
@@ -56,17 +60,35 @@ class CoefficientMixture:
         means: (k, p) means of the coefficients.
         covariances: (k, p, p) their covariances.
         sigmas: (k,) residual standard deviations.
+        kinds: (k,) which of `KINDS` of simulators each belongs to; only those that are alike share what is hard about a
+            test beyond its features.
     """
 
     log_weights: Array
     means: Array
     covariances: Array
     sigmas: Array
+    kinds: Array
 
     @property
     def weights(self) -> Array:
         """(k,) weights."""
         return np.asarray(np.exp(self.log_weights))
+
+    @property
+    def alike(self) -> CoefficientMixture:
+        """What remains if the simulator is of the first kind."""
+        kept = self.kinds == 0
+        weights = self.log_weights[kept] - logsumexp(self.log_weights[kept])
+        return CoefficientMixture(
+            log_weights=weights, means=self.means[kept], covariances=self.covariances[kept],
+            sigmas=self.sigmas[kept], kinds=self.kinds[kept],
+        )  # fmt: skip
+
+    @property
+    def shares(self) -> Array:
+        """(kinds,) weights of the kinds of simulators."""
+        return np.asarray(np.bincount(self.kinds, self.weights, len(KINDS)), np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,6 +204,7 @@ def _population(
         means=np.repeat(means, _SPREAD_NODES, axis=0),
         covariances=np.repeat(errors + diagonal, _SPREAD_NODES, axis=0),
         sigmas=np.tile(sigma * np.exp(SPREAD_SCALE * nodes), len(grid)),
+        kinds=np.zeros(len(grid) * _SPREAD_NODES, np.intp),
     )
     least = np.einsum("kp,pq->kpq", least_errors, np.eye(p)) + diagonal
     return Population(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtr
 
-from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.statistics import Array, Indices
-from ds_analysis.prediction.margins import INSIDE, Margins, margins_of
-from ds_analysis.prediction.population import CoefficientMixture, Population, fit_population
+from ds_analysis.prediction.margins import INSIDE, Margins, margin, margins_of
+from ds_analysis.prediction.population import KINDS, CoefficientMixture, Population, fit_population
 
 DRAWS = 2000
 """Draws of the coefficients behind intervals; chosen: the ends of a 90 % interval are accurate to about 0.01."""
@@ -52,6 +52,7 @@ class TwinPrediction:
         coefficients: distribution of the twin's coefficients, given the siblings and the twin's drives so far.
         drives: the twin's drives so far.
         log_evidence: logarithm of the probability of these drives, as predicted one after the other.
+        in_turn: sibling -> weights of its kinds (`KINDS`), as its outcomes tell when the others predict it.
     """
 
     margins: Margins
@@ -59,18 +60,38 @@ class TwinPrediction:
     coefficients: CoefficientMixture
     drives: tuple[MarginDrive, ...] = ()
     log_evidence: float = 0.0
+    in_turn: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    @property
+    def alike(self) -> float:
+        """Probability that the twin is one more simulator like the siblings."""
+        return float(self.coefficients.shares[0])
+
+    @property
+    def kinds_sentence(self) -> str:
+        """What is known of the twin's kind, in one line."""
+        named = [f"{name} {KINDS[int(np.argmax(shares))]}" for name, shares in self.in_turn.items()]
+        seen = f"each simulator predicted from the others: {', '.join(named)}; " if named else ""
+        drives = f" after {len(self.drives)} drives" if self.drives else ""
+        return f"{seen}the car is taken to be like them with a probability of {self.alike:.2f}{drives}"
+
+    def document_of_kinds(self) -> dict[str, Any]:
+        """Convert what is known of kinds to JSON values."""
+        shares = dict(zip(KINDS, map(float, self.coefficients.shares), strict=True))
+        return {"car": shares, "in_turn": {name: list(one) for name, one in self.in_turn.items()}}
 
     def probabilities(self) -> Array:
         """(tests,) probability of failure."""
         mixture, predictors = self.coefficients, self.margins.predictors
+        effects, unknown = self._effects(np.arange(len(predictors)))
         found = np.zeros(len(predictors))
-        for weight, mean, covariance, sigma in zip(
-            mixture.weights, mixture.means, mixture.covariances, mixture.sigmas, strict=True
+        for weight, mean, covariance, sigma, kind in zip(
+            mixture.weights, mixture.means, mixture.covariances, mixture.sigmas, mixture.kinds, strict=True
         ):
             if weight > _NEGLIGIBLE:
                 variance = np.einsum("np,pq,nq->n", predictors, covariance, predictors, optimize=True)
-                variance += self.population.effect_variance + sigma**2
-                found += weight * ndtr((predictors @ mean + self.population.effect_mean) / np.sqrt(variance))
+                variance += unknown[kind] + sigma**2
+                found += weight * ndtr((predictors @ mean + effects[kind]) / np.sqrt(variance))
         return self._with_drives(np.clip(found, 0.0, 1.0))
 
     def draws(self, count: int = DRAWS, *, rows: Indices | None = None, outcomes: bool = True) -> Array:
@@ -94,9 +115,10 @@ class TwinPrediction:
         theta = mixture.means[chosen] + np.einsum("mpq,mq->mp", roots[index], normal)
         rows = np.arange(len(self.margins.predictors)) if rows is None else rows
         found = theta @ self.margins.predictors[rows].T
-        found += self.population.effect_mean[rows]
-        for some, sigma in zip(found, mixture.sigmas[chosen], strict=True):
-            some /= np.sqrt(self.population.effect_variance[rows] + sigma**2)
+        effects, unknown = self._effects(rows)
+        for some, sigma, kind in zip(found, mixture.sigmas[chosen], mixture.kinds[chosen], strict=True):
+            some += effects[kind]
+            some /= np.sqrt(unknown[kind] + sigma**2)
         ndtr(found, out=found)
         return self._with_drives(found, rows) if outcomes else found
 
@@ -116,8 +138,9 @@ class TwinPrediction:
     def _updated_by(self, mixture: CoefficientMixture, drive: MarginDrive) -> tuple[CoefficientMixture, float]:
         x = self.margins.predictors[drive.row]
         across = mixture.covariances @ x
-        mean = mixture.means @ x + self.population.effect_mean[drive.row]
-        variance = across @ x + self.population.effect_variance[drive.row] + mixture.sigmas**2
+        effects, unknown = (one[:, 0] for one in self._effects(np.array([drive.row])))
+        mean = mixture.means @ x + effects[mixture.kinds]
+        variance = across @ x + unknown[mixture.kinds] + mixture.sigmas**2
         log_density, moved, shrunk = _observation(drive, mean, variance)
         gain = across / variance[:, None]
         log_weights = mixture.log_weights + log_density
@@ -127,7 +150,14 @@ class TwinPrediction:
             means=mixture.means + gain * moved[:, None],
             covariances=mixture.covariances - (1.0 - shrunk)[:, None, None] * gain[:, :, None] * across[:, None, :],
             sigmas=mixture.sigmas,
+            kinds=mixture.kinds,
         ), total
+
+    def _effects(self, rows: Indices) -> tuple[Array, Array]:
+        """(kinds, rows) means and variances of the test effects, which only simulators that are alike share."""
+        mean, variance = np.zeros((len(KINDS), len(rows))), np.full((len(KINDS), len(rows)), self.population.omega**2)
+        mean[0], variance[0] = self.population.effect_mean[rows], self.population.effect_variance[rows]
+        return mean, variance
 
     def _with_drives(self, probabilities: Array, rows: Indices | None = None) -> Array:
         """Replace the probabilities of driven tests by their outcomes."""
@@ -142,15 +172,83 @@ _NEGLIGIBLE = 1e-9
 """Weight of a component that is left out of sums; all of them together change no shown digit."""
 
 
-def predict_twin(table: OutcomeTable) -> TwinPrediction:
+PSEUDO = (0.5, 0.25, 0.25)
+"""Dirichlet prior of the shares of the kinds; chosen: as much as one simulator says, half of it for *alike*."""
+EXCHANGEABLE = 0.5
+"""Probability that the car is one more simulator of the siblings' kind of kinds; otherwise the prior alone counts, as
+simulators that agree with each other may all miss the car; chosen: a coin."""
+LEVEL_SCALE = 2.0
+"""Standard deviation of the level of a simulator of an other level, in residual standard deviations: any rate."""
+
+
+def predict_twin(table: OutcomeTable, *, in_turn: bool = True) -> TwinPrediction:
     """Predict a simulator that was never driven from a table's siblings; the twin's outcomes are not looked at.
+
+    Of which kind it is (`KINDS`) is as uncertain as the siblings leave it: each of them is predicted from the others,
+    and its outcomes say of which kind it is (`in_turn`; otherwise the prior alone counts).
 
     Raises:
         ds_analysis.common.outcome_table.OutcomeTableError: too few tests.
     """
+    counts = np.array(PSEUDO)
+    found: dict[str, Sequence[float]] = {}
+    if in_turn and len(table.siblings) > 1:
+        for name in table.siblings:
+            try:
+                others = predict_twin(table.with_twin(None).with_twin(name), in_turn=False)
+            except OutcomeTableError:
+                continue
+            shares = others.updated(outcomes_of(table, name)).coefficients.shares
+            found[name] = tuple(map(float, shares))
+            counts += shares
     margins = margins_of(table)
     population = fit_population(margins)
-    return TwinPrediction(margins=margins, population=population, coefficients=population.twin)
+    prior = np.array(PSEUDO) / sum(PSEUDO)
+    shares = EXCHANGEABLE * counts / counts.sum() + (1.0 - EXCHANGEABLE) * prior
+    mixture = of_any_kind(population, shares)
+    return TwinPrediction(margins=margins, population=population, coefficients=mixture, in_turn=found)
+
+
+def of_any_kind(population: Population, shares: Array) -> CoefficientMixture:
+    """Mix what is known of a simulator that is alike with what is known of others; see `KINDS`.
+
+    Args:
+        population: posterior of the siblings' population.
+        shares: (kinds,) prior probabilities of the kinds.
+    """
+    alike = population.twin
+    spread = float(np.hypot(population.sigma, population.omega))
+    mean = alike.weights @ alike.means
+    off = alike.means - mean
+    covariance = np.einsum("k,kij->ij", alike.weights, alike.covariances)
+    covariance += np.einsum("k,ki,kj->ij", alike.weights, off, off)
+    covariance[0, :] = covariance[:, 0] = 0.0
+    covariance[0, 0] = (LEVEL_SCALE * spread) ** 2
+    nothing = np.zeros_like(covariance)
+    nothing[0, 0] = spread**2  # so that any failure rate is equally likely
+    sigma = population.sigma
+    return CoefficientMixture(
+        log_weights=np.concatenate((alike.log_weights + np.log(shares[0]), np.log(shares[1:]))),
+        means=np.vstack((alike.means, mean, np.zeros_like(mean))),
+        covariances=np.concatenate((alike.covariances, covariance[None], nothing[None])),
+        sigmas=np.concatenate((alike.sigmas, [sigma, sigma])),
+        kinds=np.concatenate((alike.kinds, [1, 2])),
+    )
+
+
+def outcomes_of(table: OutcomeTable, name: str) -> list[MarginDrive]:
+    """Return all outcomes of a simulator, as if they were its drives."""
+    column = table.column(name)
+    margins = margin(table.lateral[:, column], table.limits[:, column])
+    return [
+        MarginDrive(row=int(row), failed=bool(failed), margin=None if failed or np.isnan(known) else float(known))
+        for row, failed, known in zip(
+            np.flatnonzero(table.known(name)),
+            table.failed(name)[table.known(name)],
+            margins[table.known(name)],
+            strict=True,
+        )
+    ]
 
 
 def _root(covariance: Array) -> Array:
@@ -198,11 +296,13 @@ class Span:
         shift: mean margin of all tests as predicted after the drives, minus that of the most extreme sibling on the
             same side: how much further out the car drives than any of them (negative: further in), as a logarithm of
             lateral positions; 0 if it lies between them.
+        alike: probability that the car is one more simulator like the siblings.
     """
 
     drives: int
     odds: float
     shift: float
+    alike: float = 1.0
 
     @property
     def outside(self) -> bool:
@@ -211,19 +311,24 @@ class Span:
 
     @property
     def warning(self) -> str:
-        """One line if the car is outside, or ""."""
-        if not self.outside:
-            return ""
-        side = {1: ", further from its lane's centre than any of them", -1: ", closer to its lane's centre than any"}
-        return (
-            f"the car is outside of what the siblings span{side.get(int(np.sign(self.shift)), '')} "
-            f"({self.odds:.0f} : 1 after {self.drives} drives): trust the drives more than the simulators"
-        )
+        """One line if the siblings do not predict the car, or it is outside of what they span, or ""."""
+        said = []
+        if self.drives and self.alike < 0.5:
+            said.append(f"these simulators do not predict this car (like them with a probability of {self.alike:.2f})")
+        if self.outside:
+            side = {
+                1: ", further from its lane's centre than any of them",
+                -1: ", closer to its lane's centre than any",
+            }
+            where = side.get(int(np.sign(self.shift)), "")
+            said.append(f"the car is outside of what the siblings span{where} ({self.odds:.0f} : 1)")
+        drives = f"after {self.drives} drives" if self.drives > 1 else "after a drive"
+        return f"{', and '.join(said)} {drives}: trust the drives more than the simulators" if said else ""
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
-            "drives": self.drives, "odds": self.odds, "shift": self.shift, "outside": self.outside,
+            "drives": self.drives, "odds": self.odds, "shift": self.shift, "alike": self.alike, "outside": self.outside,
             "warning": self.warning,
         }  # fmt: skip
 
@@ -240,7 +345,7 @@ def span_of(prediction: TwinPrediction) -> Span:
     siblings = prediction.population.sibling_means @ predictors
     beyond = max(car - float(siblings.max()), 0.0) + min(car - float(siblings.min()), 0.0)
     log_odds = min(prediction.log_evidence - inside, 100.0)
-    return Span(drives=len(prediction.drives), odds=float(np.exp(log_odds)), shift=beyond)
+    return Span(drives=len(prediction.drives), odds=float(np.exp(log_odds)), shift=beyond, alike=prediction.alike)
 
 
 def _blends(prediction: TwinPrediction) -> CoefficientMixture:
@@ -259,4 +364,5 @@ def _blends(prediction: TwinPrediction) -> CoefficientMixture:
         means=weights @ mean.reshape(siblings, p),
         covariances=np.einsum("ms,spzq,mz->mpq", weights, blocks, weights, optimize=True),
         sigmas=np.full(_BLENDS, population.sigma),
+        kinds=np.zeros(_BLENDS, np.intp),
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.outcome_table import OutcomeTable, State
+from ds_analysis.prediction.twin_prediction import TwinPrediction
 from ds_road import Road, generate
 
 Array = NDArray[np.float64]
@@ -68,3 +69,8 @@ def table_of_margins(margins: Array, features: Array, *, family: int = 5) -> Out
     )
     names = tuple(f"feature_{k}" for k in range(features.shape[1]))
     return replace(table, feature_names=names, features=features, families=np.arange(tests) // family)
+
+
+def alike(prediction: TwinPrediction) -> TwinPrediction:
+    """The prediction of a twin that is known to be one more draw from the siblings' population."""
+    return replace(prediction, coefficients=prediction.coefficients.alike)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 TestsFolder = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Folder of a campaign, or of `ds siblings compare --out`.")
+    Path, typer.Argument(metavar="DIR", help="Folder of a campaign, `ds siblings compare` or `ds outcomes import`.")
 ]
 TwinName = Annotated[
     str | None,
@@ -53,10 +53,10 @@ def predict_command(
     """
     from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, read_table
     from ds_analysis.common.table import write_tables
-    from ds_analysis.prediction.calibration import check_in_turn, forecast_cells
+    from ds_analysis.prediction.calibration import forecast_cells
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
-    from ds_analysis.prediction.twin_prediction import predict_twin
+    from ds_analysis.prediction.twin_prediction import predict_twin, span_of
     from ds_analysis.prediction.verdict_picture import draw_verdicts
     from ds_analysis.prediction.verdicts import cell_table, judge
     from ds_orchestrator.store.folder_files import make_folder
@@ -69,14 +69,14 @@ def predict_command(
     if twin is None:
         say(f"{len(table)} tests on {', '.join(table.as_population().siblings)}: predicting a car")
         car = predict_car(folder, table, tolerated=tolerated)
-        check, verdicts, prediction = check_in_turn(car.table), car.verdicts, car.prediction
+        verdicts, prediction = car.verdicts, car.prediction
         sentence, title = car.sentence, "Predicted failures on a car"
     else:
         say(f"{len(table)} tests on {', '.join(table.siblings)}: predicting {twin} as if it had never been driven")
         prediction = predict_twin(table)
-        check, verdicts = check_in_turn(table), judge(table, prediction, tolerated=tolerated)
+        verdicts = judge(table, prediction, tolerated=tolerated)
         sentence, title = f"On {twin}: {verdicts.sentence}", f"Predicted failures on {twin}, never driven"
-    tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts)), *([check.table()] if check.siblings else [])]
+    tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts))]
     document: dict[str, Any] = {
         "siblings": list(table.siblings),
         "twin": table.twin,
@@ -84,7 +84,7 @@ def predict_command(
         "real_drives": car.drives if car else 0,
         "population": prediction.population.document(),
         "verdicts": verdicts.document(),
-        "self_check": check.document(),
+        "kinds": prediction.document_of_kinds(),
         "comparison": None,
         "forecasts": [],
         **({"tests_left_out": table.left_out} if table.left_out else {}),
@@ -116,10 +116,9 @@ def predict_command(
             print(f"predictors are not compared: {document['no_comparison']}")
         if table.sample_note:
             print(table.sample_note)
-        if not check.siblings:
-            print(check.sentence)
-        if check.warning:
-            print(f"warning: {check.warning}")
+        print(f"{prediction.kinds_sentence[0].upper()}{prediction.kinds_sentence[1:]}.")
+        if warning := span_of(prediction).warning:
+            print(f"warning: {warning}")
         if out is not None:
             print(out / "prediction.json")
 

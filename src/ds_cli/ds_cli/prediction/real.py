@@ -174,7 +174,8 @@ def propose_command(
             for one in found
         ],
         notes=[
-            "gain: expected reduction of the mean squared error of all predictions by the drive, after those above; "
+            "gain: expected reduction of the mean squared error of all predictions by the drive, after those above, "
+            "empty for tests that were drawn at random, which show whether the simulators mislead; "
             f"that error is expected to be {expected:.4f} now: stop when a drive gains less than "
             f"{100 * LEAST_GAIN:.0f} % of it"
         ],

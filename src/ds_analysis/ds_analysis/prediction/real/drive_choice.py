@@ -34,11 +34,11 @@ class Choice:
     Attributes:
         row: row of the test.
         gain: expected reduction of the mean squared error of all predicted probabilities, each cell counting the same,
-            by this drive after those chosen before it.
+            by this drive after those chosen before it; None for a test that was drawn at random.
     """
 
     row: int
-    gain: float
+    gain: float | None
 
 
 def candidates_of(table: OutcomeTable, prediction: TwinPrediction) -> Indices:
@@ -50,8 +50,11 @@ def candidates_of(table: OutcomeTable, prediction: TwinPrediction) -> Indices:
     return np.flatnonzero(usable)
 
 
-def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int) -> list[Choice]:
-    """Choose tests one after the other, each with the largest expected gain given those before.
+def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int, *, drawn: bool = True) -> list[Choice]:
+    """Choose every other test, each with the largest expected gain given those before, and draw the others at random.
+
+    What is chosen tells most if the car is like its siblings (`ds_analysis.prediction.population.KINDS`), and misleads
+    if it is not, which drawn tests show. Which drives are drawn depends on the number of drives before them alone.
 
     The gain of a verdict on test c about test j is cov(p_j, p_c)^2 / var(y_c) (the variance of p_j that a linear
     regression on the verdict y_c explains), over what is uncertain about the car. A chosen test takes its part out of
@@ -63,6 +66,7 @@ def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int) -> list
         table: outcomes of the siblings.
         prediction: of the table's tests.
         drives: number of tests to choose.
+        drawn: whether every other one is drawn at random.
 
     Raises:
         BudgetError: there are fewer candidates.
@@ -72,7 +76,7 @@ def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int) -> list
         raise BudgetError(
             f"{drives} drives: {len(candidates)} tests can be proposed, expected a budget of at most {len(candidates)}"
         )
-    draws = prediction.draws(DRAWS)
+    draws = replace(prediction, coefficients=prediction.coefficients.alike).draws(DRAWS)
     mean = draws.mean(axis=0)
     noise = np.maximum(mean - (draws**2).mean(axis=0), 0.0)  # mean of p (1 - p): what a known car leaves to chance
     factor = (draws - mean) / np.sqrt(DRAWS)
@@ -87,8 +91,13 @@ def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int) -> list
         total = variance + noise
         gram = (factor * weights) @ factor.T
         gain = np.where(total > _NOTHING, (factor * (gram @ factor)).sum(axis=0) / np.maximum(total, _NOTHING), 0.0)
-        row = int(np.argmax(np.where(allowed, gain, -1.0)))
-        chosen.append(Choice(row=row, gain=float(gain[row])))
+        place = len(prediction.drives) + len(chosen)
+        if drawn and place % 2:
+            row = int(np.random.default_rng([_SEED, place]).choice(np.flatnonzero(allowed)))
+            chosen.append(Choice(row=row, gain=None))
+        else:
+            row = int(np.argmax(np.where(allowed, gain, -1.0)))
+            chosen.append(Choice(row=row, gain=float(gain[row])))
         left[row] = False
         if variance[row] > _NOTHING:
             direction = factor[:, row] / np.sqrt(variance[row])
@@ -98,11 +107,13 @@ def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int) -> list
 
 
 def expected_error(table: OutcomeTable, prediction: TwinPrediction) -> float:
-    """Expected mean squared error of all predicted probabilities, each cell counting the same, as in `choose`."""
-    probabilities = prediction.probabilities()
+    """Expected mean squared error of all predictions, each cell counting the same, if the car is like its siblings."""
+    probabilities = replace(prediction, coefficients=prediction.coefficients.alike).probabilities()
     return float(_cell_weights(table) @ (probabilities * (1.0 - probabilities)))
 
 
+_SEED = 23
+"""Seed of the tests that are drawn; any number does."""
 _NOTHING = 1e-12
 """Variance below which a test tells nothing."""
 
@@ -232,11 +243,11 @@ def worth_of(table: OutcomeTable, before: TwinPrediction, after: TwinPrediction)
 def next_gain(table: OutcomeTable, prediction: TwinPrediction) -> float | None:
     """Share of the expected squared error that the best next drive is expected to take; None if no test is left."""
     try:
-        (choice,) = choose(table, prediction, 1)
+        (choice,) = choose(table, prediction, 1, drawn=False)
     except BudgetError:
         return None
     error = expected_error(table, prediction)
-    return choice.gain / error if error > 0.0 else 0.0
+    return (choice.gain or 0.0) / error if error > 0.0 else 0.0
 
 
 def _simulated(before: float, limit: float, after: float, *, tests: int, siblings: int, drives: int) -> float | None:

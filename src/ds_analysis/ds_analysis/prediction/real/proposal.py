@@ -48,7 +48,7 @@ class ProposedDrive:
         scale: metres of the road per metre of the car's.
         probability: predicted probability that the car fails.
         gain: expected reduction of the mean squared error of all predicted probabilities, by this drive after those
-            before it.
+            before it; None for a test that was drawn at random.
         siblings: simulator -> outcome of this test there: `failed`, `completed` or `not driven`.
         if_fails: mean predicted failure probability of all other tests if the car fails.
         if_completes: the same if it completes.
@@ -62,7 +62,7 @@ class ProposedDrive:
     limit: float
     scale: float
     probability: float
-    gain: float
+    gain: float | None
     siblings: dict[str, str]
     if_fails: float
     if_completes: float
