@@ -59,7 +59,7 @@ def test_the_first_choice_is_that_of_brute_force() -> None:
 def test_choices_are_spread_over_families_and_tell_less_and_less() -> None:
     table, _ = made_up(32, tests=60, family=10)
     found = choose(table, predict_twin(table), 6)
-    assert len({int(table.families[one.row]) for one in found}) == 6
+    assert len({int(table.families[one.row]) for one in found[::2]}) == 3
     assert len({one.row for one in choose(table, predict_twin(table), 12)}) == 12  # more than families
     assert [one.gain is None for one in found] == [False, True] * 3  # every other one is drawn
     gains = [one.gain for one in found if one.gain is not None]
@@ -222,6 +222,8 @@ def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.Ca
     assert run(["real", "record", str(folder), str(filled), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["failures"][1] < document["failures"][0] - 0.05
+    # One of the three drives was drawn, so that much is certain.
+    assert document["certificate"]["drawn"] == 1 and document["certificate"]["high"] < document["certificate"]["tests"]
     assert document["span"]["outside"] and "closer to its lane's centre than any" in document["span"]["warning"]
     driven = {one["test_id"] for one in document["after"]["tests"] if one["driven"]}
     assert driven == {one["test_id"] for one in proposed}

@@ -64,6 +64,7 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
     Raises:
         ds_analysis.prediction.real.records.RecordError: there are no drives, or they are damaged.
     """
+    from ds_analysis.prediction.real.proposal import read_proposed
     from ds_analysis.prediction.real.records import FOLDER, RecordError, read_drives
     from ds_analysis.prediction.real.update import update
     from ds_analysis.prediction.verdict_picture import draw_verdicts
@@ -76,7 +77,8 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
             f"{folder} has no real drives: record some with `{ds_command('real', 'record', folder, 'FILE.csv')}`"
         )
     table, prediction = _fitted(folder)
-    found = update(table, prediction, drives, tolerated=tolerated)
+    rounds = read_proposed(folder).rounds
+    found = update(table, prediction, drives, tolerated=tolerated, rounds=rounds)
     document: dict[str, Any] = found.document()
     path = (folder / FOLDER if out is None else out) / "update.json"
     write_json(path, document)
@@ -124,6 +126,8 @@ def _show(found: Update, path: Path) -> None:
     print(found.sentence)
     for line in found.worth.sentences:
         print(line)
+    if found.certificate is not None:
+        print(found.certificate.sentence)
     if found.span.warning:
         print(f"warning: {found.span.warning}")
     print(path)
@@ -137,14 +141,21 @@ def propose_command(
         float | None,
         typer.Option(min=1.0, max=100.0, help="Scale of the car: 16 for 1:16; that of earlier proposals, or 16."),
     ] = None,
+    certify: Annotated[
+        float | None,
+        typer.Option(min=0.01, max=0.99, help="Say how many drawn drives it takes to certify this failure rate."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Choose the drives on the car that would tell most, and write roads to tape out, conditions and what each decides.
 
+    Every other test is drawn at random, so that `ds real update` can bound the car's failures however one stops.
+
     Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
     """
     from ds_analysis.common.table import Column, Table
-    from ds_analysis.prediction.real.drive_choice import LEAST_GAIN, expected_error
+    from ds_analysis.prediction.real.certificate import drives_until
+    from ds_analysis.prediction.real.drive_choice import LEAST_GAIN, candidates_of, expected_error
     from ds_analysis.prediction.real.proposal import SCALE, propose, read_proposed, write_proposal
     from ds_analysis.prediction.real.records import read_drives
     from ds_analysis.prediction.real.update import margin_drives
@@ -181,14 +192,21 @@ def propose_command(
         ],
     )  # fmt: skip
 
+    sure = None if certify is None else drives_until(certify, len(candidates_of(outcomes, prediction)))
+
     def show() -> None:
         table.show(Console())
+        if certify is not None:
+            never = f"no number of drives certifies {certify:.0%}: there are too few tests"
+            most = f"{sure} drawn drives without a failure certify that the car fails on at most {certify:.0%} of tests"
+            print(never if sure is None else f"{most}; every other drive is drawn")
         for path in paths:
             print(path)
 
     document = {
         "drives": [one.document() for one in found],
         "expected_squared_error": expected,
+        "drawn_drives_to_certify": sure,
         "files": [str(path) for path in paths],
     }
     answer(Result(document=document, show=show), as_json)

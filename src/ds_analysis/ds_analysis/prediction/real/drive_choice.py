@@ -54,7 +54,8 @@ def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int, *, draw
     """Choose every other test, each with the largest expected gain given those before, and draw the others at random.
 
     What is chosen tells most if the car is like its siblings (`ds_analysis.prediction.population.KINDS`), and misleads
-    if it is not, which drawn tests show. Which drives are drawn depends on the number of drives before them alone.
+    if it is not, which drawn tests show. They are drawn uniformly from all that are left, as a certificate wants it
+    (`ds_analysis.prediction.real.certificate`), whatever came out before.
 
     The gain of a verdict on test c about test j is cov(p_j, p_c)^2 / var(y_c) (the variance of p_j that a linear
     regression on the verdict y_c explains), over what is uncertain about the car. A chosen test takes its part out of
@@ -93,7 +94,7 @@ def choose(table: OutcomeTable, prediction: TwinPrediction, drives: int, *, draw
         gain = np.where(total > _NOTHING, (factor * (gram @ factor)).sum(axis=0) / np.maximum(total, _NOTHING), 0.0)
         place = len(prediction.drives) + len(chosen)
         if drawn and place % 2:
-            row = int(np.random.default_rng([_SEED, place]).choice(np.flatnonzero(allowed)))
+            row = int(np.random.default_rng([_SEED, place]).choice(np.flatnonzero(left)))
             chosen.append(Choice(row=row, gain=None))
         else:
             row = int(np.argmax(np.where(allowed, gain, -1.0)))

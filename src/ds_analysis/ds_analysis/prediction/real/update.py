@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.prediction.margins import margin
-from ds_analysis.prediction.real.drive_choice import Worth, worth_of
+from ds_analysis.prediction.real.certificate import Bet, Certificate, certify
+from ds_analysis.prediction.real.drive_choice import Worth, candidates_of, worth_of
 from ds_analysis.prediction.real.records import RealDrive, RecordError
 from ds_analysis.prediction.twin_prediction import MarginDrive, Span, TwinPrediction, span_of
 from ds_analysis.prediction.verdicts import CellVerdict, Verdicts, judge
@@ -39,6 +41,7 @@ class Update:
         width_before: mean width of the 90 % intervals of the cells' failure rates, without the drives.
         width_after: the same with them.
         worth: what the drives are worth in other drives, and whether to go on.
+        certificate: bounds on the tests that fail, from drawn drives; None without any.
     """
 
     drives: Sequence[RealDrive]
@@ -50,6 +53,7 @@ class Update:
     width_before: float
     width_after: float
     worth: Worth
+    certificate: Certificate | None
 
     @property
     def changed(self) -> list[ChangedCell]:
@@ -81,6 +85,7 @@ class Update:
             "failures": [self.failures_before, self.failures_after],
             "interval_width": [self.width_before, self.width_after],
             "worth": self.worth.document(),
+            "certificate": None if self.certificate is None else asdict(self.certificate),
             "sentence": self.sentence,
         }
 
@@ -115,6 +120,7 @@ def update(
     drives: Sequence[RealDrive],
     *,
     tolerated: float,
+    rounds: Sequence[Sequence[Mapping[str, Any]]] = (),
 ) -> Update:
     """Compare predictions before and after real drives.
 
@@ -123,6 +129,7 @@ def update(
         prediction: without the drives.
         drives: the real drives.
         tolerated: failure rate up to which a cell counts as safe.
+        rounds: proposals, in the order of their drives; see `ds_analysis.prediction.real.proposal`.
 
     Raises:
         RecordError: a drive is of no test of the table.
@@ -139,7 +146,37 @@ def update(
         width_before=_width(before.cells),
         width_after=_width(after.cells),
         worth=worth_of(table, prediction, known),
+        certificate=_certificate(table, prediction, drives, rounds),
     )
+
+
+def _certificate(
+    table: OutcomeTable,
+    prediction: TwinPrediction,
+    drives: Sequence[RealDrive],
+    rounds: Sequence[Sequence[Mapping[str, Any]]],
+) -> Certificate | None:
+    """Bound the failures by the drives in the order in which they were proposed, up to the first without outcome."""
+    outcomes = {drive.test_id: drive for drive in drives}
+    left = np.zeros(len(table), np.bool_)
+    left[candidates_of(table, prediction)] = True
+    tests, bets = int(left.sum()), []
+    for row in chain.from_iterable(rounds):
+        if row["test_id"] not in outcomes:
+            break
+        (drive,) = margin_drives(table, [outcomes[row["test_id"]]])
+        probabilities = prediction.probabilities()
+        bets.append(
+            Bet(
+                failed=drive.failed,
+                drawn=row["gain"] is None,
+                predicted=float(probabilities[drive.row]),
+                mean_predicted=float(probabilities[left].mean()),
+            )
+        )
+        left[drive.row] = False
+        prediction = prediction.updated([drive])
+    return certify(bets, tests) if any(bet.drawn for bet in bets) else None
 
 
 def _expected(verdicts: Verdicts) -> float:
