@@ -40,6 +40,8 @@ OUTPUT_NAMES = {
 DONKEY_BINS = {"angle_out": (-1.0, 1.0), "throttle_out": (0.0, 0.475)}
 """Centres of the first and the last bin of Donkey Car's `categorical`: 15, and 20 up to a range of 0.5."""
 QUESTIONS = {"colour": "Colours", "crop": "Part of the image", "subtract": "Scale of the pixels"}
+NOTHING = Agreement(0.0, 0.0, 0.0, ())
+"""Agreement of a network that refuses an input."""
 Ask = Callable[[str, list[str], str], str]
 """Asks a person to choose: question, choices and proposed choice."""
 
@@ -138,22 +140,35 @@ def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence
     """
     pilot = _load(file, forms)
     tried = [one.sample(SHARE_TRIED) for one in recordings]
-    chosen, fit = (pilot.description, None) if pilot.has_memory else ranked(pilot, recordings)[0]
-    parts = inputs(chosen.input)
-    comments = dict.fromkeys(parts, "a guess")
-    if fit is None:  # single images say nothing about it, and trying whole drives takes too long
-        parts = {}
-    for part, others in parts.items():
-        fits = [(_shown(one), best_reading(pilot.described_as(changed(chosen, one)), tried)[1]) for one in others]
+    remembers, comments = pilot.has_memory, {}
+    # A network with memory is asked about whole drives: one part of its input after the other, not all combinations.
+    chosen, fit = (pilot.description, NOTHING) if remembers else ranked(pilot, recordings)[0]
+
+    def fitted(one: DescribedNetwork) -> Agreement:
+        if not remembers:
+            return best_reading(pilot.described_as(one), tried)[1]
+        try:
+            answers = ask_open_loop(pilot.described_as(one), recordings)[0]
+        except DriverError:
+            return NOTHING
+        return agreement(np.concatenate(list(answers.values())), recordings)
+
+    for part, others in inputs(chosen.input).items():
+        fits = [(_shown(one), fitted(changed(chosen, one))) for one in others]
+        if remembers:
+            best = max(range(len(fits)), key=lambda k: (round(abs(fits[k][1].correlation), 3), -k))
+            chosen, fit = changed(chosen, others[best]), fits[best][1]
+            fits.insert(0, fits.pop(best))
+            others.insert(0, others.pop(best))
         comments[part] = _why(fits)
-        undecided = [name for name, other in fits if fit and other.unexplained * GAIN < fit.unexplained]
+        undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
             answer = ask(f"{QUESTIONS[part]}, which the drives do not decide", undecided, undecided[0])
             if answer not in undecided:
                 raise DriverError(f"{answer!r} was not offered: expected one of {', '.join(undecided)}")
             chosen = changed(chosen, others[[name for name, _ in fits].index(answer)])
             comments[part] = "as you answered"
-    if fit is not None:
+    if not remembers:
         chosen = best_reading(pilot.described_as(chosen), tried)[0]
     answers = np.concatenate(list(ask_open_loop(pilot.described_as(chosen), recordings)[0].values()))
     findings, fixed = findings_of(chosen, chosen, answers, recordings)

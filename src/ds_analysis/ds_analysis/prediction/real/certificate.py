@@ -18,7 +18,7 @@ import numpy as np
 from ds_analysis.common.statistics import Array
 
 ALPHA = 0.05
-_STAKES = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+_STAKES = np.array([0.2, 0.5, 0.95])
 """Stakes of equal weights, each on either side; chosen: any value below 1 is valid, and some fit any rate."""
 
 
