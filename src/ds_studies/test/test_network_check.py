@@ -204,6 +204,26 @@ def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Recor
     assert kinds(path, drives) == []
 
 
+def test_describes_a_network_with_a_state_and_a_constant_by_whole_drives(
+    made: Made, drives: list[Recording], tmp_path: Path
+) -> None:
+    model = onnx.load(made(bgr=True, times=-25.0).with_suffix(".onnx"))
+    vector = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 4]) for name in ("h", "h_out", "route")]
+    model.graph.input.extend([vector[0], vector[2]])
+    model.graph.output.append(vector[1])
+    model.graph.node.append(helper.make_node("Add", ["h", "route"], ["h_out"]))
+    file = tmp_path / "recurrent.onnx"
+    onnx.save(model, file)
+    (form,) = forms_of(file)
+    assert form.has_memory
+    file.with_suffix(".yaml").write_text(describe(file, [form], drives, None))
+    written = yaml.safe_load(file.with_suffix(".yaml").read_text())
+    assert written["inputs"] == {"h": {"state": "h_out"}, "route": {"constant": 0.0}}
+    assert written["input"]["colour"] == "bgr" and written["input"]["crop"] == INPUT["crop"]
+    assert written["outputs"]["steering"]["scale"] == pytest.approx(-0.04, rel=0.1)
+    assert kinds(file.with_suffix(".yaml"), drives) == []
+
+
 def form_of_file(file: Path) -> list[Any]:
     forms = forms_of(file)
     assert [(form.input.size, form.input.layout, form.input.type) for form in forms] == [

@@ -139,20 +139,24 @@ def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence
         DriverError: the network takes none of the inputs.
     """
     pilot = _load(file, forms)
-    tried = [one.sample(SHARE_TRIED) for one in recordings]
     remembers, comments = pilot.has_memory, {}
-    # A network with memory is asked about whole drives: one part of its input after the other, not all combinations.
+    # A network with memory is asked about whole drives: few, one part of its input after the other, no combinations.
+    tried = [one.first_drives(2) if remembers else one.sample(SHARE_TRIED) for one in recordings]
     chosen, fit = (pilot.description, NOTHING) if remembers else ranked(pilot, recordings)[0]
 
     def fitted(one: DescribedNetwork) -> Agreement:
         if not remembers:
             return best_reading(pilot.described_as(one), tried)[1]
         try:
-            answers = ask_open_loop(pilot.described_as(one), recordings)[0]
+            answers = ask_open_loop(pilot.described_as(one), tried)[0]
         except DriverError:
             return NOTHING
-        return agreement(np.concatenate(list(answers.values())), recordings)
+        return agreement(np.concatenate(list(answers.values())), tried)
 
+    if remembers:  # the part of the image first, as colours look alike on a wrong one; the loop below starts from here
+        for part in ("crop", "colour", "crop"):
+            tries = [changed(chosen, one) for one in inputs(chosen.input)[part]]
+            chosen = max(tries, key=lambda one: round(abs(fitted(one).correlation), 3))
     for part, others in inputs(chosen.input).items():
         fits = [(_shown(one), fitted(changed(chosen, one))) for one in others]
         if remembers:

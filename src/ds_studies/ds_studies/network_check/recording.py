@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_analysis.common.statistics import Indices
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.pilot import Frame, Pilot
@@ -48,7 +50,14 @@ class Recording:
 
     def sample(self, step: int) -> Recording:
         """Keep one image of so many, evenly over the autopilot's steering, so that sharp bends are among them."""
-        kept = np.sort(np.argsort(self.steering, kind="stable")[step // 2 :: step])
+        return self._only(np.sort(np.argsort(self.steering, kind="stable")[step // 2 :: step]))
+
+    def first_drives(self, count: int) -> Recording:
+        """Keep whole drives, the first ones."""
+        begins = np.cumsum([0, *(b.step <= a.step for a, b in pairwise(self.frames))])
+        return self._only(np.flatnonzero(begins < count))
+
+    def _only(self, kept: Indices) -> Recording:
         return replace(
             self, frames=tuple(self.frames[k] for k in kept), steering=self.steering[kept], throttle=self.throttle[kept]
         )
