@@ -28,9 +28,10 @@ import numpy as np
 from benchmarks.prediction.budget_scores import RATE, SHIFTED, learned
 from scipy.special import expit, logit
 
-from ds_analysis.common.outcome_table import OutcomeTable, read_table
+from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.common.table import Column, Table, write_tables
+from ds_analysis.outcomes.folders import read_table
 from ds_analysis.prediction.predictors import UNDRIVEN, merged, undriven_probabilities
 from ds_analysis.prediction.real.drive_choice import choose
 from ds_analysis.prediction.twin_prediction import MarginDrive, outcomes_of, predict_twin

@@ -5,7 +5,6 @@ from .common.outcome_table import (
     OutcomeTable,
     OutcomeTableError,
     State,
-    read_table,
     table_of_campaign,
     table_of_comparison,
     table_of_runs,
@@ -33,6 +32,7 @@ from .comparison.paired_drives import (
     difference_interval,
 )
 from .comparison.tables import markdown_of
+from .outcomes.folders import read_table
 from .paper.campaign_contents import maps_of
 from .paper.correlation import (
     Correlation,

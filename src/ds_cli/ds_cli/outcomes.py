@@ -74,7 +74,7 @@ def outcomes_export_command(
     out: Annotated[Path, typer.Option(help="Table to write: .csv or .parquet.")],
 ) -> None:
     """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it."""
-    from ds_analysis.common.outcome_table import read_table
+    from ds_analysis.outcomes.folders import read_table
     from ds_analysis.outcomes.study import FILE, read_study, study_of, write_rows
 
     study = read_study(folder) if (folder / FILE).exists() else study_of(read_table(folder))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, partial
@@ -339,38 +338,6 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
     except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError):
         raise OutcomeTableError(f"{folder} holds no comparison: expected the --out of `ds siblings compare`") from None
     return _with_verdicts(table).with_twin(twin)
-
-
-def read_table(folder: Path, *, twin: str | None = None, most: int | None = None) -> OutcomeTable:
-    """Read a folder of `ds campaign run`, finished or running, of `ds siblings compare --out`, or `ds outcomes import`.
-
-    Args:
-        folder: the folder.
-        twin: simulator that plays the twin; the campaign's own twin if None.
-        most: tests of a campaign at most; see `table_of_campaign`.
-
-    Raises:
-        OutcomeTableError: the folder holds neither, or has no such simulator, or no verdict yet.
-        ds_orchestrator.store.sqlite_file.StoreError: the campaign's file is damaged.
-        ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
-    """
-    if (folder / "campaign.sqlite").exists():
-        from ds_orchestrator.campaign.folder import open_store, read_campaign
-
-        with closing(open_store(folder)) as store:
-            table = table_of_campaign(read_campaign(store), most=most)
-        return table.with_twin(twin) if twin else table
-    if (folder / "comparison.json").exists():
-        return table_of_comparison(folder, twin=twin)
-    if (folder / "outcomes.parquet").exists():
-        from ds_analysis.outcomes.study import read_study
-
-        table = read_study(folder).table()
-        return table.with_twin(twin) if twin else table
-    raise OutcomeTableError(
-        f"{folder} holds no campaign.sqlite, comparison.json or outcomes.parquet: expected a folder of `ds campaign "
-        "run`, `ds siblings compare --out` or `ds outcomes import`"
-    )
 
 
 def _with_verdicts(table: OutcomeTable) -> OutcomeTable:

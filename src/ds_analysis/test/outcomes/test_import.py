@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 import yaml
 
-from ds_analysis.common.outcome_table import OutcomeTableError, State, read_table
+from ds_analysis.common.outcome_table import OutcomeTableError, State
 from ds_analysis.outcomes.columns import Columns, read_columns
+from ds_analysis.outcomes.folders import read_table
 from ds_analysis.outcomes.study import Study, import_outcomes, read_study, study_of, write_rows, write_study
 from ds_analysis.prediction.margins import INSIDE, margins_of
 from ds_analysis.prediction.twin_prediction import predict_twin

@@ -51,8 +51,9 @@ def predict_command(
     from its own recorded drives; `--twin` predicts a simulator as if it had never been driven. Where there is a twin,
     predictors that do not know it are scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
     """
-    from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, read_table
+    from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError
     from ds_analysis.common.table import write_tables
+    from ds_analysis.outcomes.folders import read_table
     from ds_analysis.prediction.calibration import forecast_cells
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables

@@ -91,7 +91,7 @@ def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Re
 
 def _fitted(folder: Path) -> tuple[OutcomeTable, TwinPrediction]:
     """Tests of a folder, a driven digital twin among the siblings, and the prediction of a car."""
-    from ds_analysis.common.outcome_table import read_table
+    from ds_analysis.outcomes.folders import read_table
     from ds_analysis.prediction.twin_prediction import predict_twin
 
     table = read_table(folder).as_population()

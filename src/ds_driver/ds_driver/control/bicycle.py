@@ -75,14 +75,16 @@ def pursuit_curvature(path: NDArray[np.float64], lookahead: float) -> float:
         >>> pursuit_curvature(np.array([[3.0, 0.0], [5.0, 1.0]]), lookahead=4.0) > 0.0
         True
     """
-    goal, before = path[-1], np.zeros(2)
-    for point in path:
-        if math.hypot(*point) >= lookahead > math.hypot(*before):
+    points = [(float(ahead), float(left)) for ahead, left in path]
+    (x, y), (a, b) = points[-1], (0.0, 0.0)
+    for ahead, left in points:
+        if math.hypot(ahead, left) >= lookahead > math.hypot(a, b):
             # |before + t * step| = lookahead, of which the larger root lies on the way out.
-            step = point - before
-            a, b, c = float(step @ step), float(before @ step), float(before @ before) - lookahead**2
-            goal = before + step * (-b + math.sqrt(b * b - a * c)) / a
+            da, db = ahead - a, left - b
+            along, size = a * da + b * db, da * da + db * db
+            t = (-along + math.sqrt(along * along - size * (a * a + b * b - lookahead * lookahead))) / size
+            x, y = a + t * da, b + t * db
             break
-        before = point
-    distance = float(goal @ goal)
-    return 0.0 if distance < STANDSTILL**2 else 2.0 * float(goal[1]) / distance
+        a, b = ahead, left
+    distance = x * x + y * y
+    return 0.0 if distance < STANDSTILL**2 else 2.0 * y / distance

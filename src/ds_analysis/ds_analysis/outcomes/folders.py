@@ -1,0 +1,38 @@
+"""Reads the outcomes of any folder: of a campaign, of a comparison of siblings, or of a study."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError, table_of_campaign, table_of_comparison
+from ds_analysis.outcomes.study import FILE, read_study
+from ds_orchestrator.campaign.folder import open_store, read_campaign
+
+
+def read_table(folder: Path, *, twin: str | None = None, most: int | None = None) -> OutcomeTable:
+    """Read a folder of `ds campaign run`, finished or running, of `ds siblings compare --out`, or `ds outcomes import`.
+
+    Args:
+        folder: the folder.
+        twin: simulator that plays the twin; the campaign's own twin if None.
+        most: tests of a campaign at most; see `table_of_campaign`.
+
+    Raises:
+        OutcomeTableError: the folder holds neither, or has no such simulator, or no verdict yet.
+        ds_orchestrator.store.sqlite_file.StoreError: the campaign's file is damaged.
+        ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
+    """
+    if (folder / "campaign.sqlite").exists():
+        with closing(open_store(folder)) as store:
+            table = table_of_campaign(read_campaign(store), most=most)
+        return table.with_twin(twin) if twin else table
+    if (folder / "comparison.json").exists():
+        return table_of_comparison(folder, twin=twin)
+    if (folder / FILE).exists():
+        table = read_study(folder).table()
+        return table.with_twin(twin) if twin else table
+    raise OutcomeTableError(
+        f"{folder} holds no campaign.sqlite, comparison.json or outcomes.parquet: expected a folder of `ds campaign "
+        "run`, `ds siblings compare --out` or `ds outcomes import`"
+    )
