@@ -13,6 +13,7 @@ from ds_analysis.paper.open_loop import ErrorsError, architecture_of, predict
 from ds_analysis.paper.paper_tables import error_tables
 from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
 from ds_driver.data.dataset import write_drive
+from ds_driver.networks.pilot import Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_sim.camera.encodings import jpeg
 
@@ -127,6 +128,37 @@ def test_predictions_over_a_data_set(tmp_path: Path) -> None:
     assert few["bullet"].recorded == pytest.approx([0.5, 0.75])
     with pytest.raises(ErrorsError, match="name a network"):
         predict(tmp_path / "data", "autopilot", lambda *_: None)
+
+
+class Summing:
+    """Answers the mean brightness of its drive so far, and its speed as throttle: it may not miss a frame."""
+
+    def start(self) -> None:
+        self.total = 0.0
+
+    def drive(self, frame: Frame) -> float:
+        self.total += frame.image.mean() / 25500 + frame.speed
+        return self.total
+
+
+def test_a_network_with_memory_is_shown_drives_in_order_and_none_with_gaps(tmp_path: Path) -> None:
+    image = jpeg(np.full((160, 320, 3), 100, np.uint8))
+
+    def written(folder: Path, steps: list[int]) -> Path:
+        for direction in ("forward", "reverse"):
+            drive = {"simulator": "bullet", "road_id": "r", "direction": direction, "image": image, "speed": 0.1}
+            rows: list[dict[str, object]] = [{**drive, "steering": 0.0, "step": step} for step in steps]
+            write_drive(folder / "bullet" / f"r-{direction}.parquet", rows)
+        return folder
+
+    name = f"{__name__}:Summing"
+    each = 100 / 25500 + 0.1
+    whole = predict(written(tmp_path / "whole", [0, 1, 2]), name, lambda *_: None)["bullet"]
+    assert whole.answered == pytest.approx([each, 2 * each, 3 * each] * 2, abs=1e-3)
+    few = predict(tmp_path / "whole", name, lambda *_: None, images=4)["bullet"]
+    assert few.answered == pytest.approx([each, 2 * each, 3 * each, each], abs=1e-3)
+    with pytest.raises(ErrorsError, match="leaves out frames of bullet, and .* remembers .*: collect with --every 1"):
+        predict(written(tmp_path / "thin", [0, 3, 6]), name, lambda *_: None)
 
 
 def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None:
