@@ -79,7 +79,7 @@ def test_the_likelihood_is_that_of_numerical_integration() -> None:
 
 def test_the_siblings_boundaries_come_back() -> None:
     table, truth = made_up(5, tests=3000)
-    found = predict_twin(table).population
+    found = predict_twin(table, in_turn=False).population
     centred = truth.coefficients[:3].copy()  # features are standardised before the fit
     centred[:, 0] += centred[:, 1:] @ table.features.mean(axis=0)
     centred[:, 1:] *= table.features.std(axis=0)
@@ -99,7 +99,7 @@ def test_one_more_simulator_is_what_brute_force_says() -> None:
     levels = np.array([-0.45, -0.3, -0.25])
     shared, own = 0.05 * rng.normal(size=(80, 1)), 0.03 * rng.normal(size=(80, 4))
     margins = np.array([*levels, -0.3]) + shared + own  # all known: within the lane, but not well within
-    prediction = alike(predict_twin(table_of_margins(margins, np.zeros((80, 1)))))
+    prediction = alike(predict_twin(table_of_margins(margins, np.zeros((80, 1))), in_turn=False))
     population, known = prediction.population, margins[:, :3].mean(axis=0)
     error = (population.omega**2 * np.ones((3, 3)) + population.sigma**2 * np.eye(3)) / 80
     mean, tau = rng.normal(np.log(0.25), 2.0, 200_000), np.abs(rng.normal(0.0, 1.0, 200_000))
@@ -124,7 +124,7 @@ def test_intervals_of_a_simulator_that_was_never_driven_hold_what_they_say() -> 
     forecasts = []
     for seed in range(20):
         table, _ = made_up(100 + seed, tests=120, tau=(0.67, 0.17))  # the medians of their priors
-        forecasts += forecast_cells(table, predict_twin(table), fewest=5)
+        forecasts += forecast_cells(table, predict_twin(table, in_turn=False), fewest=5)
     assert len(forecasts) > 150
     ranks = np.array([one.rank for one in forecasts])
     assert 0.85 <= np.mean((ranks >= 0.05) & (ranks <= 0.95)) <= 0.95
@@ -154,7 +154,7 @@ def test_the_twin_s_outcomes_are_never_looked_at() -> None:
 def test_drives_update_as_a_bayesian_regression_does() -> None:
     """Every component against the textbook's formula; the order of the drives does not matter."""
     table, truth = made_up(9, tests=60)
-    prediction = alike(predict_twin(table))
+    prediction = alike(predict_twin(table, in_turn=False))
     rows = [int(k) for k in np.flatnonzero((truth.margins[:, 3] < 0) & (truth.margins[:, 3] > INSIDE))[:4]]
     drives = [MarginDrive(row=k, failed=False, margin=float(truth.margins[k, 3])) for k in rows]
     found = prediction.updated(drives)
@@ -202,9 +202,9 @@ def test_a_few_drives_help_with_a_twin_outside_and_do_no_harm_with_a_twin_like_a
     for seed in range(12):
         table, truth = made_up(200 + seed, tests=120, twin=np.array([0.5, 0.3, 0.2, -0.2, 0.1]))
         chosen = np.random.default_rng(seed).permutation(120)[:4]
-        outside.append(briers(predict_twin(table), truth.margins[:, 3], chosen))
+        outside.append(briers(predict_twin(table, in_turn=False), truth.margins[:, 3], chosen))
         copy = truth.margins[:, 0] + 0.05 * np.random.default_rng(seed).normal(size=120)
-        same.append(briers(predict_twin(table), copy, chosen))
+        same.append(briers(predict_twin(table, in_turn=False), copy, chosen))
     before, after = np.mean(outside, axis=0)
     assert after < before - 0.05
     before, after = np.mean(same, axis=0)
@@ -268,7 +268,7 @@ def test_verdicts_keep_their_error_rates() -> None:
     calls, wrong = 0, 0
     for seed in range(12):
         table, truth = made_up(300 + seed, tests=120)
-        found = judge(table, alike(predict_twin(table)))
+        found = judge(table, alike(predict_twin(table, in_turn=False)))
         for one, margin in zip(found.tests, truth.margins[:, 3], strict=True):
             if one.verdict in ("fails", "safe"):
                 calls += 1
@@ -280,7 +280,7 @@ def test_cells_without_tests_are_untested_and_disputed_ones_say_what_they_need()
     table, _ = made_up(15, tests=60)
     cells = tuple((0, 0) if cell == (1, 1) else cell for cell in table.cells)
     table = replace(table, cells=cells)
-    found = judge(table, predict_twin(table))
+    found = judge(table, predict_twin(table, in_turn=False))
     by_cell = {one.cell: one for one in found.cells}
     assert by_cell[(1, 1)].verdict == "untested" and by_cell[(1, 1)].rate is None
     disputed = [one for one in found.cells if one.verdict == "disputed"]

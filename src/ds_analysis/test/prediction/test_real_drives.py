@@ -38,7 +38,7 @@ def in_order(prediction: TwinPrediction, table, truth, drives: int) -> list[Twin
 def test_the_first_choice_is_that_of_brute_force() -> None:
     """Variance of every test's probability that the verdict explains, by weighting draws with both verdicts."""
     table, _ = made_up(31, tests=60)
-    prediction = alike(predict_twin(table))
+    prediction = alike(predict_twin(table, in_turn=False))
     draws = prediction.draws(500)
     sizes = {cell: table.cells.count(cell) for cell in table.cells}
     weights = np.array([1 / sizes[cell] for cell in table.cells])
@@ -86,7 +86,7 @@ def test_chosen_drives_tell_more_than_random_ones() -> None:
     for seed in range(12):
         table, truth = made_up(400 + seed, tests=120, tau=(0.67, 0.17))  # the medians of their priors
         twin = truth.margins[:, 3]
-        prediction = predict_twin(table)
+        prediction = predict_twin(table, in_turn=False)
         failed = twin > 0
         for found, rows in (
             (chosen, [one.row for one in choose(table, prediction, 4)]),
@@ -105,13 +105,15 @@ def test_a_car_outside_is_noticed_within_four_drives_and_one_inside_is_not() -> 
         # All siblings lie at least 0.7 further in; a blend of siblings is no outsider.
         beyond = 0.7 - truth.coefficients[:3, 0].max()
         if beyond > 0.7:
-            spans = [span_of(step) for step in in_order(predict_twin(table), table, truth.margins[:, 3], 4)]
+            spans = [
+                span_of(step) for step in in_order(predict_twin(table, in_turn=False), table, truth.margins[:, 3], 4)
+            ]
             noticed += any(span.outside for span in spans)
             assert all(span.shift > 0 for span in spans if span.outside)
         else:
             noticed += 1
         inside = truth.margins[:, :2].mean(axis=1)
-        spans = [span_of(step) for step in in_order(predict_twin(table), table, inside, 4)]
+        spans = [span_of(step) for step in in_order(predict_twin(table, in_turn=False), table, inside, 4)]
         alarms += any(span.outside for span in spans)
         assert all(bool(span.warning) == (span.outside or span.alike < 0.5) for span in spans if span.drives)
     assert noticed >= 18 and alarms <= 1

@@ -33,7 +33,7 @@ def test_tests_on_the_siblings_narrow_the_coefficients_down_to_the_limit() -> No
     """What the limit leaves out falls about as one over the number of tests, and is never negative."""
 
     def rest(tests: int) -> float:
-        population = predict_twin(made_up(5, tests=tests)[0]).population
+        population = predict_twin(made_up(5, tests=tests)[0], in_turn=False).population
         beyond = population.twin.covariances - population.limit.covariances
         assert np.linalg.eigvalsh(beyond).min() > -1e-9
         return float(population.twin.weights @ np.trace(beyond, axis1=1, axis2=2))
