@@ -20,6 +20,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.page_data import data_address
+from ds_sim.installation import ds_command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +70,12 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
     titles = [feature_of(name).title for name in car.verdicts.features]
-    kinds = car.prediction.kinds_sentence
+    kinds, note = car.prediction.kinds_sentence, car.table.sample_note
+    command = ds_command("real", "propose", folder)
+    undecided = "" if car.drives else f" A few drives on the car decide most cells: `{command}` names them."
     return AnswerSection(
         sentence=car.sentence,
-        reading=f"{_reading(car.verdicts, car.drives)} {kinds[0].upper()}{kinds[1:]}. {car.table.sample_note}".rstrip(),
+        reading=f"{_reading(car.verdicts, car.drives)} {kinds[0].upper()}{kinds[1:]}.{undecided} {note}".rstrip(),
         warnings=[text for text in (span_of(car.prediction).warning,) if text],
         axes=(titles[0], titles[1]),
         panels=_panels(car.verdicts),
