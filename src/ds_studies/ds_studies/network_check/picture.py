@@ -14,8 +14,9 @@ from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_driver.networks.user_class import UserClassPilot
 from ds_road.figures import COLOURS, WIDTH, draw_figure, short_name
+from ds_sim.simulator import FRAME_TIME
 from ds_studies.network_check.diagnosis import NetworkCheck
-from ds_studies.network_check.recording import EVERY, Recording
+from ds_studies.network_check.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,6 +67,7 @@ def draw_check(found: NetworkCheck, recordings: Sequence[Recording]) -> NDArray[
             chart.plot(moments, found.steering[one.simulator], color=COLOURS[1], label="network", linewidth=1)
             chart.set_title("steering, -1 left to +1 right")
             chart.legend(loc="upper right", ncols=2, fontsize=7)
-        rows[-1][2].set_xlabel(f"image, every {EVERY / 20:g} s of four drives")
+        seconds = FRAME_TIME * (recordings[-1].frames[1].step - recordings[-1].frames[0].step)
+        rows[-1][2].set_xlabel(f"image, every {seconds:g} s of four drives")
 
     return draw_figure(WIDTH, _ROW * len(recordings) + 20, draw)
