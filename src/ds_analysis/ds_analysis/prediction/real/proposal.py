@@ -198,7 +198,7 @@ class _Row(BaseModel):
     road: Any
     conditions: Annotated[str, Field(max_length=1000)]
     limit: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
-    gain: float | None
+    gain: float | None = 0.0
 
 
 class _Document(BaseModel):

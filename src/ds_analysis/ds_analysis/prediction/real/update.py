@@ -169,7 +169,7 @@ def _certificate(
         bets.append(
             Bet(
                 failed=drive.failed,
-                drawn=row["gain"] is None,
+                drawn=row.get("gain", 0.0) is None,
                 predicted=float(probabilities[drive.row]),
                 mean_predicted=float(probabilities[left].mean()),
             )
