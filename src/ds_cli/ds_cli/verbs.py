@@ -48,7 +48,11 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "compare", "campaign.group", "Compare two networks on the same tests: what got worse, what got better?"
             ),
-            Verb("report", "campaign.group", "Rebuild a campaign's maps, tables and HTML report."),
+            Verb(
+                "report",
+                "campaign.group",
+                "Rebuild the report of a campaign, or write one of imported outcomes.",
+            ),
         ),
     ),
     (

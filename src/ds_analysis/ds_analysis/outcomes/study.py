@@ -23,8 +23,8 @@ KEY = b"digital siblings study 1"
 """Key of the metadata of that file."""
 LARGEST_FILE = 2**29
 MOST_ROWS = 2_000_000
-BINS = 10
-"""Bins of an axis whose width nobody gave."""
+BINS, MOST_BINS = 10, 200
+"""Bins of an axis whose width nobody gave, and of any axis."""
 LONG = ("test_id", "repeat", "simulator", "failed", "margin", "limit", "family")
 """Columns of the file, then the features."""
 
@@ -143,10 +143,15 @@ def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
         one = rows[twice].iloc[0]
         hint = "" if columns.repeat else ": name the column of the repetition as repeat"
         raise OutcomeTableError(f"{source}: test {one.test_id} comes twice on {one.simulator}{hint}")
+    if len(names) < 2:
+        raise OutcomeTableError(f"{source} has one feature, {names[0]}: expected two or more, which span the maps")
     axes = columns.map or axes_of(rows, names[:2])
     for name in axes:
         if name not in names:
             raise OutcomeTableError(f"{source}: the map's axis {name!r} is no feature: expected {', '.join(names)}")
+    for name, width in axes.items():
+        if not float(np.ptp(rows[name])) <= MOST_BINS * width:
+            raise OutcomeTableError(f"{source}: bins of {width:g} cut {name} into more than {MOST_BINS}: widen them")
     known = sorted(set(rows["simulator"]))
     if columns.twin is not None and columns.twin not in known:
         raise OutcomeTableError(f"{source} has no simulator {columns.twin!r}: expected {', '.join(known)}")
@@ -291,7 +296,8 @@ def read_study(folder: Path) -> Study:
         features = numbers[:, 2:]
         if not (whole and len(frame) and np.isfinite(features).all() and not np.isinf(numbers).any()):
             raise damaged
-        if frame["failed"].dtype != np.bool_ or not all(width > 0.0 for width in study.axes.values()):
+        wide = all(float(np.ptp(frame[name])) <= MOST_BINS * width for name, width in study.axes.items())
+        if frame["failed"].dtype != np.bool_ or not wide or not 2 <= len(study.axes) <= 3:
             raise damaged
         if study.twin is not None and study.twin not in study.simulators:
             raise damaged

@@ -128,6 +128,8 @@ def changed(**values: Any) -> dict[str, Any]:
         (changed(features=["sim"]), r"row 1 .*: sim is not a finite number"),
         (changed(twin="bus"), "has no simulator 'bus': expected car, hifi, lofi"),
         (changed(map={"speed": 1.0, "age": 1.0}), "axis 'age' is no feature: expected speed, curve"),
+        (changed(map={"speed": 1e-6, "curve": 0.1}), "bins of 1e-06 cut speed into more than 200: widen them"),
+        (changed(features=["speed"]), "has one feature, speed: expected two or more"),
         (changed(where=[{"column": "rep", "above": 9}]), "has no rows where they have to be"),
         (changed(where=[{"column": "rep"}]), "where.0: expected one of is, is_not, above and below"),
         (changed(tests="route"), r"tests: Extra inputs are not permitted \(keys: test, simulator, simulators"),

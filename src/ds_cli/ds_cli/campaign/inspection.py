@@ -114,9 +114,17 @@ def campaign_roads_command(
 
 @app.command("report")
 def report_command(folder: Folder, trust: Trust = None) -> None:
-    """Rebuild a campaign's maps, tables and HTML report."""
+    """Rebuild the report of a campaign, or write one of imported outcomes.
+
+    A campaign's maps and tables are made again, too.
+    """
+    from ds_analysis.outcomes.study import FILE, read_study
+    from ds_report.study_page import write_study_page
     from ds_studies.whole_campaign import rebuild_report
 
+    if (folder / FILE).exists():
+        print(write_study_page(folder, read_study(folder)))
+        return
     print(rebuild_report(folder, say=say, trusted=trust or []))
 
 
