@@ -59,6 +59,9 @@ class Rule(_Strict):
             return np.asarray(found, np.bool_)
         wanted = self.is_ if self.is_ is not None else self.is_not
         same = np.array([_word(one) == _word(wanted) for one in column])
+        if not same.any():
+            known = ", ".join(sorted({str(one) for one in column})[:_SHOWN])
+            raise OutcomeTableError(f"{source}: {self.column} is never {wanted!r:.60}, but {known:.150}")
         return same if self.is_ is not None else ~same
 
 
@@ -157,7 +160,10 @@ def column_of(frame: pd.DataFrame, name: str, source: str) -> list[Any]:
     if name not in frame.columns:
         known = [str(one) for one in frame.columns]
         more = ", ..." if len(known) > 3 * _SHOWN else ""
-        raise OutcomeTableError(f"{source} has no column {name!r}: expected {', '.join(known[: 3 * _SHOWN])}{more}")
+        raise OutcomeTableError(
+            f"{source} has no column {name!r}, but {', '.join(known[: 3 * _SHOWN])}{more}: say in --columns which is "
+            "what"
+        )
     return frame[name].tolist()
 
 

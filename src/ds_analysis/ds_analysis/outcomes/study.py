@@ -64,31 +64,34 @@ class Study:
         return found
 
     def table(self) -> OutcomeTable:
-        """Convert to the table that everything reads; each repetition is a row, of the family of its test.
+        """Convert to the table that everything reads, a row for each test.
+
+        A test that was repeated counts as the middle of its repeats: by its median margin, or failed where half of them
+        failed.
 
         Raises:
             OutcomeTableError: there are too many tests.
         """
-        keys = self.rows[["test_id", "repeat"]].drop_duplicates().reset_index(drop=True)
-        if len(keys) > MOST_TESTS:
-            raise OutcomeTableError(f"{len(keys)} tests and repetitions, expected at most {MOST_TESTS}: import fewer")
-        place = {key: k for k, key in enumerate(keys.itertuples(index=False, name=None))}
+        first = self.rows.drop_duplicates("test_id")
+        if len(first) > MOST_TESTS:
+            raise OutcomeTableError(f"{len(first)} tests, expected at most {MOST_TESTS}: import fewer")
+        place = {test: k for k, test in enumerate(first["test_id"])}
         names = self.simulators
-        shape = len(keys), len(names)
+        shape = len(first), len(names)
         states, lateral, limits = np.zeros(shape, np.int8), np.zeros(shape), np.ones(shape)
-        at = [place[key] for key in zip(self.rows["test_id"], self.rows["repeat"], strict=True)]
-        on = [names.index(name) for name in self.rows["simulator"]]
-        states[at, on] = np.where(self.rows["failed"], State.FAILED, State.COMPLETED)
-        margin, limit = (self.rows[name].to_numpy(np.float64) for name in ("margin", "limit"))
-        lateral[at, on], limits[at, on] = margin, np.where(np.isfinite(limit), limit, 1.0)
-        first = self.rows.iloc[np.unique(at, return_index=True)[1]]
-        features = first[list(self.features)].to_numpy(np.float64).reshape(len(keys), len(self.features))
+        middle = self.rows.groupby(["test_id", "simulator"])[["failed", "margin", "limit"]].agg(
+            {"failed": "mean", "margin": "median", "limit": "median"}
+        )
+        for (test, name), share, margin, limit in middle.itertuples(name=None):
+            at = place[test], names.index(name)
+            states[at] = State.FAILED if share >= 0.5 else State.COMPLETED
+            lateral[at], limits[at] = margin, limit if np.isfinite(limit) else 1.0
+        features = first[list(self.features)].to_numpy(np.float64).reshape(len(first), len(self.features))
         families = pd.factorize(first["family"])[0]
-        repeated = len(set(keys["repeat"])) > 1
         axes = [column_axis(name, width) for name, width in self.axes.items()]
         binned = [np.floor(first[name].to_numpy(np.float64) / width) for name, width in self.axes.items()]
         return OutcomeTable(
-            test_ids=tuple(f"{one}#{two}" if repeated else str(one) for one, two in place),
+            test_ids=tuple(map(str, place)),
             siblings=tuple(name for name in names if name != self.twin),
             twin=self.twin,
             roads=(),
@@ -229,6 +232,9 @@ def _margins(
     given = np.ones(len(frame), np.bool_) if missing is None else ~missing
     found[given] = numbers_of(frame[given], margin.column, source)
     if isinstance(margin.limit, str):
+        if margin.limit not in frame.columns:
+            expected = "expected a number, one for each simulator, or a column"
+            raise OutcomeTableError(f"{source}: margin.limit is {margin.limit!r:.60}, {expected}")
         limits = np.full(len(frame), np.nan)
         limits[given] = numbers_of(frame[given], margin.limit, source)
     else:

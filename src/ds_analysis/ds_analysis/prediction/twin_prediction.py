@@ -279,6 +279,8 @@ def _observation(drive: MarginDrive, mean: Array, variance: Array) -> tuple[Arra
 ODDS = 20.0
 """Ratio of the probabilities of the drives from which a car is said to be outside. If it is inside, this happens with a
 probability of 1 / 20 at most, however many drives are looked at (Ville's inequality for likelihood ratios)."""
+DOUBT = 0.2
+"""Probability that a car is like the siblings below which one is told so; chosen: four to one."""
 _BLENDS = 256
 """Blends of siblings; chosen: with three siblings, weights a twentieth apart."""
 _BLEND_SEED = 21
@@ -313,7 +315,7 @@ class Span:
     def warning(self) -> str:
         """One line if the siblings do not predict the car, or it is outside of what they span, or ""."""
         said = []
-        if self.drives and self.alike < 0.5:
+        if self.drives and self.alike < DOUBT:
             said.append(f"these simulators do not predict this car (like them with a probability of {self.alike:.2f})")
         if self.outside:
             side = {
@@ -321,7 +323,8 @@ class Span:
                 -1: ", closer to its lane's centre than any",
             }
             where = side.get(int(np.sign(self.shift)), "")
-            said.append(f"the car is outside of what the siblings span{where} ({self.odds:.0f} : 1)")
+            odds = f"{self.odds:.0f} : 1" if self.odds < 1000.0 else "more than 1000 : 1"
+            said.append(f"the car is outside of what the siblings span{where} ({odds})")
         drives = f"after {self.drives} drives" if self.drives > 1 else "after a drive"
         return f"{', and '.join(said)} {drives}: trust the drives more than the simulators" if said else ""
 

@@ -110,7 +110,7 @@ class Verdicts:
         named = ", ".join(f"{count} {name}" for name, count in self.counts.items())
         return (
             f"{len(self.cells)} cells: {named} (a cell fails if more than {self.tolerated:.0%} of its tests do; "
-            f"a call is wrong at most {ERROR_RATE:.0%} of the time)"
+            f"by the model a call is wrong at most {ERROR_RATE:.0%} of the time)"
         )
 
     def document(self) -> dict[str, Any]:
@@ -232,7 +232,7 @@ def drives_needed(mean: float, variance: float, tolerated: float) -> int | None:
     total = pseudo + np.arange(MOST_NEEDED + 1)
     below = betainc(mean * total, (1.0 - mean) * total, tolerated)
     decided = np.flatnonzero(np.logical_or(*called(below)))
-    return int(decided[0]) if len(decided) else None
+    return max(int(decided[0]), 1) if len(decided) else None
 
 
 def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:

@@ -8,7 +8,14 @@ from prediction_tables import alike, made_up, table_of_margins
 
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.prediction.population import KINDS
-from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction, outcomes_of, predict_twin, span_of
+from ds_analysis.prediction.twin_prediction import (
+    DOUBT,
+    MarginDrive,
+    TwinPrediction,
+    outcomes_of,
+    predict_twin,
+    span_of,
+)
 
 
 def drives_of(truth: Array, rows: Indices) -> list[MarginDrive]:
@@ -38,7 +45,7 @@ def test_after_some_drives_a_car_that_is_unlike_is_noticed_and_its_rate_is_all_t
         rate = (float((other[rows] > 0).sum()) + 0.5) / 17.0
         least = float(np.mean(np.where(np.isin(np.arange(120), rows), 0.0, (rate - (other > 0)) ** 2)))
         excess.append(brier(found, other) - least)
-        assert ("do not predict this car" in span_of(found).warning) == (found.alike < 0.5)
+        assert ("do not predict this car" in span_of(found).warning) == (found.alike < DOUBT)
     assert np.median(unlike) < 0.2 and np.median(like) > 0.5
     assert np.mean(excess) < 0.02 and np.mean(loss) < 0.01
 

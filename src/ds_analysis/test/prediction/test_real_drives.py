@@ -16,7 +16,7 @@ from ds_analysis.prediction.real.drive_choice import BudgetError, choose
 from ds_analysis.prediction.real.proposal import ProposedDrive, read_proposed, write_proposal
 from ds_analysis.prediction.real.records import RecordError, added, read_csv, read_drives
 from ds_analysis.prediction.real.road_sheet import draw_sheet, sheet_of
-from ds_analysis.prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin, span_of
+from ds_analysis.prediction.twin_prediction import DOUBT, MarginDrive, TwinPrediction, predict_twin, span_of
 from ds_cli.application import run
 from ds_sim.conditions.text import parse_conditions
 
@@ -115,7 +115,7 @@ def test_a_car_outside_is_noticed_within_four_drives_and_one_inside_is_not() -> 
         inside = truth.margins[:, :2].mean(axis=1)
         spans = [span_of(step) for step in in_order(predict_twin(table, in_turn=False), table, inside, 4)]
         alarms += any(span.outside for span in spans)
-        assert all(bool(span.warning) == (span.outside or span.alike < 0.5) for span in spans if span.drives)
+        assert all(bool(span.warning) == (span.outside or span.alike < DOUBT) for span in spans if span.drives)
     assert noticed >= 18 and alarms <= 1
 
 
