@@ -202,6 +202,8 @@ def _judge_cell(
     verdict = verdict_of(above)
     low, high = np.quantile(rates, (0.05, 0.95))
     mean = float(rates.mean())
+    # The Beta distribution may be decided where the draws are not.
+    needed = drives_needed(mean, float(rates.var()), tolerated) if verdict == "disputed" else None
     return CellVerdict(
         cell=cell,
         tests=tests,
@@ -209,7 +211,7 @@ def _judge_cell(
         rate=mean,
         interval=(float(low), float(high)),
         verdict=verdict,
-        drives_needed=drives_needed(mean, float(rates.var()), tolerated) if verdict == "disputed" else None,
+        drives_needed=None if needed is None else max(needed, 1),
     )
 
 
@@ -232,7 +234,7 @@ def drives_needed(mean: float, variance: float, tolerated: float) -> int | None:
     total = pseudo + np.arange(MOST_NEEDED + 1)
     below = betainc(mean * total, (1.0 - mean) * total, tolerated)
     decided = np.flatnonzero(np.logical_or(*called(below)))
-    return max(int(decided[0]), 1) if len(decided) else None
+    return int(decided[0]) if len(decided) else None
 
 
 def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
