@@ -13,6 +13,7 @@ import hashlib
 import json
 import shutil
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,6 @@ def main() -> None:
     roads = _unseen_roads(arguments)
     assessed = f"{weights}@{arguments.backend}"
     found = predict(arguments.offline, assessed, _print_progress)
-    errors = {name: answers.absolute_errors for name, answers in found.items()}
     success = _success_rates(assessed, roads, arguments.seed)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
@@ -120,11 +120,7 @@ def main() -> None:
             "validation": best["validation_loss"],
             "history": history,
         },
-        "offline": {
-            "images": {name: len(values) for name, values in errors.items()},
-            "mean_squared_error": {name: round(float(np.mean(values**2)), 6) for name, values in errors.items()},
-            "steering_gain": {name: round(_gain(answers), 3) for name, answers in found.items()},
-        },
+        "offline": _offline(found),
         "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
         "success": success,
         "paper": PAPER.get(name),
@@ -165,12 +161,7 @@ def _ship_described(path: Path, arguments: argparse.Namespace) -> None:
         ],
         "training": training["plan"],
         "loss": {"mean_squared_error": "of steering in [-1, 1]", "history": training["history"]},
-        "offline": {
-            "mean_squared_error": {
-                name: round(float(np.mean(answers.absolute_errors**2)), 6) for name, answers in found.items()
-            },
-            "steering_gain": {name: round(_gain(answers), 3) for name, answers in found.items()},
-        },
+        "offline": _offline(found),
         "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
         "success": _success_rates(str(path), roads, arguments.seed),
         "versions": manifest["versions"],
@@ -179,6 +170,16 @@ def _ship_described(path: Path, arguments: argparse.Namespace) -> None:
         shutil.copyfile(file, SHIPPED / file.name)
     (SHIPPED / f"{path.stem}.json").write_text(json.dumps(card, indent=1) + "\n")
     print(json.dumps({"success": card["success"], "offline": card["offline"]}))
+
+
+def _offline(found: Mapping[str, Answers]) -> dict[str, dict[str, float]]:
+    """What a card says of the answers to another data set, by simulator."""
+    errors = {name: answers.absolute_errors for name, answers in found.items()}
+    return {
+        "images": {name: len(values) for name, values in errors.items()},
+        "mean_squared_error": {name: round(float(np.mean(values**2)), 6) for name, values in errors.items()},
+        "steering_gain": {name: round(_gain(answers), 3) for name, answers in found.items()},
+    }
 
 
 def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[str, float]]:

@@ -17,10 +17,9 @@ from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Bools
 from ds_analysis.common.table import Column, Table
 from ds_analysis.prediction.calibration import forecast_cells, share_held
-from ds_analysis.prediction.margins import margin
 from ds_analysis.prediction.predictors import HIERARCHICAL, SINGLE, UNDRIVEN, merged, undriven_probabilities
 from ds_analysis.prediction.real.drive_choice import LEAST_GAIN, candidates_of, choose, next_gain
-from ds_analysis.prediction.twin_prediction import ODDS, MarginDrive, TwinPrediction, predict_twin, span_of
+from ds_analysis.prediction.twin_prediction import ODDS, TwinPrediction, outcomes_of, predict_twin, span_of
 from ds_analysis.prediction.verdicts import called
 
 Errors = dict[str, Array]
@@ -94,6 +93,7 @@ def score(case: Case) -> Scored:
     table = case.table
     truth = table.failed(str(table.twin)).astype(np.float64)
     prediction = predict_twin(table)
+    outcomes = {one.row: one for one in outcomes_of(table, str(table.twin))}
     driven = [table.failed(name).astype(np.float64) for name in table.siblings]
     fixed = merged(driven)
     fixed[UNDRIVEN] = undriven_probabilities(table, "all")
@@ -119,7 +119,7 @@ def score(case: Case) -> Scored:
                     more = [one.row for one in choose(table, updated, min(budget - len(rows), left))]
                 else:
                     more = order[len(rows) : budget]
-                updated, rows = updated.updated([_outcome(table, row) for row in more]), [*rows, *more]
+                updated, rows = updated.updated([outcomes[row] for row in more]), [*rows, *more]
                 hidden = np.ones(len(table))
                 hidden[rows] = 0.0
                 errors = {name: squared * hidden for name, squared in plain.items()}
@@ -139,13 +139,13 @@ def score(case: Case) -> Scored:
 
 def _stopped(table: OutcomeTable, prediction: TwinPrediction, truth: Array) -> tuple[int, float]:
     """Drives until another one is not worth its while, and the Brier score then."""
-    drives = 0
+    drives, outcomes = 0, {one.row: one for one in outcomes_of(table, str(table.twin))}
     while drives < BUDGETS[-1]:
         gain = next_gain(table, prediction)
         if gain is None or gain < LEAST_GAIN:
             break
         (choice,) = choose(table, prediction, 1)
-        prediction, drives = prediction.updated([_outcome(table, choice.row)]), drives + 1
+        prediction, drives = prediction.updated([outcomes[choice.row]]), drives + 1
     return drives, float(((prediction.probabilities() - truth) ** 2).mean())
 
 
@@ -164,13 +164,6 @@ def _order(rule: str, table: OutcomeTable, rng: np.random.Generator) -> list[int
         mean = np.mean([table.failed(name) for name in table.siblings], axis=0)
         order = order[np.argsort(np.abs(mean[order] - 0.5), kind="stable")]
     return [int(row) for row in order]
-
-
-def _outcome(table: OutcomeTable, row: int) -> MarginDrive:
-    column = table.column(str(table.twin))
-    failed = bool(table.failed(str(table.twin))[row])
-    known = margin(table.lateral[row : row + 1, column], table.limits[row : row + 1, column])
-    return MarginDrive(row=row, failed=failed, margin=None if failed else float(known[0]))
 
 
 def learned(undriven: Array, truth: Array, rows: Sequence[int]) -> Mapping[str, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -47,7 +46,7 @@ def outcomes_import_command(
         "features": list(study.features),
         "twin": study.twin,
         "simulators": {
-            name: {"tests": tests, "drives": drives, "failed": failed, "flaky": None if math.isnan(flaky) else flaky}
+            name: {"tests": tests, "drives": drives, "failed": failed, "flaky": flaky}
             for name, (tests, drives, failed, flaky) in found.items()
         },
     }
@@ -55,7 +54,7 @@ def outcomes_import_command(
     def show() -> None:
         table = Table("simulator", "tests", "drives", "failed", "tests whose repeats disagree")
         for name, (tests, drives, failed, flaky) in found.items():
-            shown = "" if math.isnan(flaky) else f"{flaky:.0%}"
+            shown = "" if flaky is None else f"{flaky:.0%}"
             table.add_row(
                 f"{name}{' (twin)' if name == study.twin else ''}", str(tests), str(drives), f"{failed:.0%}", shown
             )

@@ -70,13 +70,13 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
     titles = [feature_of(name).title for name in car.verdicts.features]
-    kinds, note = car.prediction.kinds_sentence, car.table.sample_note
+    warning, note = span_of(car.prediction).warning, car.table.sample_note
     command = ds_command("real", "propose", folder)
     undecided = "" if car.drives else f" A few drives on the car decide most cells: `{command}` names them."
     return AnswerSection(
         sentence=car.sentence,
-        reading=f"{_reading(car.verdicts, car.drives)} {kinds[0].upper()}{kinds[1:]}.{undecided} {note}".rstrip(),
-        warnings=[text for text in (span_of(car.prediction).warning,) if text],
+        reading=f"{_reading(car.verdicts, car.drives)} {car.prediction.kinds_sentence}{undecided} {note}".rstrip(),
+        warnings=[warning] if warning else [],
         axes=(titles[0], titles[1]),
         panels=_panels(car.verdicts),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import combinations
 from pathlib import Path
 
@@ -43,11 +42,10 @@ def write_study_page(folder: Path, study: Study) -> Path:
             unpredicted = str(error)
     shown = {map_id: made for map_id, made in maps_of_study(study).items() if not map_id.operator}
     bounds = bounds_of(shown.values())
-    kinds = "" if car is None else car.prediction.kinds_sentence
     page = environment().get_template("study.html.j2").render(
         title=folder.resolve().name,
         sentence=f"{len(table)} tests on {', '.join(study.simulators)}" if car is None else car.sentence,
-        sentences=[*_wheres(study), *([f"{kinds[0].upper()}{kinds[1:]}."] if kinds else [])],
+        sentences=_wheres(study) + ([] if car is None else [car.prediction.kinds_sentence]),
         warning="" if car is None else span_of(car.prediction).warning,
         unpredicted=unpredicted,
         command=str(ds_command("real", "propose", folder)),
@@ -92,7 +90,7 @@ def _wheres(study: Study) -> list[str]:
 def simulator_table(study: Study) -> Table:
     """Tabulate what was read of each simulator."""
     rows = [
-        (f"{name} (twin)" if name == study.twin else name, tests, drives, failed, None if math.isnan(flaky) else flaky)
+        (f"{name} (twin)" if name == study.twin else name, tests, drives, failed, flaky)
         for name, (tests, drives, failed, flaky) in study.flakiness().items()
     ]
     return Table(

@@ -52,14 +52,14 @@ class Study:
         names = list(dict.fromkeys(self.rows["simulator"]))
         return sorted(names, key=lambda name: name == self.twin)
 
-    def flakiness(self) -> dict[str, tuple[int, int, float, float]]:
-        """Simulator -> tests, drives, share of drives that failed, and of repeated tests whose repeats disagree."""
-        found = {}
+    def flakiness(self) -> dict[str, tuple[int, int, float, float | None]]:
+        """Simulator -> tests, drives, share of failed drives, and of repeated tests whose repeats disagree, if any."""
+        found: dict[str, tuple[int, int, float, float | None]] = {}
         for name in self.simulators:
             of = self.rows[self.rows["simulator"] == name]
             shares = of.groupby("test_id")["failed"].agg(["mean", "size"])
             repeated = shares[shares["size"] > 1]["mean"]
-            flaky = float(((repeated > 0) & (repeated < 1)).mean()) if len(repeated) else float("nan")
+            flaky = float(((repeated > 0) & (repeated < 1)).mean()) if len(repeated) else None
             found[name] = (len(shares), len(of), float(of["failed"].mean()), flaky)
         return found
 

@@ -181,8 +181,7 @@ def predict(
     for sample in read_samples(data):
         groups.setdefault(sample.simulator, []).append(sample)
     if images is not None:
-        chosen = _first_drives if pilot.has_memory else _spread
-        groups = {name: chosen(group, images) for name, group in groups.items()}
+        groups = {n: of[:images] if pilot.has_memory else _spread(of, images) for n, of in groups.items()}
     total, done = sum(map(len, groups.values())), 0
     found, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
     for name, group in groups.items():
@@ -200,7 +199,7 @@ def predict(
                 speed=sample.speed,
                 crop=crops[name],
                 simulator=NOT_SIMULATED if spec is None else spec.name,
-                vehicle=None if spec is None else Geometry(spec.wheelbase, spec.max_steering_angle),
+                vehicle=None if spec is None else Geometry.of(spec),
             )
             steering[index] = pilot.predict(frame).steering
             done += 1
@@ -223,11 +222,6 @@ def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
     if len(group) <= images:
         return group
     return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]
-
-
-def _first_drives(group: list, images: int) -> list:  # type: ignore[type-arg]
-    """Select at most `images` elements without leaving one out between them."""
-    return group[:images]
 
 
 def architecture_of(network: str) -> str:

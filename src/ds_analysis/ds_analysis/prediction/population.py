@@ -40,9 +40,9 @@ _NOISE_CENTRE, _NOISE_SCALE = float(np.log(0.3)), 0.5
 """Prior of log sigma and log omega: ratios of lateral positions of repeated or similar tests between 1.1 and 2.3 (two
 standard deviations either way of 0.3). It decides where few margins are known."""
 KINDS = ("alike", "other level", "unlike")
-"""Kinds of simulators, as the siblings tell of one more: *alike* ones are draws from the population and share what is
-hard about a test; of those of an *other level* only the features' slopes are told, and not how often they fail; of
-*unlike* ones nothing, so that their drives alone tell their failure rate."""
+"""Kinds of simulators, by what the siblings say of one more: *alike* ones are draws from the population and share what
+is hard about a test; of those of an *other level* only the features' slopes are known, and not how often they fail; of
+*unlike* ones nothing, so that their drives alone show their failure rate."""
 _GRID = (9, 5)
 """Values of tau_a and tau_b: Gauss-Legendre nodes of their prior probabilities."""
 _SPREAD_NODES = 3

@@ -71,9 +71,9 @@ class TwinPrediction:
     def kinds_sentence(self) -> str:
         """What is known of the twin's kind, in one line."""
         named = [f"{name} {KINDS[int(np.argmax(shares))]}" for name, shares in self.in_turn.items()]
-        seen = f"each simulator predicted from the others: {', '.join(named)}; " if named else ""
+        seen = f"Each simulator predicted from the others: {', '.join(named)}; the" if named else "The"
         drives = f" after {len(self.drives)} drives" if self.drives else ""
-        return f"{seen}the car is taken to be like them with a probability of {self.alike:.2f}{drives}"
+        return f"{seen} car is taken to be like them with a probability of {self.alike:.2f}{drives}."
 
     def document_of_kinds(self) -> dict[str, Any]:
         """Convert what is known of kinds to JSON values."""
@@ -193,9 +193,10 @@ def predict_twin(table: OutcomeTable, *, in_turn: bool = True) -> TwinPrediction
     counts = np.array(PSEUDO)
     found: dict[str, Sequence[float]] = {}
     if in_turn and len(table.siblings) > 1:
-        for name in table.siblings:
+        known = table.with_twin(None)
+        for name in known.siblings:
             try:
-                others = predict_twin(table.with_twin(None).with_twin(name), in_turn=False)
+                others = predict_twin(known.with_twin(name), in_turn=False)
             except OutcomeTableError:
                 continue
             shares = others.updated(outcomes_of(table, name)).coefficients.shares
@@ -238,16 +239,15 @@ def of_any_kind(population: Population, shares: Array) -> CoefficientMixture:
 
 def outcomes_of(table: OutcomeTable, name: str) -> list[MarginDrive]:
     """Return all outcomes of a simulator, as if they were its drives."""
-    column = table.column(name)
+    column, failed = table.column(name), table.failed(name)
     margins = margin(table.lateral[:, column], table.limits[:, column])
     return [
-        MarginDrive(row=int(row), failed=bool(failed), margin=None if failed or np.isnan(known) else float(known))
-        for row, failed, known in zip(
-            np.flatnonzero(table.known(name)),
-            table.failed(name)[table.known(name)],
-            margins[table.known(name)],
-            strict=True,
+        MarginDrive(
+            row=int(row),
+            failed=bool(failed[row]),
+            margin=None if failed[row] or np.isnan(margins[row]) else float(margins[row]),
         )
+        for row in np.flatnonzero(table.known(name))
     ]
 
 
@@ -280,7 +280,7 @@ ODDS = 20.0
 """Ratio of the probabilities of the drives from which a car is said to be outside. If it is inside, this happens with a
 probability of 1 / 20 at most, however many drives are looked at (Ville's inequality for likelihood ratios)."""
 DOUBT = 0.2
-"""Probability that a car is like the siblings below which one is told so; chosen: four to one."""
+"""Probability that a car is like the siblings below which a warning says so; chosen: four to one."""
 _BLENDS = 256
 """Blends of siblings; chosen: with three siblings, weights a twentieth apart."""
 _BLEND_SEED = 21

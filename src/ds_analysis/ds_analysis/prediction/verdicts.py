@@ -16,6 +16,7 @@ from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Bools
 from ds_analysis.common.table import Column, Table
 from ds_analysis.prediction.twin_prediction import TwinPrediction
+from ds_orchestrator.search.features import short_name
 
 Verdict = Literal["fails", "safe", "disputed", "untested"]
 
@@ -248,7 +249,7 @@ def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
         name="cell_verdicts",
         title="Predicted failures per cell",
         columns=[
-            *(Column(name.partition(" in bins of ")[0]) for name in found.features),
+            *(Column(short_name(name)) for name in found.features),
             Column("tests", "count"), Column("driven", "count"),
             Column("failure rate", "number"), Column("90 %", "number"), Column("verdict"),
             Column("drives needed", "count"),

@@ -117,7 +117,7 @@ def predict_command(
             print(f"predictors are not compared: {document['no_comparison']}")
         if table.sample_note:
             print(table.sample_note)
-        print(f"{prediction.kinds_sentence[0].upper()}{prediction.kinds_sentence[1:]}.")
+        print(prediction.kinds_sentence)
         if warning := span_of(prediction).warning:
             print(f"warning: {warning}")
         if out is not None:

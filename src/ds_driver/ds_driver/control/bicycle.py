@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_sim.simulator import SimulatorSpec
+
 STANDSTILL = 1e-3
 """Commanded speed below which a yaw rate does not determine the wheel angle, m/s: a car cannot turn on the spot."""
 
@@ -38,6 +40,11 @@ class Geometry:
                 f"wheelbase {self.wheelbase} m and steering angle {self.max_steering_angle} rad: expected a wheelbase "
                 "above 0 and an angle between 0 and pi/2"
             )
+
+    @classmethod
+    def of(cls, spec: SimulatorSpec) -> Geometry:
+        """Return the geometry of a simulator's vehicle, in road metres."""
+        return cls(spec.wheelbase, spec.max_steering_angle)
 
     def steering_of(self, angle: float) -> float:
         """Steering in [-1, 1], right positive, for a wheel angle in rad, left positive; clipped at full lock."""

@@ -96,7 +96,7 @@ class RecordedFrame:
             crop=crop,
             step=self.index,
             simulator=self.simulator,
-            vehicle=None if spec is None else Geometry(spec.wheelbase, spec.max_steering_angle),
+            vehicle=None if spec is None else Geometry.of(spec),
         )
 
 

@@ -54,7 +54,7 @@ class Frame:
             crop=Crop(spec.crop_top, spec.crop_bottom),
             step=seen.step,
             simulator=spec.name,
-            vehicle=Geometry(spec.wheelbase, spec.max_steering_angle),
+            vehicle=Geometry.of(spec),
         )
 
     @classmethod

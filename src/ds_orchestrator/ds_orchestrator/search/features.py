@@ -265,6 +265,11 @@ def column_axis(column: str, width: float) -> str:
     return f"{column}{_IN_BINS}{width!r}"
 
 
+def short_name(axis: str) -> str:
+    """Name an axis without the width of its bins."""
+    return axis.partition(_IN_BINS)[0]
+
+
 def cell_of(
     road: Road,
     drive: Drive | None = None,

@@ -40,6 +40,8 @@ OUTPUT_NAMES = {
 DONKEY_BINS = {"angle_out": (-1.0, 1.0), "throttle_out": (0.0, 0.475)}
 """Centres of the first and the last bin of Donkey Car's `categorical`: 15, and 20 up to a range of 0.5."""
 QUESTIONS = {"colour": "Colours", "crop": "Part of the image", "subtract": "Scale of the pixels"}
+ORDER = ("crop", "colour", "crop", "colour", "subtract")
+"""Parts of the input of a network with memory, as they are chosen: colours look alike on a wrong part of the image."""
 NOTHING = Agreement(0.0, 0.0, 0.0, ())
 """Agreement of a network that refuses an input."""
 Ask = Callable[[str, list[str], str], str]
@@ -142,28 +144,26 @@ def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence
     remembers, comments = pilot.has_memory, {}
     # A network with memory is asked about whole drives: few, one part of its input after the other, no combinations.
     tried = [one.first_drives(2) if remembers else one.sample(SHARE_TRIED) for one in recordings]
-    chosen, fit = (pilot.description, NOTHING) if remembers else ranked(pilot, recordings)[0]
+    known: dict[str, Agreement] = {}
 
     def fitted(one: DescribedNetwork) -> Agreement:
         if not remembers:
             return best_reading(pilot.described_as(one), tried)[1]
-        try:
-            answers = ask_open_loop(pilot.described_as(one), tried)[0]
-        except DriverError:
-            return NOTHING
-        return agreement(np.concatenate(list(answers.values())), tried)
+        key = one.model_dump_json()
+        if key not in known:
+            known[key] = _agreement_over_drives(pilot.described_as(one), tried)
+        return known[key]
 
-    if remembers:  # the part of the image first, as colours look alike on a wrong one; the loop below starts from here
-        for part in ("crop", "colour", "crop"):
+    if remembers:
+        chosen = pilot.description
+        for part in ORDER:
             tries = [changed(chosen, one) for one in inputs(chosen.input)[part]]
             chosen = max(tries, key=lambda one: round(abs(fitted(one).correlation), 3))
+        fit = fitted(chosen)
+    else:
+        chosen, fit = ranked(pilot, recordings)[0]
     for part, others in inputs(chosen.input).items():
         fits = [(_shown(one), fitted(changed(chosen, one))) for one in others]
-        if remembers:
-            best = max(range(len(fits)), key=lambda k: (round(abs(fits[k][1].correlation), 3), -k))
-            chosen, fit = changed(chosen, others[best]), fits[best][1]
-            fits.insert(0, fits.pop(best))
-            others.insert(0, others.pop(best))
         comments[part] = _why(fits)
         undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
@@ -206,6 +206,14 @@ def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence
     elif not described.inputs:
         lines += [f"  # throttle: {{output: {k}}}  # if that is its throttle" for k in _others(pilot, tried, steering)]
     return "\n".join(lines) + "\n"
+
+
+def _agreement_over_drives(pilot: DescribedNetworkPilot, drives: Sequence[Recording]) -> Agreement:
+    try:
+        answers = ask_open_loop(pilot, drives)[0]
+    except DriverError:
+        return NOTHING
+    return agreement(np.concatenate(list(answers.values())), drives)
 
 
 def _load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot:
