@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -47,21 +49,27 @@ def drive(road: Path, **environment: str) -> subprocess.Popen[str]:
     )
 
 
+def read_each(pid: int, pattern: str, read: Callable[[Path], str] = Path.read_text) -> Iterator[str]:
+    """Read what a process has in /proc, without what ends between listing and reading: threads and open files do."""
+    for path in Path(f"/proc/{pid}").glob(pattern):
+        with suppress(FileNotFoundError, ProcessLookupError):
+            yield read(path)
+
+
 def children(pid: int) -> list[int]:
     """List the child processes of a process, whichever of its threads started them."""
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]
+    return [int(child) for text in read_each(pid, "task/*/children") for child in text.split()]
 
 
 def dds_transports(pid: int) -> set[str]:
     """Name the transports of Fast DDS in a process, `udp` or `shm`, by the threads that receive."""
-    names = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/comm")]
+    names = read_each(pid, "task/*/comm")
     return {name.split(".")[1] for name in names if name.startswith(("dds.udp", "dds.shm"))}
 
 
 def shared_memory(pid: int) -> list[str]:
     """List the files of Fast DDS in shared memory that a process maps or has open."""
-    links = [os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir()]
+    links = list(read_each(pid, "fd/*", os.readlink))
     lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
     return [name for name in links + lines if "/dev/shm/" in name and "fastrtps" in name]
 
