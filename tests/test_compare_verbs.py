@@ -262,6 +262,31 @@ def test_a_suite_holds_the_tests_that_tell_most_and_compares_by_itself(tmp_path:
     assert updated.returncode == 0 and "identically" in updated.stdout
 
 
+def test_drives_end_as_soon_as_the_answer_is_sure(tmp_path: Path, engine: list[OfDriver]) -> None:
+    old, file, out = campaign(tmp_path / "old"), tmp_path / "suite.json", tmp_path / "out"
+    ds("suite", "make", old, "--out", file, "--tests", 8)
+    run = ("suite", "run", file, "--driver", "other", "--stop-early", "--out")
+    ended = ds(*run, out, "--fail-on", "regression")
+    assert ended.returncode == 3 and "ended after 5 of 8 tests" in ended.stderr
+    assert sum(len(executor.roads) for executor in engine) == 15
+    whole = ds(*run, tmp_path / "all", "--max-failures", "100%")
+    assert whole.returncode == 0 and len(json.loads((tmp_path / "all/comparison.json").read_text())["tests"]) == 24
+    refused = ds(*run, out)
+    assert refused.returncode == 2 and "--stop-early needs --fail-on" in refused.stderr
+    refused = ds("compare", old, "other", "--out", tmp_path / "c", "--stop-early")
+    assert refused.returncode == 2 and "random roads" in refused.stderr
+    drives = sum(len(executor.roads) for executor in engine)
+    compared = ds(
+        "compare", "autopilot", "other", "--roads", 60, "--sims", "bullet", "--stop-early", "--out", out / "c"
+    )
+    document = json.loads((out / "c/comparison.json").read_text())
+    tests = document["simulators"][0]["tests"]
+    assert compared.returncode == 0 and tests % 5 == 0
+    assert sum(len(executor.roads) for executor in engine) - drives == 2 * tests
+    interval = document["simulators"][0]["interval"]
+    assert tests == 60 or interval[1] < 0.1 or document["simulators"][0]["verdict"] == "worse"
+
+
 def test_a_suite_with_conditions_drives_no_autopilot(tmp_path: Path, engine: list[OfDriver]) -> None:
     file = tmp_path / "suite.json"
     assert ds("suite", "make", campaign(tmp_path / "old"), "--out", file, "--tests", 2).returncode == 0

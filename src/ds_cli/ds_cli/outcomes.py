@@ -21,7 +21,10 @@ app.add_typer(outcomes_app, name="outcomes", help="Read outcomes of any simulato
 def outcomes_import_command(
     tables: Annotated[
         list[Path],
-        typer.Argument(metavar="TABLE...", help="CSV or Parquet: outcomes, then further columns of each test."),
+        typer.Argument(
+            metavar="TABLE...",
+            help="CSV or Parquet: outcomes, then further columns of each test; or folders of SBFT test files.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the study, created if missing.")],
     columns: Annotated[Path | None, typer.Option(help="YAML file that says which column is what.")] = None,

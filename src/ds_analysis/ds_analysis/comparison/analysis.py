@@ -12,6 +12,7 @@ import numpy as np
 
 from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.paired_drives import ALPHA, Network, PairedCounts, PairedDrive, adjusted, fewest_changes
+from ds_analysis.comparison.sequential import TOLERANCE
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
 
 Verdict = Literal["worse", "better", "not significant"]
@@ -32,7 +33,7 @@ class SimulatorComparison:
         unsearched_p_adjusted: of `unsearched`, likewise.
         verdict: what the tests say about others: `worse` by all tests, `better` by tests that do not favour the
             candidate.
-        margin_change: median change of the smallest lateral distance, m; negative is worse. None without tests.
+        margin_change: median change of the smallest lateral distance, m; negative is worse. None if no test has one.
     """
 
     simulator: str
@@ -108,6 +109,11 @@ class Comparison:
         return bool(pairs) and all(first == second != "" for first, second in pairs)
 
     @property
+    def is_sequential(self) -> bool:
+        """Whether outcomes decided when the drives ended."""
+        return any(row.counts.changes is not None for row in self.simulators)
+
+    @property
     def tests(self) -> int:
         """Number of different tests."""
         return len({drive.test.name for drive in self.drives})
@@ -129,6 +135,7 @@ def compare_networks(
     twin: str | None = None,
     excluded: int = 0,
     left_out: Sequence[tuple[str, str, str]] = (),
+    sequential: bool = False,
 ) -> Comparison:
     """Compare two networks by their drives on the same tests.
 
@@ -146,6 +153,7 @@ def compare_networks(
         twin: simulator that acts as the twin, or None.
         excluded: number of pairs by which no network can be judged.
         left_out: pairs in which a drive ended in an error.
+        sequential: the drives end where their outcomes make the answer sure.
     """
     of = {name: [drive for drive in drives if drive.simulator == name] for name in simulators}
     return Comparison(
@@ -156,15 +164,17 @@ def compare_networks(
         features=tuple(features),
         twin=twin,
         drives=_worst_first(drives),
-        simulators=_simulators(of, is_fair=origin in ("random", "both")),
+        simulators=_simulators(of, is_fair=origin in ("random", "both"), sequential=sequential),
         cells=_cells(of),
         excluded=excluded,
         left_out=tuple(left_out),
     )
 
 
-def _simulators(of: Mapping[str, Sequence[PairedDrive]], *, is_fair: bool) -> list[SimulatorComparison]:
-    every = {name: PairedCounts.of(drives) for name, drives in of.items()}
+def _simulators(
+    of: Mapping[str, Sequence[PairedDrive]], *, is_fair: bool, sequential: bool
+) -> list[SimulatorComparison]:
+    every = {name: PairedCounts.of(drives, sequential=sequential) for name, drives in of.items()}
     unsearched = {name: PairedCounts.of(d for d in drives if d.test.unsearched) for name, drives in of.items()}
     # Without tests there is no comparison, and nothing to correct for.
     family = {(name, "all"): counts.p for name, counts in every.items() if counts.tests}
@@ -189,10 +199,15 @@ def _simulators(of: Mapping[str, Sequence[PairedDrive]], *, is_fair: bool) -> li
                 unsearched=unsearched[name],
                 unsearched_p_adjusted=of_unsearched,
                 verdict=verdict,
-                margin_change=float(np.median([d.margin_change for d in drives])) if drives else None,
+                margin_change=_median_change(drives),
             )
         )
     return rows
+
+
+def _median_change(drives: Sequence[PairedDrive]) -> float | None:
+    known = [one.margin_change for one in drives if None not in (one.reference.fitness, one.candidate.fitness)]
+    return float(np.median(known)) if known else None
 
 
 def _cells(of: Mapping[str, Sequence[PairedDrive]]) -> list[CellComparison]:
@@ -221,6 +236,14 @@ def _worst_first(drives: Sequence[PairedDrive]) -> list[PairedDrive]:
         drives,
         key=lambda d: (order[d.change], -spread[d.test.name], d.margin_change, d.test.name, d.simulator),
     )
+
+
+def is_sure(comparison: Comparison) -> bool:
+    """Whether further random tests would hardly change the answer: it is worse somewhere, or nowhere by `TOLERANCE`."""
+    if any(row.verdict == "worse" for row in comparison.simulators):
+        return True
+    ends = [row.counts.interval for row in comparison.simulators]
+    return all(end is not None and end[1] < TOLERANCE for end in ends)
 
 
 Advice = Literal["merge", "look first", "do not merge", "not decided"]
@@ -266,7 +289,7 @@ def answer_of(comparison: Comparison) -> str:
 
 
 def _too_few(comparison: Comparison) -> bool:
-    needed = fewest_changes(family_of(comparison))
+    needed = fewest_changes(family_of(comparison), sequential=comparison.is_sequential)
     passed = [row.counts.newly_fail + row.counts.both_pass for row in comparison.simulators]
     return not comparison.is_identical and any(number < needed for number in passed)
 
@@ -305,7 +328,7 @@ def cautions_of(comparison: Comparison) -> list[str]:
     if comparison.origin != "random":
         found.append("Tests of a search resemble each other, so p and intervals are too optimistic.")
     family = family_of(comparison)
-    needed = fewest_changes(family)
+    needed = fewest_changes(family, sequential=comparison.is_sequential)
     changed = max((row.counts.newly_fail + row.counts.fixed for row in comparison.simulators), default=0)
     if changed < needed:
         found.append(

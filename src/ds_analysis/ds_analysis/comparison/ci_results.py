@@ -213,7 +213,9 @@ def _clean(text: str) -> str:
     return "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))
 
 
-def _margin(fitness: float) -> str:
+def _margin(fitness: float | None) -> str:
+    if fitness is None:
+        return "by its verdict"
     return f"{fitness:.2f} m inside its lane" if fitness >= 0.0 else f"{-fitness:.2f} m out of its lane"
 
 

@@ -6,11 +6,13 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import count
 from typing import Literal
 
 import numpy as np
 
 from ds_analysis.common.statistics import Array
+from ds_analysis.comparison.sequential import sequential_evidence
 from ds_orchestrator.maps.algebra import DRAWS, LEVEL
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution
@@ -56,7 +58,7 @@ class ComparedTest:
 
     Attributes:
         name: unique in the comparison, and safe within a file name.
-        road: road to drive.
+        road: road to drive; None if it is not known.
         seed: seed of the run.
         conditions: operating conditions of the run.
         cell: cell of the feature map, or None if it has none.
@@ -64,7 +66,7 @@ class ComparedTest:
     """
 
     name: str
-    road: Road
+    road: Road | None
     seed: int
     conditions: Conditions = DEFAULT
     cell: Cell | None = None
@@ -77,14 +79,14 @@ class DriveOutcome:
 
     Attributes:
         outcome: a verdict.
-        fitness: smallest lateral distance, m; below 0 out of the lane.
+        fitness: smallest lateral distance, m; below 0 out of the lane; None where only the verdict is known.
         trajectory_sha256: digest of the trajectory.
         simulated_seconds: simulated time driven, s.
         path: (n, 2) positions, m; empty if they are not known.
     """
 
     outcome: Outcome
-    fitness: float
+    fitness: float | None
     trajectory_sha256: str = ""
     simulated_seconds: float = 0.0
     path: Array = field(default_factory=lambda: np.empty((0, 2)))
@@ -124,7 +126,12 @@ class PairedDrive:
 
     @property
     def margin_change(self) -> float:
-        """Change of the smallest lateral distance, m; negative where the candidate comes nearer to the lane's edge."""
+        """Change of the smallest lateral distance, m; negative where the candidate comes nearer to the lane's edge.
+
+        0 where one is not known.
+        """
+        if self.candidate.fitness is None or self.reference.fitness is None:
+            return 0.0
         return self.candidate.fitness - self.reference.fitness
 
 
@@ -146,6 +153,7 @@ class PairedCounts:
         fixed: the reference fails, the candidate passes.
         both_fail: both fail.
         both_pass: both pass.
+        changes: every test in the order of the drives where these may stop at any time; see `sequential_evidence`.
 
     Examples:
         >>> from ds_analysis import PairedCounts
@@ -158,16 +166,19 @@ class PairedCounts:
     fixed: int
     both_fail: int
     both_pass: int
+    changes: tuple[int, ...] | None = None
 
     @classmethod
-    def of(cls, drives: Iterable[PairedDrive]) -> PairedCounts:
-        """Count drives."""
-        found = Counter(drive.change for drive in drives)
+    def of(cls, drives: Iterable[PairedDrive], *, sequential: bool = False) -> PairedCounts:
+        """Count drives; `sequential`: p and interval hold although the outcomes decided when the drives ended."""
+        changes = [drive.change for drive in drives]
+        found = Counter(changes)
         return cls(
             newly_fail=found["newly fails"],
             fixed=found["fixed"],
             both_fail=found["fails in both"],
             both_pass=found["passes in both"],
+            changes=tuple((one == "newly fails") - (one == "fixed") for one in changes) if sequential else None,
         )
 
     @property
@@ -195,6 +206,8 @@ class PairedCounts:
         """95 % interval of the difference; see `difference_interval`."""
         if not self.tests:
             return None
+        if self.changes is not None:
+            return sequential_evidence(self.changes, ALPHA)[1]
         return difference_interval(self.newly_fail, self.fixed, self.both_fail, self.both_pass)
 
     @property
@@ -202,6 +215,8 @@ class PairedCounts:
         """Two-sided p of McNemar's exact test that as many tests get worse as better; 1 if none changes."""
         from statsmodels.stats.contingency_tables import mcnemar
 
+        if self.changes is not None:
+            return sequential_evidence(self.changes, ALPHA)[0]
         table = [[self.both_pass, self.newly_fail], [self.fixed, self.both_fail]]
         return float(mcnemar(table, exact=True).pvalue)
 
@@ -242,13 +257,16 @@ def adjusted(p: Sequence[float], correction: Correction) -> list[float]:
     return [float(value) for value in multipletests(p, alpha=ALPHA, method=correction)[1]]
 
 
-def fewest_changes(family: int) -> int:
+def fewest_changes(family: int, *, sequential: bool = False) -> int:
     """Smallest number of changes, all in one direction, that Holm's procedure can call significant among so many tests.
 
     Args:
         family: number of p-values.
+        sequential: see `PairedCounts.of`.
     """
-    changes = 1
-    while PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0).p * max(family, 1) >= ALPHA:
-        changes += 1
-    return changes
+    for changes in count(1):
+        order = (1,) * changes if sequential else None
+        found = PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0, changes=order)
+        if found.p * max(family, 1) < ALPHA:
+            return changes
+    raise AssertionError

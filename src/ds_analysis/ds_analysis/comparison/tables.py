@@ -206,7 +206,7 @@ def _test(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, s
         "test": drive.test.name,
         "simulator": drive.simulator,
         "change": drive.change,
-        "road_id": drive.test.road.road_id,
+        "road_id": drive.test.road.road_id if drive.test.road else "",
         "seed": drive.test.seed,
         "conditions": format_conditions(drive.test.conditions),
         "cell": None if drive.test.cell is None else list(drive.test.cell),
@@ -267,9 +267,10 @@ def markdown_of(comparison: Comparison, road_files: Mapping[str, str], unmet: Se
         driver = comparison.candidate.driver
         shown = [one for one in comparison.newly_failing if one.test.name in road_files][:MOST_ROWS]
         commands = [command_of(one, driver, road_files[one.test.name]) for one in shown]
-        lines += ["<details><summary>See them: commands that write a video of each</summary>", ""]
-        lines += ["The road files are among the results of this run.", "", "```bash"]
-        lines += [*commands, "```", "", "</details>", ""]
+        if commands:
+            lines += ["<details><summary>See them: commands that write a video of each</summary>", ""]
+            lines += ["The road files are among the results of this run.", "", "```bash"]
+            lines += [*commands, "```", "", "</details>", ""]
     lines += _where(comparison)
     if cautions := cautions_of(comparison):
         lines += ["<details><summary>What these numbers cannot carry</summary>", ""]

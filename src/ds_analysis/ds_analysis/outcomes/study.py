@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, OutcomeTableError, State, no_profile
 from ds_analysis.outcomes.columns import Columns, Margin, Rule, listed, numbers_of, row_of, texts_of, verdicts_of
+from ds_analysis.outcomes.sbft import read_competition
 from ds_driver.whole_files import whole_file
 from ds_orchestrator.search.features import column_axis
 
@@ -111,13 +112,18 @@ class Study:
 def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
     """Read tables, CSV or Parquet: the first has the outcomes, each other one further columns for every test.
 
+    Folders are read as SBFT's test files, one for each simulator.
+
     Raises:
         OutcomeTableError: one line says what is wrong, in which row.
     """
     source = tables[0].name
-    frame = _read(tables[0])
+    folders = [path for path in tables if path.is_dir()]
+    if folders:
+        columns = columns.model_copy(update={"repeat": columns.repeat or "repeat"})
+    frame = read_competition(folders) if folders else _read(tables[0])
     tests = listed(columns.test)
-    for path in tables[1:]:
+    for path in [path for path in tables[1:] if path not in folders]:
         more = _read(path)
         texts_of(frame, tests, source)
         if len(set(texts_of(more, tests, path.name))) != len(more):

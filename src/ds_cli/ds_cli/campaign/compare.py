@@ -77,6 +77,13 @@ def is_campaign(text: str) -> bool:
     return Path(text).is_dir()
 
 
+def is_study(text: str) -> bool:
+    """Whether an argument is a folder of imported outcomes."""
+    from ds_analysis.outcomes.study import FILE
+
+    return (Path(text) / FILE).is_file()
+
+
 def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan:
     """Compare a campaign's network with another campaign's, or with a network.
 
@@ -147,7 +154,7 @@ def network_named(driver: str, simulators: Sequence[str]) -> Network:
 @app.command("compare")
 @campaign_app.command("compare")
 def campaign_compare_command(
-    first: Annotated[str, typer.Argument(metavar="A", help="Reference: a campaign folder, or a network.")],
+    first: Annotated[str, typer.Argument(metavar="A", help="Reference: a campaign or study, or a network.")],
     second: Annotated[
         str | None, typer.Argument(metavar="B", help="Candidate: a campaign folder, or a network.")
     ] = None,
@@ -170,6 +177,9 @@ def campaign_compare_command(
     again: Annotated[
         bool, typer.Option("--again", help="Drive the reference again, too, instead of reading its outcomes.")
     ] = False,
+    stop_early: Annotated[
+        bool, typer.Option("--stop-early", help="For two networks: end as soon as the answer is sure.")
+    ] = False,
     fail_on: FailOn = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
@@ -183,16 +193,18 @@ def campaign_compare_command(
 ) -> None:
     """Compare two networks on the same tests: what got worse, what got better?
 
-    A and B are two campaigns of one configuration, a campaign and a network, or two networks, which drive random roads.
+    A and B are two campaigns of one configuration, a campaign and a network, or two networks, which drive random roads;
+    or two studies of imported outcomes, where nothing is driven.
     Tests that one of them has not driven are driven first, without ROS unless --engine says otherwise. Writes
     comparison.html, comparison.md and comparison.json under --out.
     """
     from ds_analysis.comparison.paired_drives import ComparisonError
     from ds_analysis.comparison.tables import networks_table
+    from ds_analysis.outcomes.pairs import compare_studies
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.store.folder_files import make_folder
-    from ds_studies.comparison.compare import compare
+    from ds_studies.comparison.compare import compare, compare_until_sure
 
     if (second is None) == (driver is None):
         raise ComparisonError("expected one candidate, as in `ds compare A B` or `ds compare A --driver B`")
@@ -203,6 +215,10 @@ def campaign_compare_command(
         raise ComparisonError("--junit and --markdown are for one candidate: compare them one at a time")
 
     def compared(candidate: str, label: str) -> tuple[Comparison, Result]:
+        if is_study(first) and is_study(candidate):
+            make_folder(page := out / label if label else out)
+            found = compare_studies(Path(first), Path(candidate))
+            return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
         if not is_campaign(candidate):
             candidate = driver_named(candidate, backend, "cpu")
         if is_campaign(first):
@@ -225,9 +241,17 @@ def campaign_compare_command(
             for tests in plan.sets
         ]
         with stopped_in(out):
+            progress = Progress(listen=ScreenListener, say=say)
+            if stop_early:
+                if len(sets) > 1 or plan.origin != "random" or is_campaign(first):
+                    raise ComparisonError("--stop-early is for two networks, which drive random roads")
+                found = compare_until_sure(
+                    sets[0], plan.reference, plan.candidate, source=plan.source, out=out, label=label, progress=progress
+                )
+                return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
             found = compare(
                 sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out, label=label,
-                progress=Progress(listen=ScreenListener, say=say),
+                progress=progress,
             )  # fmt: skip
         return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ds_analysis.comparison.ci_results import Criteria
     from ds_orchestrator.campaign.folder import CampaignData
     from ds_report.comparison_page import Grid
+    from ds_studies.suite.suite_file import Suite
 
 FailOn = Annotated[
     Literal["failure", "regression", "worse"] | None,
@@ -65,6 +66,13 @@ def unmet_by(criteria: Criteria, comparison: Comparison) -> list[str]:
         newly_failing=len(comparison.newly_failing),
         worse=[row.simulator for row in comparison.simulators if row.verdict == "worse"],
     )
+
+
+def lost_by(criteria: Criteria, comparison: Comparison, suite: Suite) -> bool:
+    """Whether a criterion cannot be met whatever the tests of a suite that are left will say."""
+    tests = {name: sum(name in one.outcomes for one in suite.tests) for name in suite.simulators}
+    tally = {name: (failures, tests[name]) for name, (failures, _) in comparison.tally().items()}
+    return bool(criteria.unmet(tally, newly_failing=len(comparison.newly_failing)))
 
 
 def unmet_in_campaign(criteria: Criteria, data: CampaignData) -> list[str]:
@@ -139,7 +147,7 @@ def write_comparison(
         worse = drive_table(found, most=MOST_ROWS)
         if worse.rows:
             worse.show(console)
-        for drive in found.newly_failing[:MOST_ROWS]:
+        for drive in [one for one in found.newly_failing if one.test.name in road_files][:MOST_ROWS]:
             words = shlex.split(command_of(drive, found.candidate.driver, road_files[drive.test.name]))
             print(ds_command(*words[1:]))
         for line in (*sentences_of(found), *cautions_of(found)):
@@ -158,6 +166,8 @@ def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
     files = {}
     for drive in found.newly_failing:
         test = drive.test
+        if test.road is None:
+            continue
         folder.mkdir(exist_ok=True)
         path = folder / f"{test.name}.json"
         road = road_to_json(test.road)

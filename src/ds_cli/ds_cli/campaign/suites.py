@@ -19,6 +19,7 @@ from ds_cli.campaign.compare_results import (
     Videos,
     check_writable,
     criteria_of,
+    lost_by,
     unmet_by,
     write_comparison,
 )
@@ -96,6 +97,9 @@ def suite_run_command(
     out: Annotated[
         Path, typer.Option(help="Folder for drives and results; a run that was stopped there goes on.")
     ] = Path("suite_run"),
+    stop_early: Annotated[
+        bool, typer.Option("--stop-early", help="End as soon as --fail-on or --max-failures cannot be met any more.")
+    ] = False,
     fail_on: FailOn = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
@@ -116,16 +120,26 @@ def suite_run_command(
     Without ROS unless --engine says otherwise. Exit status: 0 done, 1 a drive ended in an error, 2 bad input, 3 a pass
     criterion is not met.
     """
+    from ds_analysis.comparison.sequential import BATCH
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.engines.fingerprint import code_sha256
     from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.registry import received_simulator
     from ds_studies.failure_videos import FailedDrive, write_failure_videos
-    from ds_studies.suite.suite_file import read_suite, run_suite, settings_of_suite, with_outcomes, write_suite
+    from ds_studies.suite.suite_file import (
+        SuiteError,
+        read_suite,
+        run_suite,
+        settings_of_suite,
+        with_outcomes,
+        write_suite,
+    )
 
     driver = driver_named(driver, backend, "cpu")
     criteria = criteria_of(fail_on, max_failures, has_reference=True)
+    if stop_early and (update is not None or (fail_on in (None, "worse") and max_failures is None)):
+        raise SuiteError("--stop-early needs --fail-on failure or regression, or --max-failures, and no --update")
     check_writable(junit, markdown, update)
     tests = read_suite(suite)
     for name in tests.simulators:
@@ -138,15 +152,25 @@ def suite_run_command(
         source += ", made with other code of the simulators"
     make_folder(out)
     settings = with_engine_without_ros(settings_of_suite(tests, driver), workers, engine, cluster)
-    with stopped_in(out):
-        found, executions = run_suite(
-            tests, settings, candidate, out / "drives", Progress(listen=ScreenListener, say=say), source=source
-        )
+    sizes = [*range(BATCH, len(tests.tests), BATCH)] if stop_early else []
+    for last in [*sizes, len(tests.tests)]:
+        some = tests.model_copy(update={"tests": tests.tests[:last]})
+        with stopped_in(out):
+            found, executions = run_suite(
+                some, settings, candidate, out / "drives", Progress(listen=ScreenListener, say=say), source=source
+            )
+        if last in sizes and lost_by(criteria, found, tests):
+            say(f"ended after {last} of {len(tests.tests)} tests: a pass criterion cannot be met any more")
+            break
     if update is not None and not found.left_out:
         write_suite(with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {driver}")
     if videos is not None:
         lost = [one for one in found.drives if one.candidate.outcome.is_failure]
-        failed = [FailedDrive(d.test.name, d.simulator, d.test.road, d.test.seed, d.test.conditions) for d in lost]
+        failed = [
+            FailedDrive(d.test.name, d.simulator, d.test.road, d.test.seed, d.test.conditions)
+            for d in lost
+            if d.test.road is not None
+        ]
         write_failure_videos(driver, failed, videos, say)
     end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)

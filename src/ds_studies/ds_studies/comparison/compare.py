@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from ds_analysis.comparison.analysis import Comparison, Origin, compare_networks
+from ds_analysis.comparison.analysis import Comparison, Origin, compare_networks, is_sure
 from ds_analysis.comparison.paired_drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
+from ds_analysis.comparison.sequential import BATCH
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -186,6 +187,7 @@ def compare(
     progress: Progress,
     recheck: bool = True,
     label: str = "",
+    sequential: bool = False,
 ) -> Comparison:
     """Compare two networks on given tests; drives that are not known are driven.
 
@@ -198,6 +200,7 @@ def compare(
         out: folder for the drives; a comparison that was stopped goes on there.
         progress: who hears of it.
         label: of the candidate, safe within a file name, where several share a folder and the reference's drives.
+        sequential: outcomes decide when drives end, as `compare_until_sure` does.
         recheck: drive one known test again on each simulator, to find out whether drives are repeatable here.
 
     Raises:
@@ -236,7 +239,36 @@ def compare(
         twin=settings.twin,
         excluded=excluded,
         left_out=left_out,
+        sequential=sequential,
     )
+
+
+def compare_until_sure(
+    tests: GivenTests, reference: Network, candidate: Network, *, source: str, out: Path, progress: Progress, label: str
+) -> Comparison:
+    """Compare two networks on random roads, some more at a time, until the answer is sure or no road is left.
+
+    Args:
+        tests: of `random_tests`.
+        reference: see `compare`, as for all that follow.
+        candidate: the network that may replace it.
+        source: where the tests come from, in words.
+        out: folder for the drives.
+        progress: who hears of it.
+        label: of the candidate.
+    """
+    roads = max(map(len, tests.work.values()))
+    for last in [*range(BATCH, roads, BATCH), roads]:
+        some = replace(tests, work={name: of[:last] for name, of in tests.work.items()})
+        found = compare(
+            [some], reference, candidate, origin="random", source=source, out=out, progress=progress, label=label,
+            sequential=True,
+        )  # fmt: skip
+        if is_sure(found) or last == roads:
+            break
+    left = 2 * len(tests.work) * (roads - last)
+    ends = f"ended after {last} of them, which saved {left} drives" if left else "not sure before their end"
+    return replace(found, source=f"{source}; {ends}; p and intervals hold for such an end")
 
 
 def _complete(
