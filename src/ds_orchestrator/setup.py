@@ -9,6 +9,7 @@ setup_package(
     scripts=[
         "campaign = ds_cli.ros.executables:campaign",
         "drive = ds_cli.ros.executables:drive",
+        "orchestrator = ds_cli.ros.executables:orchestrator",
         "watch = ds_cli.ros.executables:watch",
     ],
 )

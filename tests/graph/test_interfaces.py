@@ -19,6 +19,7 @@ NODES: dict[str, tuple[str, dict[str, object]]] = {
     "autopilot": ("ds_driver.ros.autopilot_node", dict.fromkeys(GAINS, [1.0])),
     "cmd_vel_adapter": ("ds_driver.ros.cmd_vel_adapter_node", {"wheelbase": 2.0, "max_steering_angle": 0.5}),
     "camera_driver": ("ds_driver.ros.camera_driver_node", {}),
+    "orchestrator": ("ds_studies.ros.orchestrator_node", {}),
 }
 """Node -> module and parameters with which it has all of its documented interfaces."""
 OPTIONAL = {

@@ -51,6 +51,7 @@ class Reason(IntEnum):
     WRONG_STAMP = 8
     RESET = 9
     NOT_APPLICABLE = 10
+    TWO_ORCHESTRATORS = 11
 
 
 class Outcome(IntEnum):

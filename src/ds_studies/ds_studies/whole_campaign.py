@@ -11,7 +11,7 @@ from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_analysis.paper.correlation import Correlation
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.campaign.executor import Listener, Stopped
+from ds_orchestrator.campaign.executor import Listener, Stopped, StopSwitch
 from ds_orchestrator.campaign.folder import (
     keep_engine,
     open_store,
@@ -61,6 +61,7 @@ def run_campaign(
     attach: bool = False,
     cluster: ClusterOptions | None = None,
     say: Callable[[str], None] = lambda line: None,
+    stop: StopSwitch | None = None,
 ) -> CampaignOutcome:
     """Run a campaign to its report, or resume the one in the folder.
 
@@ -71,6 +72,7 @@ def run_campaign(
         attach: use the nodes that are already running in this environment's ROS domain instead of starting any.
         cluster: cluster of the engine `dask`; one on this machine if None.
         say: called with one line for each stage after driving, and about a cluster's workers.
+        stop: ends driving from another thread.
 
     Raises:
         ConfigError: the driver or a simulator of the configuration has changed since the campaign began.
@@ -91,7 +93,7 @@ def run_campaign(
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
         if not is_driven(store, config):
-            in_error = _drive(config, settings, folder, store, live, say)
+            in_error = _drive(config, settings, folder, store, live, say, stop or StopSwitch())
 
         def say_result(line: str) -> None:
             live.result(line.removeprefix("stage: "))
@@ -160,11 +162,13 @@ def _drive(
     store: Store,
     live: LiveFile,
     say: Callable[[str], None],
+    stop: StopSwitch,
 ) -> int:
     """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
     try:
         with running_engine(settings, logs=folder / "logs", say=say) as engine:
             campaign = Campaign(config, folder, store, ObservedEngine(engine, live), live)
+            stop.connect(campaign.stop, engine.stop)
             try:
                 campaign.run()
             except BaseException:

@@ -10,6 +10,12 @@ import sys
 from rclpy.utilities import remove_ros_args
 
 from ds_cli import main as cli
+from ds_sim.executables import start
+
+
+def orchestrator() -> None:
+    """Run the node that takes campaigns and tests as goals."""
+    start("ds_studies.ros.orchestrator_node")
 
 
 def campaign() -> None:

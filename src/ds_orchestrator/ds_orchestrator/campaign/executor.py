@@ -36,6 +36,29 @@ class Stopped(Exception):
     """Campaign that was stopped by request."""
 
 
+class StopSwitch:
+    """Ends drives at the request of another thread, also if they have not begun yet."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._ends: list[Callable[[], None]] = []
+        self.is_on = False
+
+    def turn_on(self) -> None:
+        """End what is connected, and whatever will be."""
+        with self._lock:
+            self.is_on = True
+            for end in self._ends:
+                end()
+
+    def connect(self, *ends: Callable[[], None]) -> None:
+        """Call these as soon as the switch is on."""
+        with self._lock:
+            self._ends += ends
+            for end in ends if self.is_on else ():
+                end()
+
+
 class CampaignError(RuntimeError):
     """Campaign that cannot continue because a simulator is broken."""
 

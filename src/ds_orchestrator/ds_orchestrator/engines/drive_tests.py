@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.campaign.executor import Executor, Listener, Stopped
+from ds_orchestrator.campaign.executor import Executor, Listener, Stopped, StopSwitch
 from ds_orchestrator.campaign.folder import record_provenance
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.engines.preflight import preflight
@@ -33,10 +33,12 @@ class Progress:
     Attributes:
         listen: makes a listener, which receives every finished drive of one driver on one set of tests.
         say: called with one line about workers that come and go.
+        stop: ends driving from another thread.
     """
 
     listen: Callable[[], AbstractContextManager[Listener]] = lambda: nullcontext(Listener())
     say: Callable[[str], None] = lambda line: None
+    stop: StopSwitch = field(default_factory=StopSwitch)
 
 
 class NoVerdict(NamedTuple):
@@ -144,7 +146,9 @@ def _drive(
             own = {name: sum(test.sibling == name for test in of) for name, of in work.items()}
             listener.expect([own, {name: len(of) - own[name] for name, of in work.items()}])
             listener.stage("given tests")
-            Executor(settings, folder, store, engine, listener).execute_all(work)
+            executor = Executor(settings, folder, store, engine, listener)
+            progress.stop.connect(executor.stop, engine.stop)
+            executor.execute_all(work)
     except KeyboardInterrupt:
         raise Stopped from None
 

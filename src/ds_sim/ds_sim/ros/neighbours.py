@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -21,6 +21,29 @@ FEEDBACK = "drive_road/_action/feedback"
 """Topic that every client of the action subscribes to."""
 
 
+class Presence:
+    """Counts the nodes of a kind in a namespace, by the liveliness of a topic on which none says anything.
+
+    Args:
+        node: one of them.
+        topic: name of the topic, the same for all of the kind.
+        on_more: called when another one appears.
+    """
+
+    def __init__(self, node: Node, topic: str, on_more: Callable[[], None]) -> None:
+        self.others, self._on_more = 0, on_more
+        # Fast DDS does not report a participant's own publishers.
+        self._own = 0 if get_rmw_implementation_identifier().startswith("rmw_fastrtps") else 1
+        self._publisher = node.create_publisher(Empty, topic, PRESENCE_QOS)
+        events = SubscriptionEventCallbacks(liveliness=lambda status: self._on_liveliness(status.alive_count))
+        node.create_subscription(Empty, topic, lambda _: None, PRESENCE_QOS, event_callbacks=events)
+
+    def _on_liveliness(self, alive: int) -> None:
+        before, self.others = self.others, alive - self._own
+        if self.others > before:
+            self._on_more()
+
+
 class Neighbours:
     """Watches the namespace of a simulator's node.
 
@@ -30,22 +53,12 @@ class Neighbours:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._others = 0
-        # Fast DDS does not report a participant's own publishers.
-        self._own = 0 if get_rmw_implementation_identifier().startswith("rmw_fastrtps") else 1
-        self._presence = node.create_publisher(Empty, "presence", PRESENCE_QOS)
-        events = SubscriptionEventCallbacks(liveliness=lambda status: self._on_liveliness(status.alive_count))
-        node.create_subscription(Empty, "presence", lambda _: None, PRESENCE_QOS, event_callbacks=events)
-
-    def _on_liveliness(self, alive: int) -> None:
-        before, self._others = self._others, alive - self._own
-        if self._others > before:
-            self._node.get_logger().error(self._crowd())
+        self._presence = Presence(node, "presence", lambda: node.get_logger().error(self._crowd()))
 
     def _crowd(self) -> str:
         return (
-            f"{self._others + 1} simulators live in {self._node.get_namespace()}: stop all but one, or give them other "
-            "namespaces (__ns:=)"
+            f"{self._presence.others + 1} simulators live in {self._node.get_namespace()}: stop all but one, or give "
+            "them other namespaces (__ns:=)"
         )
 
     def drivers(self) -> list[str]:
@@ -73,7 +86,7 @@ class Neighbours:
         Raises:
             RequestRefused: TWO_SIMULATORS.
         """
-        if self._others > 0:
+        if self._presence.others > 0:
             raise RequestRefused(Reason.TWO_SIMULATORS, self._crowd())
 
 

@@ -1,0 +1,127 @@
+"""Messages about a campaign: tests, outcomes, and feature maps as occupancy grids."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from ds_interfaces.msg import MapLegend, TestOutcome
+from ds_interfaces.srv import GetTest
+from nav_msgs.msg import OccupancyGrid
+
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.maps.campaign_maps import build_maps
+from ds_orchestrator.maps.feature_map import FeatureMap, compared_ids
+from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.store.model import Execution
+from ds_sim.gates.gate import Gate
+from ds_sim.registry import label_of
+from ds_sim.ros.conversions import conditions_to_messages, road_to_message
+
+FRAME = "feature_map"
+"""Frame of the grids: bins of the first feature along x, of the second along y; a cell is 1 m wide."""
+MOST_CELLS = 2**16
+"""Cells of a grid; chosen: a hundred times those of the paper's maps."""
+
+
+def outcome_message(test_id: str, simulator: str, found: Execution | Gate | None) -> TestOutcome:
+    """Convert what became of a test on a simulator; None: every attempt ended in an error."""
+    message = TestOutcome(test_id=test_id, simulator=simulator)
+    if isinstance(found, Execution):
+        message.outcome.value = int(found.outcome)
+        message.message, message.bag = found.message, found.bag
+        message.fitness, message.max_lateral_position = found.fitness, found.max_lateral_position
+    elif isinstance(found, Gate):
+        message.excluded, message.message = True, found.message
+    else:
+        message.message = "every attempt ended in an error"
+    return message
+
+
+def test_response(data: CampaignData, test_id: str, response: GetTest.Response) -> GetTest.Response:
+    """Fill in a test of a campaign and its outcomes."""
+    test = next((one for one in data.tests if one.test_id == test_id), None)
+    if test is None:
+        response.message = f"no test {test_id!r:.60}: expected one of {len(data.tests)}, such as {_first(data)}"
+        return response
+    response.found, response.road, response.seed = True, road_to_message(test.road), test.seed
+    response.conditions = conditions_to_messages(test.conditions)
+    known: dict[str, Execution | Gate] = {
+        name: gate for (one, name), gate in data.gates.items() if one == test_id and not gate.is_valid
+    }
+    known |= {one.simulator: one for one in data.verdicts if one.test_id == test_id}
+    response.outcomes = [outcome_message(test_id, name, one) for name, one in known.items()]
+    return response
+
+
+def _first(data: CampaignData) -> str:
+    return data.tests[0].test_id if data.tests else "none yet"
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Maps of a campaign on one grid.
+
+    Attributes:
+        grids: name of a map -> failure probabilities in percent.
+        tests: name of a map -> number of tests of each cell, in the grid's order.
+        legend: what the cells stand for.
+    """
+
+    grids: Mapping[str, OccupancyGrid]
+    tests: Mapping[str, Sequence[int]]
+    legend: MapLegend
+
+
+def grids_of(data: CampaignData) -> Grids | None:
+    """Build the maps that are compared (unions, merged, twin) from what is driven so far; None without a test.
+
+    A map of three features becomes one of the first two, whose cells are the means over the third, weighted by tests.
+    """
+    config = data.config
+    maps = build_maps(config.siblings, config.twin, data.tests, data.executions, config.map_plan(data.given_up),
+                      gates=data.gates)  # fmt: skip
+    chosen = {label_of(one.name).replace(".", "_").replace("-", "_"): maps[one] for one in compared_ids(maps)}
+    cells = [cell[:2] for one in chosen.values() for cell in one.cells]
+    if not cells:
+        return None
+    low, high = np.min(cells, axis=0), np.max(cells, axis=0)
+    size = high - low + 1
+    if int(size[0]) * int(size[1]) > MOST_CELLS:
+        return None
+    grids, tests = {}, {}
+    for name, one in chosen.items():
+        grids[name], tests[name] = _grid(one, (int(low[0]), int(low[1])), (int(size[0]), int(size[1])))
+    across, up = (feature_of(name) for name in config.features[:2])
+    legend = MapLegend(
+        across=across.title,
+        up=up.title,
+        columns=[across.label(bin_) for bin_ in range(int(low[0]), int(high[0]) + 1)],
+        rows=[up.label(bin_) for bin_ in range(int(low[1]), int(high[1]) + 1)],
+    )
+    return Grids(grids, tests, legend)
+
+
+def _grid(one: FeatureMap, low: Cell, size: tuple[int, int]) -> tuple[OccupancyGrid, list[int]]:
+    """Place a map's cells on a grid, row by row from below."""
+    tests, failures = np.zeros((size[1], size[0]), np.int64), np.zeros((size[1], size[0]))
+    for cell, content in one.cells.items():
+        place = cell[1] - low[1], cell[0] - low[0]
+        tests[place] += content.tests
+        failures[place] += content.tests * content.probability
+    percent = np.where(tests > 0, np.rint(100.0 * failures / np.maximum(tests, 1)), -1.0)
+    grid = OccupancyGrid()
+    grid.header.frame_id = FRAME
+    grid.info.resolution, grid.info.width, grid.info.height = 1.0, size[0], size[1]
+    grid.info.origin.position.x, grid.info.origin.position.y = float(low[0]), float(low[1])
+    grid.info.origin.orientation.w = 1.0
+    grid.data = percent.astype(np.int8).ravel().tolist()
+    return grid, tests.ravel().tolist()
+
+
+def stamped(grid: OccupancyGrid, stamp: Time) -> OccupancyGrid:
+    """Set the time of a grid."""
+    grid.header.stamp = grid.info.map_load_time = stamp
+    return grid

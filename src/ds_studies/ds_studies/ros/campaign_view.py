@@ -1,0 +1,153 @@
+"""Topics and services by which the orchestrator shows a goal: state, outcomes, maps, tests."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from ds_interfaces.msg import CampaignState, MapLegend, TestOutcome
+from ds_interfaces.srv import GetMap, GetState, GetTest
+from nav_msgs.msg import OccupancyGrid
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
+from ds_orchestrator.store.sqlite_file import StoreError
+from ds_studies.ros.campaign_messages import Grids, grids_of, stamped, test_response
+from ds_studies.ros.goals import Job
+
+MAPS_EVERY, MAPS_SHARE = 2.0, 20.0
+"""Seconds between two drawings of the maps, at least this many times what one takes; chosen: the maps of a hundred
+thousand drives take 5 s, and must not slow the drives."""
+REMEMBERED = 1000
+"""Outcomes that a late subscriber gets; chosen."""
+
+
+class CampaignView:
+    """Shows one goal after the other.
+
+    Args:
+        node: node of the topics and services.
+        warning: what is wrong with the node itself, "" for nothing.
+    """
+
+    def __init__(self, node: Node, warning: Callable[[], str]) -> None:
+        self._node, self._warning = node, warning
+        self._job: Job | None = None
+        self._campaign: Path | None = None
+        self._grids: Grids | None = None
+        self._published, self._ended = threading.Event(), threading.Event()
+        self._latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._state = node.create_publisher(CampaignState, "campaign_state", self._latched)
+        self._legend = node.create_publisher(MapLegend, "map_legend", self._latched)
+        remembered = QoSProfile(depth=REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._outcomes = node.create_publisher(TestOutcome, "finished_tests", remembered)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
+        self._maps = {"merged": node.create_publisher(OccupancyGrid, "maps/merged", self._latched)}
+        node.create_service(GetState, "get_state", self._on_get_state)
+        node.create_service(GetMap, "get_map", self._on_get_map)
+        node.create_service(GetTest, "get_test", self._on_get_test)
+        threading.Thread(target=self._keep_drawing, name="maps", daemon=True).start()
+        self.show()
+
+    def begin(self, job: Job, campaign: Path | None) -> None:
+        """Show a goal from now on.
+
+        Args:
+            job: the goal.
+            campaign: folder with the campaign whose maps are drawn; None for given tests.
+        """
+        self._job, self._campaign, self._grids = job, campaign, None
+
+    def close(self) -> None:
+        """End the drawing of maps."""
+        self._ended.set()
+
+    @property
+    def state(self) -> CampaignState:
+        """Present state."""
+        return CampaignState(seconds_left=-1.0) if self._job is None else self._job.listener.state
+
+    def show(self) -> None:
+        """Publish what is new."""
+        state = self.state
+        while self._job is not None and not self._job.listener.outcomes.empty():
+            self._outcomes.publish(self._job.listener.outcomes.get())
+        self._state.publish(state)
+        self._diagnostics.publish(self._diagnosis(state))
+        grids = self._grids
+        if grids is not None and not self._published.is_set():
+            self._published.set()
+            self._show_maps(grids)
+
+    def _show_maps(self, grids: Grids) -> None:
+        self._legend.publish(grids.legend)
+        for name, grid in grids.grids.items():
+            if name not in self._maps:
+                self._maps[name] = self._node.create_publisher(OccupancyGrid, f"maps/{name}", self._latched)
+            self._maps[name].publish(stamped(grid, self._node.get_clock().now().to_msg()))
+
+    def _diagnosis(self, state: CampaignState) -> DiagnosticArray:
+        warning = self._warning()
+        status = DiagnosticStatus(name=f"{self._node.get_name()}: campaign", hardware_id=state.folder)
+        broken, doubtful = state.state == CampaignState.BROKEN, state.errors > 0 or bool(warning)
+        status.level = DiagnosticStatus.ERROR if broken else DiagnosticStatus.WARN if doubtful else DiagnosticStatus.OK
+        status.message = warning or state.message or state.stage or "waits for a goal"
+        numbers = ("done", "expected", "failures", "errors", "seconds_left")
+        status.values = [KeyValue(key=name, value=f"{getattr(state, name):g}") for name in numbers]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        return array
+
+    def _keep_drawing(self) -> None:
+        """Draw the maps again while a campaign drives, and once at its end."""
+        pause, seen = MAPS_EVERY, (Path(), -1, -1)
+        while not self._ended.wait(pause):
+            state, campaign = self.state, self._campaign
+            present = (campaign or Path(), state.done, state.state)
+            if campaign is None or present == seen:
+                continue
+            began, seen = time.monotonic(), present
+            data = self._read()
+            if data is not None and campaign == self._campaign:
+                self._grids = grids_of(data)
+                self._published.clear()
+            pause = max(MAPS_EVERY, MAPS_SHARE * (time.monotonic() - began))
+
+    def _read(self) -> CampaignData | None:
+        if self._campaign is None:
+            return None
+        try:
+            with closing(open_store(self._campaign)) as store:
+                return read_campaign(store)
+        except (StoreError, ConfigError, OSError):
+            return None  # it has not begun, or cannot be read: the goal says so
+
+    def _on_get_state(self, _: GetState.Request, response: GetState.Response) -> GetState.Response:
+        response.state = self.state
+        return response
+
+    def _on_get_map(self, request: GetMap.Request, response: GetMap.Response) -> GetMap.Response:
+        grids = self._grids
+        if grids is None:
+            response.message = "no campaign of this node has a map yet: send the goal run_campaign first"
+            return response
+        response.names, response.legend = list(grids.grids), grids.legend
+        if request.name in grids.grids:
+            response.found = True
+            response.grid, response.tests = grids.grids[request.name], grids.tests[request.name]
+        elif request.name:
+            response.message = f"no map {request.name!r:.60}: expected one of {', '.join(grids.grids)}"
+        return response
+
+    def _on_get_test(self, request: GetTest.Request, response: GetTest.Response) -> GetTest.Response:
+        data = self._read()
+        if data is None:
+            response.message = "no campaign of this node has tests yet: send the goal run_campaign first"
+            return response
+        return test_response(data, request.test_id, response)

@@ -1,0 +1,123 @@
+"""What the orchestrator's goals ask, done with the engines of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rclpy.action.server import ServerGoalHandle
+
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, moved, parse_config
+from ds_orchestrator.campaign.config_errors import read_keys
+from ds_orchestrator.campaign.executor import StopSwitch
+from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
+from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.store.model import Test
+from ds_sim.bounded_yaml import BoundedYamlError, load_yaml
+from ds_sim.ros.conversions import conditions_from_messages, road_from_message
+from ds_studies.ros.campaign_messages import outcome_message
+from ds_studies.ros.state_listener import StateListener
+from ds_studies.whole_campaign import check_trust, run_campaign
+
+ENGINES = ("attach", "graph", "local", "dask")
+"""attach: nodes that run; the others start their own."""
+
+
+@dataclass(kw_only=True)
+class Job:
+    """Goal that drives.
+
+    Attributes:
+        goal: the goal.
+        folder: folder of its drives.
+        work: drives, and fills in the result; takes the names that may run code of their own, too.
+        result: the action's result.
+        listener: hears of its drives.
+        stop: ends them.
+    """
+
+    goal: ServerGoalHandle
+    folder: Path
+    work: Callable[[Job, Collection[str]], None]
+    result: Any
+    listener: StateListener
+    stop: StopSwitch = field(default_factory=StopSwitch)
+
+
+def run_campaign_goal(job: Job, trusted: Collection[str]) -> None:
+    """Run or resume the campaign of a goal of `RunCampaign`, and fill in its result."""
+    request = job.goal.request
+    config = _config_of(request.config, job.folder, trusted)
+    engine = config.engine if not request.engine else request.engine
+    changed = {"engine": "graph" if engine == "attach" else engine, "workers": request.workers or config.workers}
+    if engine == "attach":
+        changed["workers"] = 1
+    found = run_campaign(
+        parse_config(config.model_dump() | changed, "the goal", received=True),
+        job.folder,
+        job.listener,
+        attach=engine == "attach",
+        say=job.listener.say,
+        stop=job.stop,
+    )
+    job.result.report = str(found.report)
+    job.result.executions, job.result.errors = found.executions, found.executions_in_error
+
+
+def _config_of(text: str, folder: Path, trusted: Collection[str]) -> CampaignConfig:
+    if not text:
+        with closing(open_store(folder)) as store:
+            config = with_kept_engine(folder, config_of(store))
+    elif "\n" in text or ":" in text:
+        try:
+            raw = load_yaml(text, unique_keys=True)
+        except BoundedYamlError as error:
+            raise ConfigError(f"the goal's config: not YAML: {error}") from None
+        config = parse_config(raw, "the goal's config", received=True)
+    else:
+        raw = moved(read_keys(Path(text), ConfigError), Path(text).parent, Path())
+        config = parse_config(raw, text, received=True)
+    check_trust(config, trusted)
+    return config
+
+
+def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
+    """Drive what a goal of `DriveTests` lists, and fill in its result."""
+    request = job.goal.request
+    if not request.roads or not request.simulators or len(request.seeds) not in (0, len(request.roads)):
+        raise ConfigError("expected at least one road and one simulator, and a seed for each road or none")
+    names, attach = list(dict.fromkeys(request.simulators)), request.engine == "attach"
+    # What a campaign of these may be, a list of tests may be: one check of names and numbers.
+    raw = {
+        "siblings": names, "twin": None, "driver": request.driver,
+        "engine": "graph" if attach else request.engine or "local", "workers": request.workers or 1,
+    }  # fmt: skip
+    config = parse_config(raw, "the goal", received=True)
+    check_trust(config, trusted)
+    settings = config.drive_settings(attach=attach)
+    conditions = conditions_from_messages(request.conditions)
+    tests = [
+        Test(
+            test_id=f"given-0-{number:04d}",
+            sibling=names[0],
+            run=0,
+            number=number,
+            road=road_from_message(road),
+            seed=request.seeds[number] if request.seeds else number,
+            conditions=conditions,
+        )
+        for number, road in enumerate(request.roads)
+    ]
+    progress = Progress(listen=lambda: nullcontext(job.listener), say=job.listener.say, stop=job.stop)
+    found = drive_tests(settings, dict.fromkeys(names, tests), job.folder, progress)
+    for test in tests:
+        for name in names:
+            key = (test.test_id, name)
+            one = found.executions.get(key) or (found.gates.get(key) if key in found.excluded else None)
+            message = outcome_message(*key, one)
+            if key in found.errors:
+                message.message = str(found.errors[key])
+            job.result.outcomes.append(message)

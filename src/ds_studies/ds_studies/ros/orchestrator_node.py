@@ -1,0 +1,200 @@
+"""Orchestrator as a ROS node: runs campaigns and given tests for action clients, and shows them as they go on.
+
+The node's thread answers and the main thread drives, as engines handle signals there; one goal at a time.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from ds_interfaces.action import DriveTests, RunCampaign
+from ds_interfaces.msg import CampaignState
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.utilities import try_shutdown
+
+from ds_orchestrator.campaign.executor import Stopped
+from ds_orchestrator.graph.signals import listen
+from ds_sim.extension import confirm
+from ds_sim.ros.neighbours import Presence
+from ds_sim.ros.node_thread import NodeThread
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.requests import RequestRefused
+from ds_sim.ros.runtime import init_ros
+from ds_sim.simulator import Reason
+from ds_studies.ros.campaign_view import CampaignView
+from ds_studies.ros.goals import ENGINES, Job, drive_tests_goal, run_campaign_goal
+from ds_studies.ros.state_listener import StateListener
+
+EVERY = 1.0
+"""Seconds between two messages of state; chosen: what people follow."""
+LAST_WORDS = 0.5
+"""Time in which the result of an interrupted goal is sent, s."""
+_KEPT = "what was finished is kept, and the same goal resumes"
+
+
+class OrchestratorNode(Node):
+    """Takes goals, and publishes state, outcomes and maps."""
+
+    def __init__(self) -> None:
+        super().__init__("orchestrator")
+        self._root = Path(declare(self, "root", ".", "Folder below which the folders of goals are."))
+        self._trusted = declare(self, "trust", [""], "Names in goals that may run code of their own, as module:Class.")
+        confirm(self._trusted)
+        self._jobs: SimpleQueue[Job] = SimpleQueue()
+        self._job: Job | None = None
+        self._ends: dict[bytes, tuple[Any, Callable[[], None]]] = {}
+        self._presence = Presence(self, "orchestrator_presence", lambda: self.get_logger().error(self._crowd()))
+        self._view = CampaignView(self, self._crowd)
+        self._servers = [
+            self._serve(RunCampaign, "run_campaign", run_campaign_goal),
+            self._serve(DriveTests, "drive_tests", drive_tests_goal),
+        ]
+        # Steady clock: under use_sim_time the node's own stands still between runs.
+        self.create_timer(EVERY, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"ready; the folders of goals are below {self._root.resolve()}")
+
+    def destroy_node(self) -> None:
+        """End the drawing of maps with the node."""
+        self._view.close()
+        super().destroy_node()
+
+    def work(self) -> None:
+        """Do what goals ask, one after the other, in the main thread.
+
+        Raises:
+            KeyboardInterrupt: a signal.
+        """
+        while True:
+            with suppress(Empty):
+                self._do(self._jobs.get(timeout=0.2))
+
+    def _do(self, job: Job) -> None:
+        try:
+            job.work(job, self._trusted)
+        except (Stopped, KeyboardInterrupt):
+            if job.stop.is_on:
+                return self._finish(job, job.goal.canceled, CampaignState.CANCELLED, f"cancelled; {_KEPT}")
+            self._finish(job, job.goal.abort, CampaignState.BROKEN, f"a signal ended the node; {_KEPT}")
+            time.sleep(LAST_WORDS)
+            raise KeyboardInterrupt from None
+        except Exception as error:  # the node outlives whatever a goal brings
+            message = " ".join(str(error).split()) or type(error).__name__
+            if isinstance(error, ValueError):
+                job.result.reason.value = int(Reason.BAD_GOAL)
+            self._finish(job, job.goal.abort, CampaignState.BROKEN, message)
+        else:
+            self._finish(job, job.goal.succeed, CampaignState.FINISHED, "")
+
+    def _finish(self, job: Job, close: Callable[[], None], state: int, message: str) -> None:
+        job.result.message = message
+        job.listener.end(state, message)
+        self.get_logger().info(f"{job.folder}: {message or 'finished'}")
+        self._job = None
+        self._close(job.goal, job.result, close)
+
+    def _serve(self, kind: Any, name: str, work: Callable[[Job, Collection[str]], None]) -> ActionServer[Any, Any, Any]:
+        return ActionServer(
+            self,
+            kind,
+            name,
+            execute_callback=self._result_of,
+            goal_callback=lambda _goal: GoalResponse.ACCEPT,
+            handle_accepted_callback=lambda goal: self._accept(goal, kind, work),
+            cancel_callback=self._on_cancel,
+        )
+
+    def _close(self, goal: ServerGoalHandle, result: Any, close: Callable[[], None]) -> None:
+        self._ends[bytes(goal.goal_id.uuid)] = result, close
+        goal.execute()
+
+    def _result_of(self, goal: ServerGoalHandle) -> Any:
+        result, close = self._ends.pop(bytes(goal.goal_id.uuid))
+        close()
+        return result
+
+    def _accept(self, goal: ServerGoalHandle, kind: Any, work: Callable[[Job, Collection[str]], None]) -> None:
+        result = kind.Result()
+        try:
+            self._check(goal.request.engine)
+            folder = self._folder(goal.request.folder)
+        except RequestRefused as refused:
+            self.get_logger().warning(f"goal refused: {refused}")
+            result.reason.value, result.message = int(refused.reason), str(refused)
+            self._close(goal, result, goal.abort)
+            return
+        listener = StateListener(goal.request.folder)
+        self._job = Job(goal=goal, folder=folder, work=work, result=result, listener=listener)
+        self._view.begin(self._job, folder if kind is RunCampaign else None)
+        self._jobs.put(self._job)
+
+    def _check(self, engine: str) -> None:
+        if crowd := self._crowd():
+            raise RequestRefused(Reason.TWO_ORCHESTRATORS, crowd)
+        if self._job is not None:
+            raise RequestRefused(Reason.BUSY, f"{self._job.folder} is under way: wait for its result, or cancel it")
+        if engine not in ("", *ENGINES):
+            raise RequestRefused(Reason.BAD_GOAL, f"engine {engine!r:.40}: expected one of {', '.join(ENGINES)}")
+
+    def _folder(self, name: str) -> Path:
+        path = Path(name)
+        if not path.name or path.is_absolute() or ".." in path.parts:
+            expected = f"expected a folder below {self._root.resolve()}, such as campaign"
+            raise RequestRefused(Reason.BAD_GOAL, f"folder {name!r:.60}: {expected}")
+        return self._root / path
+
+    def _crowd(self) -> str:
+        """What is wrong with several orchestrators; "" if this is the only one."""
+        if self._presence.others <= 0:
+            return ""
+        return (
+            f"{self._presence.others + 1} orchestrators live in {self.get_namespace()}: stop all but one, or give them "
+            "other namespaces (__ns:=)"
+        )
+
+    def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        job = self._job
+        if job is not None and job.goal.goal_id == goal.goal_id:
+            # Engines may take seconds to end their drives, and this thread has to answer.
+            threading.Thread(target=job.stop.turn_on, name="cancel", daemon=True).start()
+        return CancelResponse.ACCEPT
+
+    def _show(self) -> None:
+        job = self._job
+        self._view.show()
+        if job is not None:
+            feedback = RunCampaign.Feedback if job.work is run_campaign_goal else DriveTests.Feedback
+            job.goal.publish_feedback(feedback(state=job.listener.state))
+
+
+def main() -> None:
+    """Run the node until a signal."""
+    listen()
+    init_ros()
+    try:
+        node = OrchestratorNode()
+    except ValueError as error:
+        try_shutdown()
+        sys.exit(f"error: {error}")
+    thread = NodeThread(node)
+    try:
+        node.work()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        if thread.end():
+            node.destroy_node()
+        try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

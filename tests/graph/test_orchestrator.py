@@ -1,0 +1,255 @@
+"""The orchestrator's node, asked by action clients: real simulators and drivers in the same domain."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.kill import stored
+
+from ds_road import generate
+
+pytestmark = pytest.mark.graph
+
+CONFIG = """
+siblings: [bullet]
+twin: donkey
+driver: autopilot
+record: none
+seed: 5
+search: {population: 2, iterations: 2, runs: 1, min_angle: 40, max_angle: 120}
+"""
+DRIVES = 8
+LIMIT = 120.0
+MODULE = "ds_studies.ros.orchestrator_node"
+
+
+@dataclass
+class Graph:
+    """Running orchestrator, simulators and drivers, and a node that asks them."""
+
+    node: Any
+    supervisor: Any
+    root: Path
+    domain: int
+
+    def until(self, done: Callable[[], Any], limit: float = LIMIT) -> Any:
+        """Spin until something is true."""
+        import rclpy
+
+        deadline = time.monotonic() + limit
+        while not (found := done()):
+            assert time.monotonic() < deadline, "nothing happened in time"
+            rclpy.spin_once(self.node, timeout_sec=0.1)
+        return found
+
+    def wait(self, future: Any) -> Any:
+        """Wait for an answer."""
+        self.until(future.done)
+        return future.result()
+
+    def ask(self, kind: Any, service: str, **fields: Any) -> Any:
+        """Call a service."""
+        client = self.node.create_client(kind, service)
+        self.until(client.service_is_ready)
+        return self.wait(client.call_async(kind.Request(**fields)))
+
+    def send(self, kind: Any, name: str, feedback: Callable[[Any], None] | None = None, **fields: Any) -> Any:
+        """Send a goal and return its handle."""
+        from rclpy.action import ActionClient
+
+        client = ActionClient(self.node, kind, name)
+        self.until(client.server_is_ready)
+        return self.wait(client.send_goal_async(kind.Goal(**fields), feedback_callback=feedback))
+
+    def run(self, kind: Any, name: str, **fields: Any) -> tuple[int, Any]:
+        """Send a goal; return its status and result."""
+        found = self.wait(self.send(kind, name, **fields).get_result_async())
+        return found.status, found.result
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    import rclpy
+    from rclpy.node import Node
+
+    from ds_orchestrator.graph.session import RosDomain
+    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor, closed_loop_processes
+
+    domain, root = RosDomain(), tmp_path_factory.mktemp("root")
+    specs = [
+        *closed_loop_processes("autopilot", {"bullet": "/ds1", "donkey": "/twin"}, 10.0),
+        ProcessSpec(name="orchestrator", module=MODULE, parameters={"root": str(root)}),
+    ]
+    supervisor = Supervisor(specs, domain=domain.number, logs=tmp_path_factory.mktemp("logs"))
+    rclpy.init(domain_id=domain.number)
+    yield Graph(Node("asker"), supervisor, root, domain.number)
+    rclpy.try_shutdown()
+    supervisor.close()
+    domain.close()
+
+
+@pytest.fixture(scope="module")
+def campaign(graph: Graph) -> tuple[int, Any, list[Any]]:
+    """A campaign on the running nodes: status, result, and what its feedback said."""
+    from ds_interfaces.action import RunCampaign
+
+    states: list[Any] = []
+    handle = graph.send(
+        RunCampaign, "run_campaign", lambda message: states.append(message.feedback.state),
+        config=CONFIG, folder="c", engine="attach",
+    )  # fmt: skip
+    found = graph.wait(handle.get_result_async())
+    return found.status, found.result, states
+
+
+def test_a_campaign_on_running_nodes_is_the_campaign_that_runs_without_ros(
+    graph: Graph, campaign: tuple[int, Any, list[Any]], tmp_path: Path
+) -> None:
+    from ds_orchestrator.campaign.config import parse_config
+    from ds_sim.bounded_yaml import load_yaml
+    from ds_studies.whole_campaign import run_campaign
+
+    status, result, states = campaign
+    assert (status, result.message, result.executions, result.errors) == (4, "", DRIVES, 0)
+    assert Path(result.report).is_file()
+    config = parse_config(load_yaml(CONFIG), "here").model_copy(update={"engine": "local"})
+    run_campaign(config, tmp_path / "local")
+    assert stored(graph.root / "c") == stored(tmp_path / "local")
+    assert {state.stage for state in states} & {"search", "migration and twin"}
+    done = [state.done for state in states]
+    assert done == sorted(done) and states[-1].expected == DRIVES
+    assert all(state.seconds_left >= -1.0 for state in states)
+
+
+def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign: tuple[int, Any, list[Any]]) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from ds_interfaces.msg import CampaignState, MapLegend, TestOutcome
+    from ds_interfaces.srv import GetMap, GetState, GetTest
+    from nav_msgs.msg import OccupancyGrid
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    from ds_orchestrator.campaign.folder import open_store
+
+    latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    outcomes: list[Any] = []
+    seen: dict[str, Any] = {}
+    graph.node.create_subscription(TestOutcome, "finished_tests", outcomes.append, latched)
+    for name, kind in (("map_legend", MapLegend), ("maps/union_bullet", OccupancyGrid), ("maps/merged", OccupancyGrid),
+                       ("maps/twin_donkey", OccupancyGrid), ("campaign_state", CampaignState)):  # fmt: skip
+        graph.node.create_subscription(kind, name, lambda message, name=name: seen.update({name: message}), latched)
+    graph.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: seen.update(d=message), 10)
+    graph.until(lambda: len(outcomes) == DRIVES and len(seen) == 6)
+    store = open_store(graph.root / "c")
+    driven = {(one.test_id, one.simulator): one for one in store.executions()}
+    for one in outcomes:
+        known = driven[one.test_id, one.simulator]
+        assert (one.outcome.value, one.fitness) == (int(known.outcome), known.fitness)
+    legend, grid = seen["map_legend"], seen["maps/twin_donkey"]
+    assert (len(legend.columns), len(legend.rows)) == (grid.info.width, grid.info.height)
+    failed = sum(one.outcome.is_failure for (_, name), one in driven.items() if name == "donkey")
+    answer = graph.ask(GetMap, "get_map", name="twin_donkey")
+    assert answer.found and sum(answer.tests) == DRIVES // 2 and list(answer.grid.data) == list(grid.data)
+    assert round(sum(n * p / 100 for n, p in zip(answer.tests, grid.data, strict=True) if n), 1) == failed
+    assert [p < 0 for p in grid.data] == [n == 0 for n in answer.tests]
+    assert "expected one of" in graph.ask(GetMap, "get_map", name="nonsense").message
+    test = graph.ask(GetTest, "get_test", test_id="bullet-0-0001")
+    assert {one.simulator for one in test.outcomes} == {"bullet", "donkey"} and test.road.control_points
+    assert "such as bullet-0-0000" in graph.ask(GetTest, "get_test", test_id="x").message
+    state = graph.ask(GetState, "get_state").state
+    assert (state.state, state.folder, state.done) == (CampaignState.FINISHED, "c", DRIVES)
+    assert seen["d"].status[0].level == b"\0"
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"folder": "../c"}, "expected a folder below"),
+        ({"folder": "/tmp/c"}, "expected a folder below"),
+        ({"folder": "new", "engine": "warp"}, "expected one of attach"),
+        ({"folder": "new", "config": "nothing.yaml"}, "nothing.yaml"),
+        ({"folder": "new", "config": "siblings: [bullet"}, "not YAML: line 2"),
+        ({"folder": "new", "config": "sibling: [bullet]"}, "sibling"),
+        ({"folder": "new", "config": "driver: os:system"}, "os:system"),
+        ({"folder": "new", "config": "siblings: [os:system]"}, "os:system"),
+        ({"folder": "never"}, "run a campaign there first"),
+    ],
+)
+def test_a_goal_that_cannot_be_gets_one_line(graph: Graph, fields: dict[str, str], expected: str) -> None:
+    from ds_interfaces.action import RunCampaign
+
+    status, result = graph.run(RunCampaign, "run_campaign", **fields)
+    assert status == 6 and expected in result.message and "\n" not in result.message
+    assert result.reason.value == 2  # BAD_GOAL
+
+
+def test_a_cancelled_campaign_resumes_and_another_goal_waits(graph: Graph, tmp_path: Path) -> None:
+    from ds_interfaces.action import DriveTests, RunCampaign
+
+    handle = graph.send(RunCampaign, "run_campaign", config=CONFIG, folder="d", engine="local")
+    graph.until(lambda: len(stored(graph.root / "d")) >= 2)
+    status, result = graph.run(DriveTests, "drive_tests", folder="e", driver="autopilot", simulators=["bullet"])
+    assert (status, result.reason.value) == (6, 4) and "under way" in result.message  # BUSY
+    graph.wait(handle.cancel_goal_async())
+    found = graph.wait(handle.get_result_async())
+    assert found.status == 5 and "the same goal resumes" in found.result.message
+    kept = stored(graph.root / "d")
+    assert 2 <= len(kept) < DRIVES
+    status, result = graph.run(RunCampaign, "run_campaign", folder="d", engine="local")  # no config: the folder's
+    assert (status, result.executions) == (4, DRIVES)
+    assert stored(graph.root / "d") == stored(graph.root / "c") and kept.items() <= stored(graph.root / "d").items()
+
+
+def test_given_roads_are_driven(graph: Graph) -> None:
+    from ds_interfaces.action import DriveTests
+
+    from ds_sim.ros.conversions import road_to_message
+
+    roads = [generate(np.random.default_rng(seed), max_angle=100.0) for seed in (1, 2)]
+    fields: dict[str, Any] = {
+        "folder": "given", "driver": "autopilot", "simulators": ["bullet", "softbody"], "seeds": [7, 8],
+        "roads": [road_to_message(road) for road in roads],
+    }  # fmt: skip
+    status, result = graph.run(DriveTests, "drive_tests", **fields)
+    assert (status, result.message) == (4, "")
+    assert [(one.test_id, one.simulator) for one in result.outcomes] == [
+        (f"given-0-000{number}", name) for number in (0, 1) for name in ("bullet", "softbody")
+    ]
+    assert all(one.outcome.value in (1, 2) for one in result.outcomes)
+    began = time.monotonic()
+    again = graph.run(DriveTests, "drive_tests", **fields)[1]
+    assert again.outcomes == result.outcomes and time.monotonic() - began < 10.0  # nothing is driven twice
+    status, result = graph.run(DriveTests, "drive_tests", **fields | {"folder": "other", "seeds": [1]})
+    assert status == 6 and "a seed for each road" in result.message
+
+
+def test_a_second_orchestrator_is_noticed_and_a_signal_ends_a_goal(graph: Graph, tmp_path: Path) -> None:
+    """After the others, since it ends the orchestrator."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from ds_interfaces.action import RunCampaign
+
+    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
+
+    spec = ProcessSpec(name="second", module=MODULE, parameters={"root": str(tmp_path)})
+    second = Supervisor([spec], domain=graph.domain, logs=tmp_path)
+    said: dict[str, str] = {}
+    graph.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda message: said.update(now=message.status[0].message), 1
+    )
+    graph.until(lambda: "2 orchestrators live in" in said.get("now", ""))
+    # Both answer a goal, and the client takes one answer.
+    graph.until(lambda: "orchestrators live in" in graph.run(RunCampaign, "run_campaign", folder="g")[1].message)
+    second.close()
+    graph.until(lambda: "orchestrators" not in said["now"])
+    handle = graph.send(RunCampaign, "run_campaign", config=CONFIG, folder="f", engine="local")
+    graph.until(lambda: len(stored(graph.root / "f")) >= 1)
+    result = handle.get_result_async()
+    graph.supervisor.close()
+    found = graph.wait(result)
+    assert found.status == 6 and "a signal ended the node" in found.result.message
+    assert len(stored(graph.root / "f")) < DRIVES
