@@ -16,6 +16,7 @@ SIMULATORS = {
     "bullet": "ds_sim_bullet.simulator:BulletSimulator",
     "softbody": "ds_sim_softbody.simulator:SoftbodySimulator",
     "panda": "ds_sim_panda.simulator:PandaSimulator",
+    "torcs": "ds_sim_torcs.simulator:TorcsSimulator",
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
 }
 """Name on the command line -> `module:Class`, a class without constructor arguments."""

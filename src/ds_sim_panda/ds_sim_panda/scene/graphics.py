@@ -7,27 +7,17 @@ import importlib
 import os
 import threading
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_sim.camera.mesa import ENVIRONMENT, INSTALL, software_rendering
 from ds_sim.simulator import SimulatorError
 from ds_sim_panda.scene.parameters import SAMPLES
 
 __all__ = ["Graphics", "graphics", "panda", "renderer_name"]
 
-INSTALL = "install libegl1 libegl-mesa0 libgl1-mesa-dri (Debian, Ubuntu)"
-MESA_VENDOR = Path("/usr/share/glvnd/egl_vendor.d/50_mesa.json")
-ENVIRONMENT = {
-    "EGL_PLATFORM": "surfaceless",  # needs neither a display nor a device
-    "LIBGL_ALWAYS_SOFTWARE": "1",  # the same bits on machines with a GPU
-    "GALLIUM_DRIVER": "llvmpipe",
-    "LP_NUM_THREADS": "0",  # draw in the caller's thread
-    "EGL_LOG_LEVEL": "fatal",  # it would print what an exception says
-    "MESA_SHADER_CACHE_DISABLE": "true",  # it would start threads and write to the home folder
-}
 CONFIGURATION = """
 load-display p3headlessgl
 audio-library-name null
@@ -84,10 +74,8 @@ class Graphics:
 
     def __init__(self) -> None:
         core = panda()
-        for name, value in ENVIRONMENT.items():
+        for name, value in software_rendering().items():
             os.environ.setdefault(name, value)
-        if MESA_VENDOR.is_file():
-            os.environ.setdefault("__EGL_VENDOR_LIBRARY_FILENAMES", str(MESA_VENDOR))
         self._messages = core.StringStream()
         core.Notify.ptr().set_ostream_ptr(self._messages, False)
         self._egl = _egl()

@@ -1,0 +1,143 @@
+"""Scene that another renderer draws: mounts the camera, and puts before and behind its lens what conditions ask for."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.camera.lens import Vector, optical_axes
+from ds_sim.camera.look import Colour
+from ds_sim.camera.optics import (
+    LENS_CONDITIONS,
+    MOUNT_CONDITIONS,
+    SENSOR_CONDITIONS,
+    Optics,
+    mounted,
+    noise_of,
+    optics_of,
+)
+from ds_sim.camera.sensor import Sensor
+from ds_sim.camera.spec import CameraSpec
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.parts import check_rows
+from ds_sim.simulator import VehicleState
+
+CAMERA_CONDITIONS = LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS
+"""Conditions that need nothing of the renderer."""
+Axes = tuple[Vector, Vector, Vector]
+"""Optical axes right, down, forward in the road frame, unit vectors."""
+
+_UNSUPPORTED = {"lens": "pinhole", "gain": 1.0, "gamma": 1.0, "exposure": 0.0, "blur": 0.0, "noise": 0.0, "latency": 0}
+
+
+class RenderedScene(ABC):
+    """Implements `ds_sim.parts.Scene` but for the world itself and its pictures.
+
+    The world belongs to the road: the same road always looks alike, whatever the seed of the run, which conditions
+    alone use. The camera has neither noise nor latency, unless conditions give it noise.
+
+    Args:
+        camera: pinhole camera.
+
+    Attributes:
+        conditions: conditions that the scene realises.
+        haze: colour into which distant things fade by `Optics`; None where the renderer draws haze itself.
+
+    Raises:
+        ValueError: the camera has a property that such a scene does not draw.
+    """
+
+    conditions: ClassVar[frozenset[str]] = CAMERA_CONDITIONS
+    haze: ClassVar[Colour | None] = None
+
+    def __init__(self, camera: CameraSpec) -> None:
+        for name, expected in _UNSUPPORTED.items():
+            if getattr(camera, name) != expected:
+                found = getattr(camera, name)
+                raise ValueError(f"camera.{name} is {found}, expected {expected}: {type(self).__name__} draws no other")
+        self._spec = camera
+        self._rows = self._run_rows = (0, camera.height_px)
+        self._view = _View(spec=camera)
+
+    @abstractmethod
+    def _build(self, road: Road, conditions: Conditions, rng: np.random.Generator) -> None:
+        """Build the world of a road in place of the last one; `rng` is used by conditions alone."""
+
+    @abstractmethod
+    def _render(self, spec: CameraSpec, axes: Axes, position: Vector, rows: tuple[int, int]) -> NDArray[np.uint8]:
+        """Draw some rows of the world, (rows, columns, 3) uint8 RGB of the whole image, others zero, writable.
+
+        Raises:
+            SimulatorError: no road is loaded, or the renderer fails.
+        """
+
+    @abstractmethod
+    def _sun(self, conditions: Conditions) -> Vector:
+        """Direction of the sun, a unit vector in the road frame."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the world; `load` may follow."""
+
+    def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
+        """Build the world of a road from scratch; `rng` is used by conditions alone."""
+        self._run_rows = self._rows
+        lens_rng, world_rng = (rng, rng) if conditions.is_default else rng.spawn(2)
+        self._view = self._under(conditions, rng, lens_rng)
+        self._build(road, conditions, world_rng)
+
+    def image(self, state: VehicleState) -> NDArray[np.uint8]:
+        """Deliver the next camera image, (rows, columns, 3) uint8 RGB, read-only."""
+        image = self._seen(state, self._run_rows)
+        return image if self._view.sensor is None else self._view.sensor.deliver(image)
+
+    def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
+        """Take one image from any pose; see `Scene.still`. `rng` is used by conditions alone."""
+        if rng is None:
+            return self._seen(state, (0, self._spec.height_px))
+        image = self._seen(state, self._run_rows)
+        return image if self._view.sensor is None else Sensor(self._view.spec, rng, self._run_rows).deliver(image)
+
+    def draw_rows(self, top: int, bottom: int) -> None:
+        """Draw only some rows of the images of the runs to come."""
+        check_rows(top, bottom, self._spec)
+        self._rows = (top, bottom)
+
+    def _under(self, conditions: Conditions, rng: np.random.Generator, lens_rng: np.random.Generator) -> _View:
+        """Make the camera of a run under its conditions."""
+        before_lens = LENS_CONDITIONS if self.haze is None else LENS_CONDITIONS | {"visibility"}
+        changed = conditions.changed.keys()
+        if not (before_lens | CAMERA_CONDITIONS) & changed:
+            return _View(spec=self._spec)
+        spec = replace(mounted(self._spec, conditions), noise=noise_of(self._spec, conditions))
+        optics = None
+        if before_lens & changed:
+            x, y, z = self._sun(conditions)
+            optics = optics_of(spec, conditions, lens_rng, sun=(math.atan2(y, x), math.asin(z)), haze=self.haze)
+        return _View(spec=spec, optics=optics, sensor=Sensor(spec, rng, self._run_rows) if spec.noise else None)
+
+    def _seen(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
+        """What reaches the sensor, read-only."""
+        view = self._view
+        axes, position = optical_axes(view.spec, state)
+        image = self._render(view.spec, axes, position, rows)
+        if view.optics is not None:
+            image = view.optics(rows).apply(image, np.array(axes), position[2])
+        image.setflags(write=False)
+        return image
+
+
+@dataclass(frozen=True, kw_only=True)
+class _View:
+    """Camera of one run, and what conditions put before and behind its lens."""
+
+    spec: CameraSpec
+    optics: Callable[[tuple[int, int]], Optics] | None = None
+    sensor: Sensor | None = None

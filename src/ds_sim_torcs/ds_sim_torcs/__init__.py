@@ -1,0 +1,1 @@
+"""Digital sibling `torcs`: the car and the renderer of TORCS, in a process of its own."""

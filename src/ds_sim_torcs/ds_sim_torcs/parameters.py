@@ -1,0 +1,140 @@
+"""All constants of the car and of the world of TORCS, in SI units.
+
+Sources cited repeatedly below: *file*: `cars/155-DTM/155-DTM.xml` of TORCS 1.3.7; *simuv2*: its physics.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from ds_sim.parts import check_ranges
+from ds_sim.simulator import AutopilotGains
+
+CAR = "155-DTM"
+"""Chosen: a saloon with four-wheel drive, whose first gear reaches 18 m/s; the small p406's ends at 9 m/s."""
+SUBSTEPS = 25
+"""Steps of TORCS in one of 1/20 s; simuv2: 2 ms."""
+SETTLING = 500
+"""Steps in which a new car comes to rest on its springs; chosen: 1 s, twice what it needs."""
+PREVIEW_DISTANCE = 3.0
+"""Distance of the autopilot's preview point, m; chosen: about half a second at 20 km/h, as of `bullet`."""
+GAINS = AutopilotGains(proportional=0.5)
+"""Chosen by driving random roads; the preview replaces the derivative term."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorcsParameters:
+    """Parameters of the car: those of TORCS's file that are used outside it, and what replaces some of them.
+
+    TORCS steers the wheels the wrong way round: the outer one is turned further, at full lock by 17 degrees. `steering`
+    is chosen for the mean of both.
+
+    Attributes:
+        length: m; file.
+        width: m; file.
+        wheelbase: m; file: axles at 1.31 and -1.36.
+        track: distance between the front wheels, m; file.
+        mass: kg; file, without its 30 l of fuel, which simuv2 counts as 30 kg.
+        fuel: kg; file.
+        wheel_radius: m; file: 18 inches and 38 % of 245 mm.
+        gear_ratio: turns of the engine for one of the wheels in first gear; file: 2.533 times 6.
+        engine_inertia: kg m^2; file.
+        wheel_inertia: of all four wheels with their brakes, kg m^2; file.
+        tyre_friction: peak friction coefficient of a tyre on a surface of 1; file.
+
+        max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; chosen: the rear axle's centre has a
+            radius of 2.7 m, as of `bullet`; the file's 21 degrees are those of a racing car.
+        road_friction: friction of the surface; chosen: with the tyres 1.0, as road tyres have on dry asphalt (Gillespie,
+            Fundamentals of Vehicle Dynamics, ch. 10: 0.8 to 0.9 sliding to peak) and the other siblings; the racing
+            tyres on TORCS's own asphalt, 1.2, would have 1.9.
+
+        accelerator_share: accelerator at full throttle; chosen: 0 to 20 km/h in 3 to 4 s under the paper's equation 2,
+            as of the other siblings; all of it would spin the wheels.
+        brake_share: brake at no throttle; chosen: with the engine 0.2 g, as of the other siblings.
+        neutral_throttle: throttle below which the car brakes, 0 to 1; chosen: a tenth, as the drag of TORCS's engine
+            already slows the car where the others are neutral.
+        max_speed: speed at which the limiter sets in, m/s; paper 4.2.4: 30 km/h.
+        limiter_band: speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
+    """
+
+    length: float = 4.8
+    width: float = 1.9
+    wheelbase: float = 2.67
+    track: float = 1.64
+    mass: float = 1100.0
+    fuel: float = 30.0
+    wheel_radius: float = 0.0254 * 9.0 + 0.38 * 0.245
+    gear_ratio: float = 2.533333 * 6.0
+    engine_inertia: float = 0.5
+    wheel_inertia: float = 2 * (1.12 + 0.1241) + 2 * (1.22 + 0.0714)
+    tyre_friction: float = 1.6
+
+    max_steering_angle: float = math.radians(45.0)
+    road_friction: float = 1.0 / 1.6
+
+    accelerator_share: float = 0.3
+    brake_share: float = 0.15
+    neutral_throttle: float = 0.1
+    max_speed: float = 30.0 / 3.6
+    limiter_band: float = 3.0 / 3.6
+
+    def __post_init__(self) -> None:
+        check_ranges(self, _LIMITS)
+
+    def adjusted(self, *, friction: float, payload: float) -> TorcsParameters:
+        """Copy as `ds_sim.parts.AdjustableVehicle.adjust` has it; springs and dampers stay those of the car."""
+        if (friction, payload) == (1.0, 0.0):
+            return self
+        return dataclasses.replace(
+            self,
+            mass=self.mass + payload * (self.mass + self.fuel),
+            road_friction=self.road_friction * friction,
+        )
+
+    @property
+    def lock(self) -> float:
+        """Angle of the inner front wheel for |steering| = 1, by which TORCS steers, rad."""
+        return self.inner_angle(self.max_steering_angle)
+
+    def inner_angle(self, mean: float) -> float:
+        """Angle of the inner front wheel for a mean angle of both, rad, left positive.
+
+        For t, the tangent of the inner angle, simuv2 turns the outer wheel by atan(L t / (L - T t)), with wheelbase L
+        and track T. Both sum to twice the mean where (L - T c) t^2 + (2 L c + T) t = L, c its cotangent, times t.
+        """
+        double = 2.0 * abs(mean)
+        if double < 1e-9:
+            return mean
+        cosine, sine = math.cos(double), math.sin(double)
+        # Times the sine, so that a mean of 45 degrees is no special case.
+        square = self.wheelbase * sine - self.track * cosine
+        linear = 2.0 * self.wheelbase * cosine + self.track * sine
+        constant = self.wheelbase * sine
+        # The smaller root, in the form that stays exact where `square` vanishes.
+        tangent = 2.0 * constant / (linear + math.sqrt(linear**2 + 4.0 * square * constant))
+        return math.copysign(math.atan(tangent), mean)
+
+    def pedals(self, throttle: float, speed: float) -> tuple[float, float]:
+        """Accelerator and brake for a throttle, each 0 to 1.
+
+        Args:
+            throttle: 0 to 1.
+            speed: m/s.
+        """
+        if throttle < self.neutral_throttle:
+            return 0.0, self.brake_share * (1.0 - throttle / self.neutral_throttle)
+        limiter = min(max((self.max_speed + self.limiter_band - speed) / self.limiter_band, 0.0), 1.0)
+        driven = (throttle - self.neutral_throttle) / (1.0 - self.neutral_throttle)
+        return self.accelerator_share * driven * limiter, 0.0
+
+
+_LIMITS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("length", "width", "wheelbase", "track", "mass", "wheel_radius", "limiter_band"), (1e-6, math.inf)),
+    "max_steering_angle": (1e-6, math.radians(50.0)),
+    "accelerator_share": (0.0, 1.0),
+    "brake_share": (0.0, 1.0),
+    "neutral_throttle": (1e-6, 0.9),
+}
+"""Range of each value whose range is not simply 0 or more."""
