@@ -21,7 +21,7 @@ from ds_driver.data.collection import CollectionPlan, collect
 from ds_driver.data.dataset import decode
 from ds_driver.whole_files import write_json
 from ds_sim.camera.encodings import JPEG_QUALITY
-from ds_sim.registry import SIMULATORS, spec_of
+from ds_sim.registry import STANDARD, spec_of
 
 SEED = 5_150_021
 """Seed of the roads and disturbances; used nowhere else."""
@@ -38,8 +38,8 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     crops = {}
     with tempfile.TemporaryDirectory() as folder:
-        collect(CollectionPlan(roads=2, seed=SEED, disturbance=0.5), list(SIMULATORS), Path(folder), lambda *_: None)
-        for simulator in SIMULATORS:
+        collect(CollectionPlan(roads=2, seed=SEED, disturbance=0.5), list(STANDARD), Path(folder), lambda *_: None)
+        for simulator in STANDARD:
             files = sorted((Path(folder) / simulator).glob("*.parquet"))
             images = [image for file in files for image in pq.read_table(file)["image"].to_pylist()]
             kept = np.linspace(0, len(images) - 1, SPACED).astype(int)[:IMAGES]

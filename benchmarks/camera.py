@@ -28,7 +28,7 @@ from ds_road import Road, generate
 from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.image_statistics import image_statistics, percentiles
 from ds_sim.camera.renderer import Camera, Sensor
-from ds_sim.registry import SIMULATORS, spec_of
+from ds_sim.registry import STANDARD, spec_of
 from ds_sim.simulator import VehicleState
 from ds_sim_panda.scene import textures, world
 from ds_sim_panda.scene.panda_scene import PandaScene
@@ -94,7 +94,7 @@ def compare(folder: Path) -> None:
 def painted() -> None:
     """Time the painting cameras."""
     road, states = generate(np.random.default_rng(4), max_angle=60), poses(4) * 2
-    for name in (name for name in SIMULATORS if name != "panda"):
+    for name in (name for name in STANDARD if name != "panda"):
         spec = spec_of(name)
         ground = paint_ground(road, spec.look)
         raster = np.ascontiguousarray(ground.levels[0][:, :, :3])

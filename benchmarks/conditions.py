@@ -23,7 +23,7 @@ from ds_driver.sim2real.stage import Sim2RealStage, open_set
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.registry import SIMULATORS, make_simulator
+from ds_sim.registry import STANDARD, make_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import VehicleState
 
@@ -130,7 +130,7 @@ def main() -> None:
     wanted.add_argument("--out", type=Path, help="folder for the pictures")
     wanted.add_argument("--costs", action="store_true", help="print what conditions cost instead")
     parser.add_argument("--frames", type=int, default=40, help="frames to time")
-    parser.add_argument("--sim", nargs="*", default=list(SIMULATORS), help="simulators")
+    parser.add_argument("--sim", nargs="*", default=list(STANDARD), help="simulators")
     parser.add_argument("--only", nargs="*", default=[], help="conditions, by the first name of a row")
     parser.add_argument("--set", help="shipped set of sim2real generators, or a folder")
     arguments = parser.parse_args()

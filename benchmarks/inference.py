@@ -28,7 +28,7 @@ from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import BuiltInPilot
 from ds_driver.networks.pilot import Frame
 from ds_road import Road
-from ds_sim.registry import SIMULATORS, make_simulator
+from ds_sim.registry import STANDARD, make_simulator
 from ds_sim.simulator import Outcome
 
 BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
@@ -81,7 +81,7 @@ def differences(name: str, roads: list[Road], console: Console) -> None:
     """Print how much the steering of each backend differs from PyTorch on the same frames."""
     pilots = {backend: BuiltInPilot(name, backend) for backend in BACKENDS}
     deviations: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
-    for simulator in SIMULATORS:
+    for simulator in STANDARD:
         crop = simulator_crop(simulator)
         for seed, road in enumerate(roads):
             for image in frames_of(name, simulator, road, seed, 3):

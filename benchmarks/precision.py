@@ -29,7 +29,7 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import GivenDrives, drive_tests, read_drives
 from ds_orchestrator.store.model import Test
 from ds_road import generate
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import STANDARD
 from ds_sim.simulator import Outcome
 
 SEED = 8_130_013
@@ -47,7 +47,7 @@ HALF_WIDTH = 5.0
 
 def work_of(count: int) -> dict[str, list[Test]]:
     """Simulator -> its tests, in turn; fewer are the first ones of more."""
-    rng, names = np.random.default_rng(SEED), list(SIMULATORS)
+    rng, names = np.random.default_rng(SEED), list(STANDARD)
     work: dict[str, list[Test]] = {name: [] for name in names}
     for number in range(count):
         name, road = names[number % len(names)], generate(rng, max_angle=int(rng.choice(ANGLES)))
@@ -81,10 +81,10 @@ def compare(network: str, backend: str, single: GivenDrives, reduced: GivenDrive
         return False
     decided = [(single.executions[key], reduced.executions[key]) for key in keys]
     count = len(decided)
-    table = Table(f"{network}: failures", *SIMULATORS, "all", "roads")
+    table = Table(f"{network}: failures", *STANDARD, "all", "roads")
     for column, name in enumerate((SINGLE, backend)):
         failed = [pair[column].simulator for pair in decided if pair[column].outcome is not Outcome.COMPLETED]
-        table.add_row(name, *(str(failed.count(s)) for s in SIMULATORS), str(len(failed)), str(count))
+        table.add_row(name, *(str(failed.count(s)) for s in STANDARD), str(len(failed)), str(count))
     console.print(table)
     failures = np.array([[drive.outcome is not Outcome.COMPLETED for drive in pair] for pair in decided])
     one, other = failures.T
@@ -128,7 +128,7 @@ def main() -> None:
         found = []
         for backend in (SINGLE, arguments.backend):
             driver, folder = str(DriverName.parse(network).on(backend)), arguments.out / f"{network}-{backend}"
-            settings = DriveSettings(siblings=tuple(SIMULATORS), driver=driver, gates="none", workers=arguments.workers)
+            settings = DriveSettings(siblings=tuple(STANDARD), driver=driver, gates="none", workers=arguments.workers)
             found.append(read_drives(folder, work) if arguments.report else drive_tests(settings, work, folder))
         holds.append(compare(network, arguments.backend, found[0], found[1], console))
     console.print(f"{arguments.backend} may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")

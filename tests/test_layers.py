@@ -19,7 +19,7 @@ ROS_FOLDERS = {"ros", "graph"}
 FLOORS = (
     {"ds_road"},
     {"ds_sim"},
-    {"ds_bags", "ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody"},
+    {"ds_bags", "ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody", "ds_sim_torcs"},
     {"ds_driver", "ds_twin_donkey"},
     {"ds_orchestrator"},  # searches, drives, remembers, maps
     {"ds_analysis"},  # reads, never drives

@@ -8,10 +8,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import SIMULATORS, STANDARD
+from ds_sim.testing import missing_because
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 EXAMPLE = "bicycle:BicycleSimulator"
@@ -29,12 +31,18 @@ def _examples_on_path() -> Iterator[None]:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run every test with the fixture of a simulator once per simulator."""
     if "simulator_name" in metafunc.fixturenames:
-        metafunc.parametrize("simulator_name", _names(metafunc.config))
+        metafunc.parametrize("simulator_name", [_if_there(name) for name in _names(metafunc.config)])
 
 
 @pytest.fixture(scope="session")
 def all_simulator_names(request: pytest.FixtureRequest) -> list[str]:
     return _names(request.config)
+
+
+def _if_there(name: str) -> Any:
+    """The name of a simulator, whose tests are skipped where it needs what set-up does not install."""
+    reason = missing_because(name) if name in SIMULATORS and name not in STANDARD else ""
+    return pytest.param(name, marks=pytest.mark.skip(reason=reason)) if reason else name
 
 
 def _names(config: pytest.Config) -> list[str]:

@@ -27,7 +27,7 @@ from ds_sim.camera.panorama import Panorama
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.textures import textures
-from ds_sim.registry import SIMULATORS, spec_of
+from ds_sim.registry import STANDARD, spec_of
 from ds_sim.simulator import SimulatorSpec, VehicleState
 
 ROADS = {
@@ -152,7 +152,7 @@ def memory() -> AtlasMemory:
     return AtlasMemory()
 
 
-@pytest.mark.parametrize("name", SIMULATORS)
+@pytest.mark.parametrize("name", STANDARD)
 @pytest.mark.parametrize("road", ROADS)
 def test_short_cuts_change_no_bit(name: str, road: str) -> None:
     spec = spec_of(name)

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.cluster import ClusterOptions
 
-SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey")
+SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey", "torcs")
 """Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
 
 ALL = "all"
-"""Name that stands for every shipped simulator."""
+"""Name that stands for every simulator that set-up installs."""
 
 
 def _complete_simulator(incomplete: str) -> list[str]:
@@ -66,7 +66,7 @@ Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas."
 Simulator = Annotated[
     str,
     typer.Option(
-        help="Simulator: bullet, softbody, panda, donkey, donkey@FILE (fitted parameters), or module:Class.",
+        help="Simulator: bullet, softbody, panda, torcs, donkey, donkey@FILE (fitted), or module:Class.",
         autocompletion=_complete_simulator,
     ),
 ]
@@ -170,8 +170,10 @@ def simulators_of(text: str) -> list[str]:
 
 
 def every_or_named(text: str) -> list[str]:
-    """Parse simulator names as `simulators_of` does; `all` stands for every shipped simulator."""
-    return simulators_of(",".join(SHIPPED_SIMULATORS) if text == ALL else text)
+    """Parse simulator names as `simulators_of` does; `all` stands for every one that set-up installs."""
+    from ds_sim.registry import STANDARD
+
+    return simulators_of(",".join(STANDARD) if text == ALL else text)
 
 
 def label_of_driver(driver: str) -> str:

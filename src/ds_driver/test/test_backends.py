@@ -24,7 +24,7 @@ from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.torch_networks import load_network, make_network, save_weights
 from ds_driver.networks.weights import load_weights, weights_sha256
 from ds_sim.installation import install_command
-from ds_sim.registry import SIMULATORS, spec_of
+from ds_sim.registry import STANDARD, spec_of
 
 openvino = pytest.importorskip("openvino")  # an extra for users
 FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.uint8)
@@ -130,7 +130,7 @@ def test_a_processor_without_instructions_for_eight_bits_is_refused(
 
 def test_calibration_images_are_cropped_as_their_simulators_are() -> None:
     frames = calibration_frames()
-    for name in SIMULATORS:
+    for name in STANDARD:
         spec, crops = spec_of(name), [frame.crop for frame in frames if frame.simulator == name]
         assert crops == [Crop(spec.crop_top, spec.crop_bottom)] * 7
 

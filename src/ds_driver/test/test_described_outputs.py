@@ -16,7 +16,7 @@ from ds_driver.control.bicycle import Geometry, pursuit_curvature
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import OutputSpec, PathSpec
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_sim.registry import SIMULATORS, spec_of
+from ds_sim.registry import STANDARD, spec_of
 
 CAR = Geometry(wheelbase=2.5, max_steering_angle=math.radians(40.0))
 
@@ -81,7 +81,7 @@ def described(folder: Path, outputs: dict[str, Any], *numbers: float) -> Path:
 def test_an_angle_is_another_share_on_every_vehicle(tmp_path: Path) -> None:
     pilot = DescribedNetworkPilot(described(tmp_path, {"steering": {"unit": "degrees"}}, 8.0))
     shares = {}
-    for name in SIMULATORS:
+    for name in STANDARD:
         spec = spec_of(name)
         vehicle = Geometry(spec.wheelbase, spec.max_steering_angle)
         shares[name] = pilot.predict(Frame(image=Frame.black().image, speed=0.0, vehicle=vehicle)).steering

@@ -19,7 +19,7 @@ from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.torch_networks import FastDropout, disable_dropout, load_network, make_network, save_weights
 from ds_driver.networks.weights import Weights, WeightsError, compress, generators_in, load_weights, shipped_networks
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import STANDARD
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("dave2", 2_882_619), ("chauffeur", 104_905), ("epoch", 26_239_009)])
@@ -197,7 +197,7 @@ def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
         assert set(card) >= {"network", "parameters", "data", "seeds", "commands", "loss", "success", "roads"}
         if path.suffix == ".safetensors":
             assert card["parameters"] == load_weights(name).architecture.parameters
-        assert set(card["success"]) == set(SIMULATORS)
+        assert set(card["success"]) == set(STANDARD)
         rates = [rate for ways in card["success"].values() for rate in ways.values()]
         assert name.endswith("_short") or min(rates) >= 0.5  # those are trained briefly on purpose
         driver = NetworkDriver(name)

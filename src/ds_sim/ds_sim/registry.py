@@ -16,10 +16,12 @@ SIMULATORS = {
     "bullet": "ds_sim_bullet.simulator:BulletSimulator",
     "softbody": "ds_sim_softbody.simulator:SoftbodySimulator",
     "panda": "ds_sim_panda.simulator:PandaSimulator",
-    "torcs": "ds_sim_torcs.simulator:TorcsSimulator",
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
+    "torcs": "ds_sim_torcs.simulator:TorcsSimulator",
 }
 """Name on the command line -> `module:Class`, a class without constructor arguments."""
+STANDARD = ("bullet", "softbody", "panda", "donkey")
+"""Simulators that set-up installs; `torcs` needs Debian's TORCS and a build, so nothing takes it unasked."""
 MAX_LABEL_LENGTH = 100
 """Chosen: a bag's name contains two labels and some digits, and a file name has at most 255 bytes."""
 

@@ -13,7 +13,7 @@ import math
 import multiprocessing
 import os
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ds_road import Road, RoadError, generate
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
-from ds_sim.registry import make_simulator
+from ds_sim.registry import UnknownSimulatorError, make_simulator
 from ds_sim.simulator import (
     FRAME_TIME,
     MAX_SPEED,
@@ -78,6 +78,16 @@ def check_simulator(make: Factory | str, *, skip: Collection[str] = ()) -> None:
                 failures.append(str(error))
     if failures:
         raise SimulatorCheckError("\n".join(failures))
+
+
+@cache
+def missing_because(name: str) -> str:
+    """Why a simulator cannot be made here, one line, such as `torcs` where it is not built; "" if it can."""
+    try:
+        make_simulator(name).close()
+    except (UnknownSimulatorError, SimulatorError) as error:
+        return str(error)
+    return ""
 
 
 def run_check(name: str, make: Factory | str) -> None:

@@ -18,24 +18,22 @@ SUBSTEPS = 25
 """Steps of TORCS in one of 1/20 s; simuv2: 2 ms."""
 SETTLING = 500
 """Steps in which a new car comes to rest on its springs; chosen: 1 s, twice what it needs."""
-PREVIEW_DISTANCE = 3.0
-"""Distance of the autopilot's preview point, m; chosen: about half a second at 20 km/h, as of `bullet`."""
-GAINS = AutopilotGains(proportional=0.5)
-"""Chosen by driving random roads; the preview replaces the derivative term."""
+PREVIEW_DISTANCE = 4.0
+"""Distance of the autopilot's preview point, m; chosen with its gain."""
+GAINS = AutopilotGains(proportional=0.4)
+"""Chosen by driving random roads, for the largest distance from the edge of the lane; with larger gains the autopilot
+asks for full lock, where little throttle does not move the car, as its front wheels work against each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorcsParameters:
     """Parameters of the car: those of TORCS's file that are used outside it, and what replaces some of them.
 
-    TORCS steers the wheels the wrong way round: the outer one is turned further, at full lock by 17 degrees. `steering`
-    is chosen for the mean of both.
-
     Attributes:
         length: m; file.
         width: m; file.
         wheelbase: m; file: axles at 1.31 and -1.36.
-        track: distance between the front wheels, m; file.
+        track: distance between the wheels of an axle, m; file: mean of 1.64 front and 1.66 rear, as simuv2 steers.
         mass: kg; file, without its 30 l of fuel, which simuv2 counts as 30 kg.
         fuel: kg; file.
         wheel_radius: m; file: 18 inches and 38 % of 245 mm.
@@ -53,8 +51,9 @@ class TorcsParameters:
         accelerator_share: accelerator at full throttle; chosen: 0 to 20 km/h in 3 to 4 s under the paper's equation 2,
             as of the other siblings; all of it would spin the wheels.
         brake_share: brake at no throttle; chosen: with the engine 0.2 g, as of the other siblings.
-        neutral_throttle: throttle below which the car brakes, 0 to 1; chosen: a tenth, as the drag of TORCS's engine
-            already slows the car where the others are neutral.
+        neutral_throttle: throttle below which the car brakes above the fade speed, 0 to 1; chosen: a tenth, as the drag
+            of TORCS's engine already slows the car where the others are neutral.
+        fade_speed: speed below which that braking fades out, m/s; chosen: walking pace, 5 km/h, as of `bullet`.
         max_speed: speed at which the limiter sets in, m/s; paper 4.2.4: 30 km/h.
         limiter_band: speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
     """
@@ -62,7 +61,7 @@ class TorcsParameters:
     length: float = 4.8
     width: float = 1.9
     wheelbase: float = 2.67
-    track: float = 1.64
+    track: float = 1.65
     mass: float = 1100.0
     fuel: float = 30.0
     wheel_radius: float = 0.0254 * 9.0 + 0.38 * 0.245
@@ -74,9 +73,10 @@ class TorcsParameters:
     max_steering_angle: float = math.radians(45.0)
     road_friction: float = 1.0 / 1.6
 
-    accelerator_share: float = 0.3
-    brake_share: float = 0.15
+    accelerator_share: float = 0.2
+    brake_share: float = 0.05
     neutral_throttle: float = 0.1
+    fade_speed: float = 5.0 / 3.6
     max_speed: float = 30.0 / 3.6
     limiter_band: float = 3.0 / 3.6
 
@@ -99,22 +99,14 @@ class TorcsParameters:
         return self.inner_angle(self.max_steering_angle)
 
     def inner_angle(self, mean: float) -> float:
-        """Angle of the inner front wheel for a mean angle of both, rad, left positive.
+        """Angle of the inner front wheel for a mean angle, rad, left positive; simuv2's outer one is then Ackermann's."""
+        tangent = abs(math.tan(mean))
+        return math.copysign(math.atan(tangent / (1.0 - 0.5 * self.track / self.wheelbase * tangent)), mean)
 
-        For t, the tangent of the inner angle, simuv2 turns the outer wheel by atan(L t / (L - T t)), with wheelbase L
-        and track T. Both sum to twice the mean where (L - T c) t^2 + (2 L c + T) t = L, c its cotangent, times t.
-        """
-        double = 2.0 * abs(mean)
-        if double < 1e-9:
-            return mean
-        cosine, sine = math.cos(double), math.sin(double)
-        # Times the sine, so that a mean of 45 degrees is no special case.
-        square = self.wheelbase * sine - self.track * cosine
-        linear = 2.0 * self.wheelbase * cosine + self.track * sine
-        constant = self.wheelbase * sine
-        # The smaller root, in the form that stays exact where `square` vanishes.
-        tangent = 2.0 * constant / (linear + math.sqrt(linear**2 + 4.0 * square * constant))
-        return math.copysign(math.atan(tangent), mean)
+    def mean_angle(self, left: float, right: float) -> float:
+        """Mean angle of two front wheels, rad, left positive: that of a wheel between them on the same circle."""
+        left_tan, right_tan, half = math.tan(left), math.tan(right), 0.5 * self.track / self.wheelbase
+        return math.atan(0.5 * (left_tan / (1.0 + half * left_tan) + right_tan / (1.0 - half * right_tan)))
 
     def pedals(self, throttle: float, speed: float) -> tuple[float, float]:
         """Accelerator and brake for a throttle, each 0 to 1.
@@ -123,15 +115,17 @@ class TorcsParameters:
             throttle: 0 to 1.
             speed: m/s.
         """
-        if throttle < self.neutral_throttle:
-            return 0.0, self.brake_share * (1.0 - throttle / self.neutral_throttle)
+        fade = min(max(speed / self.fade_speed, 0.0), 1.0)
+        neutral = self.neutral_throttle * fade
+        if throttle < neutral:
+            return 0.0, self.brake_share * fade * (1.0 - throttle / neutral)
         limiter = min(max((self.max_speed + self.limiter_band - speed) / self.limiter_band, 0.0), 1.0)
-        driven = (throttle - self.neutral_throttle) / (1.0 - self.neutral_throttle)
+        driven = (throttle - neutral) / (1.0 - neutral)
         return self.accelerator_share * driven * limiter, 0.0
 
 
 _LIMITS: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(("length", "width", "wheelbase", "track", "mass", "wheel_radius", "limiter_band"), (1e-6, math.inf)),
+    **dict.fromkeys(("length", "width", "wheelbase", "track", "mass", "wheel_radius", "limiter_band", "fade_speed"), (1e-6, math.inf)),
     "max_steering_angle": (1e-6, math.radians(50.0)),
     "accelerator_share": (0.0, 1.0),
     "brake_share": (0.0, 1.0),

@@ -72,7 +72,7 @@ class TorcsVehicle:
             speed=forward,
             lateral_speed=left,
             yaw_rate=yaw_rate,
-            steering_angle=0.5 * (right_wheel + left_wheel),
+            steering_angle=self.parameters.mean_angle(left_wheel, right_wheel),
             roll=roll - self._rest[5],
             pitch=pitch - self._rest[4],
             heave=z - self._rest[2],

@@ -12,10 +12,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ds_sim.installation import CPUINFO, processor_flags, versions
-from ds_sim.registry import SimulatorName
+from ds_sim.registry import SimulatorName, UnknownSimulatorError, spec_of
 from ds_sim.simulator import SimulatorError
 
-CODE = ("ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_twin_donkey")
+CODE = (
+    "ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_sim_torcs", "ds_twin_donkey",
+)  # fmt: skip
 """Packages whose code takes part in a drive."""
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "pybullet", "pymunk", "shapely")
 """Libraries that take part in every drive."""
@@ -41,7 +43,7 @@ def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
         simulators: names of the simulators.
     """
     known = versions()
-    with_panda = any(SimulatorName.parse(name).base == "panda" or "ds_sim_panda" in name for name in simulators)
+    with_panda, with_torcs = _drives("panda", simulators), _drives("torcs", simulators)
     libraries = [
         *LIBRARIES,
         *(name for name, of in BACKENDS.items() if backend.startswith(of)),
@@ -52,6 +54,7 @@ def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
         "python": ".".join(known["python"].split(".")[:2]),
         **{name: known[name] for name in libraries},
         **({"renderer": _renderer()} if with_panda else {}),
+        **({"TORCS": _torcs()} if with_torcs else {}),
         "machine": known["machine"],
         PROCESSOR_FEATURES: _processor_features(backend),
     }
@@ -72,6 +75,19 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
         else:
             found.append(f"{name} {other} there, {mine} here")
     return "; ".join(found)
+
+
+def _drives(name: str, simulators: Collection[str]) -> bool:
+    """Whether a shipped simulator is among some, by its name or its class."""
+    return any(SimulatorName.parse(one).base == name or f"ds_sim_{name}" in one for one in simulators)
+
+
+def _torcs() -> str:
+    """Versions of TORCS and of the library that draws for it; "absent" where it is not built."""
+    try:
+        return spec_of("torcs").engine
+    except (UnknownSimulatorError, SimulatorError):
+        return "absent"
 
 
 def _renderer() -> str:
