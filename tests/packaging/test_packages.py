@@ -66,7 +66,12 @@ NO_KEY = {
 }
 """Imported module -> name on PyPI, if rosdep has no key."""
 WITHOUT_IMPORT = {
-    "ds_orchestrator": ("ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody", "ds_sim_torcs"),  # made by the names in ds_sim/registry.py
+    "ds_orchestrator": (
+        "ds_sim_bullet",
+        "ds_sim_panda",
+        "ds_sim_softbody",
+        "ds_sim_torcs",
+    ),  # made by the names in ds_sim/registry.py
     "ds_sim_bullet": ("python3-pybullet-pip",),  # imported when the first vehicle is made
     "ds_driver": ("geometry_msgs",),  # imported by the name of the message that a user chooses
 }

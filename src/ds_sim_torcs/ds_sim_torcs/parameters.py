@@ -125,7 +125,10 @@ class TorcsParameters:
 
 
 _LIMITS: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(("length", "width", "wheelbase", "track", "mass", "wheel_radius", "limiter_band", "fade_speed"), (1e-6, math.inf)),
+    **dict.fromkeys(
+        ("length", "width", "wheelbase", "track", "mass", "wheel_radius", "limiter_band", "fade_speed"),
+        (1e-6, math.inf),
+    ),
     "max_steering_angle": (1e-6, math.radians(50.0)),
     "accelerator_share": (0.0, 1.0),
     "brake_share": (0.0, 1.0),

@@ -133,9 +133,7 @@ def _road_strip(road: Road, origin: NDArray[np.float64]) -> _Strip:
     borders = np.stack((road.left_edge, road.right_edge), axis=1) - origin
     across = (borders[:, 1] - borders[:, 0]) / (2.0 * road.lane_width)
     ahead = np.stack((-across[:, 1], across[:, 0]), axis=1)
-    borders = np.concatenate(
-        (borders[:1] - LEAD_IN * ahead[0], borders, borders[-1:] + LEAD_OUT * ahead[-1]), axis=0
-    )
+    borders = np.concatenate((borders[:1] - LEAD_IN * ahead[0], borders, borders[-1:] + LEAD_OUT * ahead[-1]), axis=0)
     along = arc_lengths(borders.mean(axis=1)) / TEXTURE_LENGTH
     vertices = np.zeros((len(borders), 2, 3))
     vertices[:, :, :2] = borders

@@ -84,9 +84,7 @@ SOUND = 'os.write(1, bytes([kind, 0, 0, 0, 2, 0, 0, 0]) + b"ok")'
          "ended with status 139 (Segmentation)"),
     ],
 )  # fmt: skip
-def test_nonsense_is_said_in_one_line(
-    answer: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nonsense_is_said_in_one_line(answer: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if reason := missing_because("torcs"):
         pytest.skip(reason)
     program = tmp_path / "host"
