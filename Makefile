@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 RUN_SETUP = $${PYTHON:-python3} tools/setup.py
 
-.PHONY: help setup demo test test-long fuzz lint docs wheel clean
+.PHONY: help setup demo torcs test test-long fuzz lint docs wheel clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -12,6 +12,9 @@ setup:  ## create the virtual environment and build the colcon workspace, once
 
 demo: setup  ## run the whole method, small, into demo/ (ARGS="..." for `ds demo`)
 	@./ds demo --out demo $(ARGS)
+
+torcs:  ## build the host of the simulator torcs (docs/torcs.md says what it needs)
+	@./tools/torcs.sh
 
 test:  ## run the linters and the tests (ARGS="..." for pytest)
 	@$(RUN_SETUP) --dev

@@ -31,6 +31,10 @@ _SET_UP = "make setup"
 _INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
 """Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
 _RENDERER = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
+TORCS = Path("/usr/lib/x86_64-linux-gnu/torcs")
+"""Where Debian puts TORCS's libraries."""
+TORCS_PACKAGES = "torcs libplib-dev libegl-dev libgl-dev g++ curl xz-utils"
+"""Debian's packages with which the host of the simulator `torcs` is built."""
 EXTRAS = {
     "openvino": ("openvino", "--backend openvino, openvino-bf16 and openvino-int8, and for .tflite files"),
     "distributed": ("dask", "--engine dask"),
@@ -109,6 +113,7 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
         *check_libraries(pins, found),
         *check_extras(extras, found),
         check_renderer(),
+        check_torcs(root),
         check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
     ]
 
@@ -151,7 +156,7 @@ def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
     weights = check_weights(Path(__file__).parents[1] / "ds_driver/models/dave2.safetensors")
     if weights.fix:
         weights = weights._replace(fix="python -m pip install --force-reinstall --no-deps WHEEL.whl")
-    return [*checks, check_renderer(), weights]
+    return [*checks, check_renderer(), check_torcs(None), weights]
 
 
 def module_of(distribution: str) -> str:
@@ -258,6 +263,23 @@ def check_renderer(load: Callable[[str], object] = ctypes.CDLL) -> Check:
         detail = f"{' '.join(str(error).split())}; optional, for the simulator panda: {_RENDERER}"
         return Check("renderer (optional)", True, detail, "")
     return Check("renderer (optional)", True, "Mesa's EGL", "")
+
+
+def check_torcs(root: Path | None, libraries: Path = TORCS) -> Check:
+    """Check for TORCS and its host, with which the simulator `torcs` drives; everything else works without them.
+
+    Args:
+        root: the repository; None in an installed wheel, where only a variable names a host.
+        libraries: where Debian's package puts TORCS's libraries.
+    """
+    named = os.environ.get("DS_TORCS_HOST") or (root / "build/torcs/torcs_host" if root else "")
+    there, built = (libraries / "modules/simu/simuv2.so").is_file(), bool(named) and os.access(named, os.X_OK)
+    if there and built:
+        return Check("torcs (optional)", True, str(named), "")
+    lacks = "its host is not built" if there else "not installed"
+    needs = "make torcs" if there else f"{_apt(TORCS_PACKAGES)} && make torcs"
+    where = needs if root else f"{needs} in a checkout, and name its build/torcs/torcs_host in DS_TORCS_HOST"
+    return Check("torcs (optional)", True, f"{lacks}; optional, for the simulator torcs: {where}", "")
 
 
 def check_weights(file: Path) -> Check:

@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 import time
 import weakref
+from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 
@@ -78,7 +79,7 @@ class TorcsHost:
         self._size = (width, height)
         self._timeout = timeout
         self._process: subprocess.Popen[bytes] | None = None
-        self._end = weakref.finalize(self, lambda: None)
+        self._end: Callable[[], object] = lambda: None
         self.folder = Path()
 
     @property
@@ -100,8 +101,7 @@ class TorcsHost:
         environment = {**os.environ, **software_rendering(), "HOME": str(self.folder)}
         with (self.folder / "log").open("wb") as log:
             process = subprocess.Popen(
-                [self._program, LIBRARIES, *map(str, self._size)],
-                cwd=self.folder,
+                [self._program, LIBRARIES, *map(str, self._size), self.folder],
                 env=environment,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

@@ -44,9 +44,8 @@ class TorcsParameters:
 
         max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; chosen: the rear axle's centre has a
             radius of 2.7 m, as of `bullet`; the file's 21 degrees are those of a racing car.
-        road_friction: friction of the surface; chosen: with the tyres 1.0, as road tyres have on dry asphalt (Gillespie,
-            Fundamentals of Vehicle Dynamics, ch. 10: 0.8 to 0.9 sliding to peak) and the other siblings; the racing
-            tyres on TORCS's own asphalt, 1.2, would have 1.9.
+        road_friction: friction of the surface; chosen: with the tyres 1.0, as the other siblings have (0.9 to 1.05);
+            these racing tyres on TORCS's own asphalt, 1.2, would have 1.9.
 
         accelerator_share: accelerator at full throttle; chosen: 0 to 20 km/h in 3 to 4 s under the paper's equation 2,
             as of the other siblings; all of it would spin the wheels.
@@ -99,7 +98,7 @@ class TorcsParameters:
         return self.inner_angle(self.max_steering_angle)
 
     def inner_angle(self, mean: float) -> float:
-        """Angle of the inner front wheel for a mean angle, rad, left positive; simuv2's outer one is then Ackermann's."""
+        """Angle of the inner front wheel for a mean one, rad, left positive; simuv2 gives the outer one Ackermann's."""
         tangent = abs(math.tan(mean))
         return math.copysign(math.atan(tangent / (1.0 - 0.5 * self.track / self.wheelbase * tangent)), mean)
 

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from ds_sim.simulator import Command, SimulatorError, VehicleState
+from ds_sim.simulator import Command, VehicleState
 from ds_sim_torcs.host import Kind, TorcsHost
 from ds_sim_torcs.parameters import CAR, SETTLING, SUBSTEPS, TorcsParameters
 
@@ -46,7 +46,7 @@ class TorcsVehicle:
         self._host.start()
         self._start = (x, y, yaw)
         self._ask(Kind.CAR, _PLACING.pack(CAR.encode(), p.lock, p.mass, p.road_friction))
-        self._drive(0.0, 0.0, self.parameters.brake_share, SETTLING)
+        self._drive(0.0, 0.0, p.brake_share, SETTLING)
         self._rest = self._now
         self._yaw = 0.0
 
@@ -87,5 +87,3 @@ class TorcsVehicle:
 
     def _ask(self, kind: Kind, request: bytes) -> None:
         self._now = _STATE.unpack(self._host.ask(kind, request, size=_STATE.size))
-        if not all(map(math.isfinite, self._now)):
-            raise SimulatorError("torcs: the physics diverged: a state is not finite")

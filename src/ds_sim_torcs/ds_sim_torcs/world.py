@@ -172,16 +172,17 @@ def _panorama() -> NDArray[np.uint8]:
 
 
 _MATERIAL = 'MATERIAL "m" rgb 1 1 1 amb 1 1 1 emis 0 0 0 spec 0 0 0 shi 0 trans 0\n'
+_LIGHT = "".join(
+    f'  <attnum name="{kind} color {colour}" val="{value}"/>\n'
+    for kind, value in (("ambient", 1), ("diffuse", 0), ("specular", 0))
+    for colour in "RGB"
+)
 _TRACK = f"""<?xml version="1.0" encoding="UTF-8"?>
 <!DOCTYPE params SYSTEM "params.dtd">
 <params name="{NAME}" type="param" mode="mw">
 <section name="Graphic">
   <attstr name="3d description" val="{NAME}.ac"/>
-  <attnum name="ambient color R" val="1"/><attnum name="ambient color G" val="1"/><attnum name="ambient color B" val="1"/>
-  <attnum name="diffuse color R" val="0"/><attnum name="diffuse color G" val="0"/><attnum name="diffuse color B" val="0"/>
-  <attnum name="specular color R" val="0"/><attnum name="specular color G" val="0"/>
-  <attnum name="specular color B" val="0"/>
-</section>
+{_LIGHT}</section>
 </params>
 """
 """What the renderer reads of a track: light from everywhere, under which textures show their own colours."""

@@ -7,7 +7,7 @@
 //     uint32 kind, uint32 size, then `size` bytes
 //
 // An answer has the kind of its request; kind 0 is an error, whose bytes are one line of text, after which the host
-// ends. It also ends when standard input closes or its parent is gone.
+// ends. It also ends when standard input closes or its parent is gone, and then removes its working folder.
 
 #include <EGL/egl.h>
 #include <EGL/eglext.h>
@@ -23,6 +23,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -52,7 +53,8 @@ constexpr double SUBSTEP = 0.002;      // s, TORCS's own
 constexpr float PLANE_LIMIT = 3900.0f;  // m from the middle of the plane, whose half is 4 km
 constexpr float NEAR = 0.3f, FAR = 2500.0f;
 
-int answers = -1;  // descriptor on which answers go
+int answers = -1;    // descriptor on which answers go
+std::string folder;  // working folder, made for this host alone
 
 void write_all(const void* data, size_t size) {
     auto* from = static_cast<const char*>(data);
@@ -75,6 +77,12 @@ void answer(uint32_t kind, const void* data, size_t size) {
     _exit(2);
 }
 
+[[noreturn]] void leave() {
+    std::error_code ignored;
+    std::filesystem::remove_all(folder, ignored);  // removes links to TORCS's data, not what they point to
+    _exit(0);
+}
+
 // Fills the memory from standard input; ends the process when that closes or the parent is gone.
 void read_all(void* data, size_t size) {
     static const pid_t parent = getppid();
@@ -82,11 +90,11 @@ void read_all(void* data, size_t size) {
     while (size > 0) {
         pollfd waiting = {0, POLLIN, 0};
         if (poll(&waiting, 1, 1000) == 0) {
-            if (getppid() != parent) _exit(0);
+            if (getppid() != parent) leave();
             continue;
         }
         ssize_t got = read(0, into, size);
-        if (got <= 0) _exit(0);
+        if (got <= 0) leave();
         into += got;
         size -= static_cast<size_t>(got);
     }
@@ -351,14 +359,15 @@ void answer_hello() {
 
 }  // namespace
 
-// Arguments: folder of TORCS's libraries, columns and rows of the image. The working directory has TORCS's data.
+// Arguments: folder of TORCS's libraries, columns and rows of the image, working folder with links to TORCS's data.
 int main(int argc, char** argv) {
-    if (argc != 4) return 2;
+    if (argc != 5 || chdir(argv[4]) != 0) return 2;
     answers = dup(1);
     dup2(2, 1);  // TORCS prints on standard output
     std::string root = argv[1];
     width = atoi(argv[2]);
     height = atoi(argv[3]);
+    folder = argv[4];
     make_context();
     resolved = make_buffer(0);
     drawn = make_buffer(4);

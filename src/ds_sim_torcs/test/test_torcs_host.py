@@ -116,21 +116,29 @@ def test_a_wrong_request_is_refused_in_words(host: TorcsHost, ask: Callable[[Tor
         ask(host)
 
 
-def test_the_host_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
+def test_the_host_ends_with_the_process_that_started_it() -> None:
     if reason := missing_because("torcs"):
         pytest.skip(reason)
     code = (
         f"import sys; sys.path[:0] = {[*sys.path]!r}\n"
         "import os, signal\nfrom ds_sim_torcs.host import TorcsHost\n"
-        "host = TorcsHost(320, 160); host.start(); print(host.pid, flush=True)\n"
+        "host = TorcsHost(320, 160); host.renderer(); print(host.pid, host.folder, flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    child, until = Path("/proc") / done.stdout.strip(), time.monotonic() + 10.0
-    while child.exists() and time.monotonic() < until and "Z" not in (child / "stat").read_text().split()[2]:
+    pid, folder = done.stdout.split()
+    until = time.monotonic() + 10.0
+    while (alive := _runs(pid)) and time.monotonic() < until:
         time.sleep(0.05)
-    assert done.stdout.strip().isdecimal()
-    assert not child.exists() or "Z" in (child / "stat").read_text().split()[2]
+    assert not alive and not Path(folder).exists() and (module.DATA / "cars").is_dir()
+
+
+def _runs(pid: str) -> bool:
+    """Whether a process exists that is more than an entry which nobody has waited for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def test_a_missing_host_is_said_with_what_to_type(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

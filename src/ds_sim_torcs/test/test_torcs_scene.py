@@ -53,7 +53,7 @@ def test_the_lane_that_is_seen_is_within_5_cm_of_the_roads_own(host: TorcsHost) 
         scene.load(road, RNG)
         lane, ahead = road.right_lane_centre, np.diff(road.points, axis=0)
         for k in range(5, len(ahead) - 5, 10):
-            row = scene.still(at(*lane[k], math.atan2(ahead[k, 1], ahead[k, 0])))[79]
+            row = scene.still(at(float(lane[k, 0]), float(lane[k, 1]), math.atan2(ahead[k, 1], ahead[k, 0])))[79]
             left, right = left_of_middle(row, 2.0, yellow=True), left_of_middle(row, inset - 2.0, yellow=False)
             errors.append((left + right - inset) / 2)
     assert len(errors) > 200 and max(map(abs, errors)) < 0.05 and abs(np.mean(errors)) < 0.005

@@ -16,7 +16,8 @@ from ds_sim.registry import SimulatorName, UnknownSimulatorError, spec_of
 from ds_sim.simulator import SimulatorError
 
 CODE = (
-    "ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_sim_torcs", "ds_twin_donkey",
+    "ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_sim_torcs",
+    "ds_twin_donkey",
 )  # fmt: skip
 """Packages whose code takes part in a drive."""
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "pybullet", "pymunk", "shapely")
