@@ -36,13 +36,17 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def all_simulator_names(request: pytest.FixtureRequest) -> list[str]:
-    return _names(request.config)
+    return [name for name in _names(request.config) if not _reason_to_skip(name)]
 
 
 def _if_there(name: str) -> Any:
     """The name of a simulator, whose tests are skipped where it needs what set-up does not install."""
-    reason = missing_because(name) if name in SIMULATORS and name not in STANDARD else ""
+    reason = _reason_to_skip(name)
     return pytest.param(name, marks=pytest.mark.skip(reason=reason)) if reason else name
+
+
+def _reason_to_skip(name: str) -> str:
+    return missing_because(name) if name in SIMULATORS and name not in STANDARD else ""
 
 
 def _names(config: pytest.Config) -> list[str]:

@@ -66,7 +66,7 @@ Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas."
 Simulator = Annotated[
     str,
     typer.Option(
-        help="Simulator: bullet, softbody, panda, torcs, donkey, donkey@FILE (fitted), or module:Class.",
+        help="Simulator: bullet, softbody, panda, donkey, torcs, donkey@FILE (fitted), or module:Class.",
         autocompletion=_complete_simulator,
     ),
 ]

@@ -9,6 +9,7 @@ import pytest
 
 from ds_cli import doctor
 from ds_cli.doctor import Check
+from ds_sim_torcs import host
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -57,6 +58,22 @@ def test_a_missing_renderer_is_no_problem_but_named() -> None:
 
     found = doctor.check_renderer(no_library)
     assert found.ok and "libEGL.so.1" in found.detail and "apt-get install -y libegl1" in found.detail
+
+
+def test_a_missing_torcs_is_no_problem_but_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DS_TORCS_HOST", raising=False)
+    absent = doctor.check_torcs(tmp_path, tmp_path)
+    assert absent.ok and "not installed; optional" in absent.detail and absent.detail.endswith("&& make torcs")
+    (tmp_path / "modules/simu").mkdir(parents=True)
+    (tmp_path / "modules/simu/simuv2.so").touch()
+    unbuilt = doctor.check_torcs(tmp_path, tmp_path)
+    assert unbuilt.ok and unbuilt.detail.endswith(
+        "its host is not built; optional, for the simulator torcs: make torcs"
+    )
+    assert "DS_TORCS_HOST" in doctor.check_torcs(None, tmp_path).detail
+    monkeypatch.setenv("DS_TORCS_HOST", sys.executable)
+    assert doctor.check_torcs(None, tmp_path).detail == sys.executable
+    assert (doctor.TORCS, doctor.TORCS_PACKAGES) == (host.LIBRARIES, host.PACKAGES)
 
 
 def test_a_healthy_environment_passes() -> None:
