@@ -174,7 +174,8 @@ def make_simulator(name: str) -> Simulator:
             raise UnknownSimulatorError(f"simulator {name!r} takes no parameter file: leave out @{file}")
         simulator: Simulator = kind.from_file(Path(file)) if file else kind()
     except (ImportError, AttributeError) as error:
-        raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}): check module:Class") from None
+        advice = "" if name in SIMULATORS else ": check module:Class"
+        raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}){advice}") from None
     return simulator
 
 
