@@ -302,6 +302,7 @@ void place(Placing placing) {
     GF_TAILQ_INIT(&car._penaltyList);
     strcpy(car._name, "ds");
     strcpy(car._carName, placing.name);
+    car._skillLevel = 3;  // a professional's: TORCS gives the tyres of beginners more grip while they slide
     car._carHandle = car_parameters(placing.name, placing.lock, placing.mass);
     RtInitCarPitSetup(car._carHandle, &car.pitcmd.setup, false);
     situation.cars = cars;
