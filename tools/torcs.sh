@@ -7,6 +7,7 @@ version=1.3.7 # the layout of its structures is compiled in
 sum=e496ded17dcae1698abe43bb7b564f7d48082f9bbebd127b0cabb0107191bbbf
 mirror=${DS_DEBIAN_MIRROR:-http://deb.debian.org/debian}
 packages="torcs libplib-dev libegl-dev libgl-dev g++ curl xz-utils"
+headers=('*/src/interfaces/*.h' '*/src/libs/*/*.h' '*/src/linux/*.h')
 folder=build/torcs
 host=src/ds_sim_torcs/host/torcs_host.cpp
 
@@ -20,9 +21,9 @@ fetch_headers() {
   rm -rf "$into" "$folder/sum"
   mkdir -p "$into"
   echo "torcs: reading the headers of TORCS $version from $from"
-  curl -fsSL --retry 2 "$from" | tee >(sha256sum | cut -d' ' -f1 >"$folder/sum") |
-    tar -xJ -C "$into" --strip-components=2 --wildcards '*/src/interfaces/*.h' '*/src/libs/*/*.h' '*/src/linux/*.h' ||
-    stop "the source package cannot be read: is $mirror reachable? DS_DEBIAN_MIRROR names another mirror"
+  { curl -fsSL --retry 2 "$from" | tee >(sha256sum | cut -d' ' -f1 >"$folder/sum") |
+    tar -xJ -C "$into" --strip-components=2 --wildcards "${headers[@]}"; } 2>"$folder/log" ||
+    stop "the source package cannot be read: is $mirror reachable? DS_DEBIAN_MIRROR names another ($folder/log)"
   while [ ! -s "$folder/sum" ]; do sleep 0.1; done
   [ "$(cat "$folder/sum")" = $sum ] || stop "the source package has another SHA-256 than expected: use Debian's own"
   ln -s libs/math "$into/tmath" # by this name it is included
