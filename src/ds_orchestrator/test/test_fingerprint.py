@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from ds_orchestrator.engines import fingerprint as module
 from ds_orchestrator.engines.fingerprint import PROCESSOR_FEATURES, differences, fingerprint
-from ds_sim.simulator import SimulatorError
+from ds_sim.registry import UnknownSimulatorError, spec_of
+from ds_sim.simulator import SimulatorError, SimulatorSpec
 from ds_sim_panda.scene import graphics
 
 
@@ -22,6 +24,18 @@ def test_the_renderer_counts_where_panda_drives(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(graphics, "renderer_name", missing)
     assert differences(here, fingerprint("", ("panda",))) == f"renderer absent there, {here['renderer']} here"
     assert not {"renderer", "panda3d"} & set(fingerprint("onnx", ("bullet", "donkey")))
+
+
+def test_torcs_and_its_renderer_count_where_it_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> SimulatorSpec:
+        raise UnknownSimulatorError(f"there is no host of {name}")
+
+    monkeypatch.setattr(module, "spec_of", missing)
+    assert fingerprint("", ("torcs",))["TORCS"] == "absent" and "TORCS" not in fingerprint("", ("bullet", "panda"))
+    engine = replace(spec_of("bullet"), engine="TORCS 1.3.7 on Mesa")
+    monkeypatch.setattr(module, "spec_of", lambda name: engine)
+    there = fingerprint("", ("ds_sim_torcs.simulator:TorcsSimulator",))
+    assert there["TORCS"] == "TORCS 1.3.7 on Mesa"
 
 
 def test_a_difference_in_processor_features_names_only_what_one_side_lacks() -> None:
