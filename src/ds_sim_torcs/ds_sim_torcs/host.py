@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import select
 import shutil
@@ -14,7 +15,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 
-from ds_sim.camera.mesa import software_rendering
+from ds_sim.camera.mesa import INSTALL, software_rendering
 from ds_sim.simulator import SimulatorError
 
 VERSION = "1.3.7"
@@ -26,6 +27,8 @@ PACKAGES = "torcs libplib-dev libegl-dev libgl-dev g++ curl xz-utils"
 """Debian's packages with which the host is built and runs."""
 OVERRIDE = "DS_TORCS_HOST"
 """Environment variable that names another host."""
+SOURCE = Path(__file__).resolve().parents[1] / "host/torcs_host.cpp"
+"""Source of the host in a checkout."""
 BUILT = Path(__file__).resolve().parents[3] / "build/torcs/torcs_host"
 """Where `make torcs` puts the host of a checkout."""
 TIMEOUT = 20.0
@@ -109,12 +112,21 @@ class TorcsHost:
                 start_new_session=True,  # Ctrl-C is for this process
             )
         self._process = process
-        self._end = weakref.finalize(self, _stop, process, self.folder)
+        self._end = weakref.finalize(self, _stop, process, self.folder, os.getpid())
 
     def renderer(self) -> str:
-        """Version of OpenGL and name of the renderer, such as `4.5 Mesa 22.3.6, llvmpipe (LLVM 15.0.6, 256 bits)`."""
+        """Version of OpenGL and name of the renderer, such as `4.5 Mesa 22.3.6, llvmpipe (LLVM 15.0.6, 256 bits)`.
+
+        Raises:
+            SimulatorError: the host does not start, was built from another source, or draws with another renderer.
+        """
         self.start()
-        return self.ask(Kind.HELLO).decode(errors="replace")
+        built_from, _, renderer = self.ask(Kind.HELLO).decode(errors="replace").partition("\n")
+        if SOURCE.is_file() and not hashlib.sha256(SOURCE.read_bytes()).hexdigest().startswith(built_from or "?"):
+            raise SimulatorError(f"torcs: {self._program} was built from another {SOURCE.name}: type make torcs")
+        if "llvmpipe" not in renderer:
+            raise SimulatorError(f"torcs: the host draws with {renderer}, expected Mesa's llvmpipe: {INSTALL}")
+        return renderer
 
     def ask(self, kind: Kind, request: bytes = b"", *, size: int | None = None) -> bytes:
         """Send a request and return the answer's bytes.
@@ -206,8 +218,10 @@ def _lay_out(folder: Path) -> None:
     (plane / "plane.xml").write_text(_PLANE)
 
 
-def _stop(process: subprocess.Popen[bytes], folder: Path) -> None:
-    """End the process and remove its files."""
+def _stop(process: subprocess.Popen[bytes], folder: Path, owner: int) -> None:
+    """End the process and remove its files, but not in a fork of its owner."""
+    if os.getpid() != owner:
+        return
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout):

@@ -352,10 +352,11 @@ void answer_state(uint32_t kind) {
     answer(kind, state, sizeof state);
 }
 
+// Digest of this file, which the build defines, and versions of OpenGL and its renderer.
 void answer_hello() {
     auto text = [](GLenum name) { return std::string(reinterpret_cast<const char*>(glGetString(name))); };
-    std::string line = text(GL_VERSION) + ", " + text(GL_RENDERER);
-    answer(HELLO, line.data(), line.size());
+    std::string lines = std::string(SOURCE) + "\n" + text(GL_VERSION) + ", " + text(GL_RENDERER);
+    answer(HELLO, lines.data(), lines.size());
 }
 
 }  // namespace

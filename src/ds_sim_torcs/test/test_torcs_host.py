@@ -141,6 +141,28 @@ def _runs(pid: str) -> bool:
         return False
 
 
+def test_a_host_of_another_source_or_renderer_is_refused(
+    host: TorcsHost, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "Mesa" in host.renderer() and "llvmpipe" in host.renderer()
+    monkeypatch.setattr(host, "ask", lambda kind: b"0123\n4.6, a graphics card")
+    with pytest.raises(SimulatorError, match=r"built from another torcs_host.cpp: type make torcs"):
+        host.renderer()
+    monkeypatch.setattr(module, "SOURCE", tmp_path)
+    with pytest.raises(SimulatorError, match="draws with 4.6, a graphics card, expected Mesa's llvmpipe"):
+        host.renderer()
+
+
+def test_a_fork_leaves_the_host_to_its_owner(host: TorcsHost) -> None:
+    host.start()
+    child = os.fork()
+    if not child:
+        host.close()
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert host.renderer()
+
+
 def test_a_missing_host_is_said_with_what_to_type(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(module, "LIBRARIES", tmp_path)
     with pytest.raises(ImportError, match=r"TORCS is not installed: sudo apt-get install -y torcs .*, then make torcs"):
