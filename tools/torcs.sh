@@ -49,9 +49,10 @@ includes=("-I$folder/headers")
 for part in interfaces libs/tgf libs/robottools libs/portability libs/tgfclient linux; do
   includes+=("-I$folder/headers/$part")
 done
-# Debian has no links of libraries without their development packages: the libraries themselves are named.
 source=$(sha256sum $host)
-g++ -O2 -std=c++17 -w "-DSOURCE=\"${source:0:12}\"" "${includes[@]}" -o $folder/torcs_host.partial $host -rdynamic -Wl,--no-as-needed \
+# Debian has no links of libraries without their development packages: the libraries themselves are named.
+g++ -O2 -std=c++17 -w "-DSOURCE=\"${source:0:12}\"" "${includes[@]}" -o $folder/torcs_host.partial $host \
+  -rdynamic -Wl,--no-as-needed \
   -L"$lib/lib" -Wl,-rpath,"$lib/lib" -ltgf -ltxml -ltgfclient -lrobottools \
   -lplibssgaux -lplibssg -lplibsg -lplibul -lplibjs -lGL -lEGL \
   "$(ls "$system"/libGLU.so.1* | head -n 1)" "$(ls "$system"/libglut.so.3* | head -n 1)" \

@@ -18,16 +18,15 @@ SUBSTEPS = 25
 """Steps of TORCS in one of 1/20 s; simuv2: 2 ms."""
 SETTLING = 500
 """Steps in which a new car comes to rest on its springs; chosen: 1 s, twice what it needs."""
-PREVIEW_DISTANCE = 4.0
+PREVIEW_DISTANCE = 3.0
 """Distance of the autopilot's preview point, m; chosen with its gain."""
-GAINS = AutopilotGains(proportional=0.4)
-"""Chosen by driving random roads, for the largest distance from the edge of the lane; with larger gains the autopilot
-asks for full lock, where little throttle does not move the car, as its front wheels work against each other."""
+GAINS = AutopilotGains(proportional=0.5)
+"""Chosen by driving random roads, for the largest distance from the edge of the lane."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorcsParameters:
-    """Parameters of the car: those of TORCS's file that are used outside it, and what replaces some of them.
+    """Parameters of the car: those of TORCS's file that are used outside it, and what replaces or controls others.
 
     Attributes:
         length: m; file.
@@ -36,16 +35,11 @@ class TorcsParameters:
         track: distance between the wheels of an axle, m; file: mean of 1.64 front and 1.66 rear, as simuv2 steers.
         mass: kg; file, without its 30 l of fuel, which simuv2 counts as 30 kg.
         fuel: kg; file.
-        wheel_radius: m; file: 18 inches and 38 % of 245 mm.
-        gear_ratio: turns of the engine for one of the wheels in first gear; file: 2.533 times 6.
-        engine_inertia: kg m^2; file.
-        wheel_inertia: of all four wheels with their brakes, kg m^2; file.
-        tyre_friction: peak friction coefficient of a tyre on a surface of 1; file.
 
         max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; chosen: the rear axle's centre has a
             radius of 2.7 m, as of `bullet`; the file's 21 degrees are those of a racing car.
-        road_friction: friction of the surface; chosen: with the tyres 1.0, as the other siblings have (0.9 to 1.05);
-            these racing tyres on TORCS's own asphalt, 1.2, would have 1.9.
+        road_friction: friction of the surface; chosen: with the file's racing tyres, of 1.6, it is 1.0, as of the other
+            siblings (0.9 to 1.05); on TORCS's own asphalt, of 1.2, it would be 1.9.
 
         accelerator_share: accelerator at full throttle; chosen: 0 to 20 km/h in 3 to 4 s under the paper's equation 2,
             as of the other siblings; all of it would spin the wheels.
@@ -63,11 +57,6 @@ class TorcsParameters:
     track: float = 1.65
     mass: float = 1100.0
     fuel: float = 30.0
-    wheel_radius: float = 0.0254 * 9.0 + 0.38 * 0.245
-    gear_ratio: float = 2.533333 * 6.0
-    engine_inertia: float = 0.5
-    wheel_inertia: float = 2 * (1.12 + 0.1241) + 2 * (1.22 + 0.0714)
-    tyre_friction: float = 1.6
 
     max_steering_angle: float = math.radians(45.0)
     road_friction: float = 1.0 / 1.6
@@ -125,7 +114,7 @@ class TorcsParameters:
 
 _LIMITS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(
-        ("length", "width", "wheelbase", "track", "mass", "wheel_radius", "limiter_band", "fade_speed"),
+        ("length", "width", "wheelbase", "track", "mass", "limiter_band", "fade_speed"),
         (1e-6, math.inf),
     ),
     "max_steering_angle": (1e-6, math.radians(50.0)),
