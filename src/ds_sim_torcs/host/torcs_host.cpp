@@ -16,6 +16,7 @@
 #include <GL/glext.h>
 #include <dlfcn.h>
 #include <poll.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <cmath>
@@ -56,11 +57,17 @@ constexpr float NEAR = 0.3f, FAR = 2500.0f;
 int answers = -1;    // descriptor on which answers go
 std::string folder;  // working folder, made for this host alone
 
+[[noreturn]] void leave() {
+    std::error_code ignored;
+    std::filesystem::remove_all(folder, ignored);  // removes links to TORCS's data, not what they point to
+    _exit(0);
+}
+
 void write_all(const void* data, size_t size) {
     auto* from = static_cast<const char*>(data);
     while (size > 0) {
         ssize_t done = write(answers, from, size);
-        if (done <= 0) _exit(3);
+        if (done <= 0) leave();
         from += done;
         size -= static_cast<size_t>(done);
     }
@@ -75,12 +82,6 @@ void answer(uint32_t kind, const void* data, size_t size) {
 [[noreturn]] void fail(const std::string& what) {
     answer(ERROR, what.data(), what.size());
     _exit(2);
-}
-
-[[noreturn]] void leave() {
-    std::error_code ignored;
-    std::filesystem::remove_all(folder, ignored);  // removes links to TORCS's data, not what they point to
-    _exit(0);
 }
 
 // Fills the memory from standard input; ends the process when that closes or the parent is gone.
@@ -318,7 +319,7 @@ void place(Placing placing) {
     car._pos_Z = 0.3f;
     physics.config(&car, &race);
     has_car = true;
-    if (std::fabs(car._pos_Z - 0.3f) > 0.5f || !(car._wheelRadius(0) > 0.1f && car._wheelRadius(0) < 1.0f))
+    if (car._pos_X != 0.0f || car._pos_Y != 0.0f || !(car._wheelRadius(0) > 0.1f && car._wheelRadius(0) < 1.0f))
         fail("simuv2.so has another layout of cars: expected that of TORCS 1.3.7");
 }
 
@@ -364,6 +365,7 @@ void answer_hello() {
 // Arguments: folder of TORCS's libraries, columns and rows of the image, working folder with links to TORCS's data.
 int main(int argc, char** argv) {
     if (argc != 5 || chdir(argv[4]) != 0) return 2;
+    signal(SIGPIPE, SIG_IGN);  // a pipe that nobody reads is seen where it is written to
     answers = dup(1);
     dup2(2, 1);  // TORCS prints on standard output
     std::string root = argv[1];
