@@ -102,15 +102,19 @@ class TorcsHost:
         self.folder = Path(tempfile.mkdtemp(prefix="ds_torcs_"))
         _lay_out(self.folder)
         environment = {**os.environ, **software_rendering(), "HOME": str(self.folder)}
-        with (self.folder / "log").open("wb") as log:
-            process = subprocess.Popen(
-                [self._program, LIBRARIES, *map(str, self._size), self.folder],
-                env=environment,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                start_new_session=True,  # Ctrl-C is for this process
-            )
+        try:
+            with (self.folder / "log").open("wb") as log:
+                process = subprocess.Popen(
+                    [self._program, LIBRARIES, *map(str, self._size), self.folder],
+                    env=environment,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    start_new_session=True,  # Ctrl-C is for this process
+                )
+        except OSError as error:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            raise SimulatorError(f"torcs: {self._program} does not start ({error.strerror}): type make torcs") from None
         self._process = process
         self._end = weakref.finalize(self, _stop, process, self.folder, os.getpid())
 
@@ -145,10 +149,14 @@ class TorcsHost:
             raise SimulatorError("torcs: no host runs: load a road first")
         try:
             return self._exchange(process, kind, request, size)
-        except (OSError, _BadAnswerError) as error:
-            reason = self._reason(process, error)
-            self.close()
-            raise SimulatorError(f"torcs: {reason}: the next drive starts another host") from None
+        except TimeoutError:
+            reason = f"the host did not answer within {self._timeout:g} s"
+        except ValueError as error:
+            reason = str(error)
+        except (EOFError, OSError):
+            reason = self._how_it_ended(process)
+        self.close()
+        raise SimulatorError(f"torcs: {reason}: the next drive starts another host")
 
     def close(self) -> None:
         """End the process and remove its files; `start` may follow."""
@@ -162,18 +170,14 @@ class TorcsHost:
         answered, length = _HEAD.unpack(_read(process.stdout.fileno(), _HEAD.size, until))
         if answered == Kind.ERROR and length < _LARGEST:
             line = _read(process.stdout.fileno(), length, until).decode(errors="replace")
-            raise _BadAnswerError(f"the host refuses: {line[:200]}")
+            raise ValueError(f"the host refuses: {line[:200]}")
         if answered != kind or length > _LARGEST or size not in (None, length):
             wanted = f"{kind.value} of {'any' if size is None else size}"
-            raise _BadAnswerError(f"the host answered kind {answered} of {length} bytes, expected {wanted}")
+            raise ValueError(f"the host answered kind {answered} of {length} bytes, expected {wanted}")
         return _read(process.stdout.fileno(), length, until)
 
-    def _reason(self, process: subprocess.Popen[bytes], error: Exception) -> str:
-        """Say why an answer is missing."""
-        if isinstance(error, _BadAnswerError) and error.late:
-            return f"the host did not answer within {self._timeout:g} s"
-        if isinstance(error, _BadAnswerError) and str(error):
-            return str(error)
+    def _how_it_ended(self, process: subprocess.Popen[bytes]) -> str:
+        """Status of a process that closed its pipes, and its last line."""
         try:
             status = process.wait(1.0)
         except subprocess.TimeoutExpired:
@@ -182,28 +186,21 @@ class TorcsHost:
         return f"the host ended with status {status} ({lines[-1][:200] if lines else 'it wrote nothing'})"
 
 
-class _BadAnswerError(Exception):
-    """An answer that is late, wrong or missing (no text)."""
-
-    def __init__(self, line: str = "", *, late: bool = False) -> None:
-        super().__init__(line)
-        self.late = late
-
-
 def _read(source: int, size: int, until: float) -> bytes:
     """Read bytes from a pipe.
 
     Raises:
-        _BadAnswerError: they do not come in time, or the pipe was closed.
+        TimeoutError: they do not come in time.
+        EOFError: the pipe was closed.
     """
-    parts = []
+    parts, ready = [], select.poll()
+    ready.register(source, select.POLLIN)
     while size > 0:
-        ready, _, _ = select.select([source], [], [], max(until - time.monotonic(), 0.0))
-        if not ready:
-            raise _BadAnswerError(late=True)
+        if not ready.poll(1000.0 * max(until - time.monotonic(), 0.0)):
+            raise TimeoutError
         part = os.read(source, min(size, 1 << 16))
         if not part:
-            raise _BadAnswerError
+            raise EOFError
         parts.append(part)
         size -= len(part)
     return b"".join(parts)

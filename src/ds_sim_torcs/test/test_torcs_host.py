@@ -101,6 +101,18 @@ def test_nonsense_is_said_in_one_line(answer: str, said: str, tmp_path: Path, mo
         host.ask(Kind.STEP)
 
 
+def test_a_host_that_is_no_program_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if reason := missing_because("torcs"):
+        pytest.skip(reason)
+    (tmp_path / "host").write_text("neither ELF nor script")
+    (tmp_path / "host").chmod(stat.S_IRWXU)
+    monkeypatch.setenv(module.OVERRIDE, str(tmp_path / "host"))
+    host = TorcsHost(320, 160)
+    with pytest.raises(SimulatorError, match=r"host does not start \(Exec format error\): type make torcs"):
+        host.start()
+    assert not host.folder.exists()
+
+
 @pytest.mark.parametrize(
     ("ask", "said"),
     [
