@@ -26,6 +26,10 @@ ENGINES = ("attach", "graph", "local", "dask")
 """attach: nodes that run; the others start their own."""
 
 
+Work = Callable[["Job", Collection[str]], None]
+"""Drives what a goal asks, and fills in its result; takes the names that may run code of their own."""
+
+
 @dataclass(kw_only=True)
 class Job:
     """Goal that drives.
@@ -33,7 +37,7 @@ class Job:
     Attributes:
         goal: the goal.
         folder: folder of its drives.
-        work: drives, and fills in the result; takes the names that may run code of their own, too.
+        work: what it asks.
         result: the action's result.
         listener: hears of its drives.
         stop: ends them.
@@ -41,7 +45,7 @@ class Job:
 
     goal: ServerGoalHandle
     folder: Path
-    work: Callable[[Job, Collection[str]], None]
+    work: Work
     result: Any
     listener: StateListener
     stop: StopSwitch = field(default_factory=StopSwitch)

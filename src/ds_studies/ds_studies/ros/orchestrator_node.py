@@ -1,14 +1,12 @@
-"""Orchestrator as a ROS node: runs campaigns and given tests for action clients, and shows them as they go on.
-
-The node's thread answers and the main thread drives, as engines handle signals there; one goal at a time.
-"""
+"""Orchestrator as a ROS node: its thread answers, the main thread drives, as engines handle signals there."""
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -32,7 +30,7 @@ from ds_sim.ros.requests import RequestRefused
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import Reason
 from ds_studies.ros.campaign_view import CampaignView
-from ds_studies.ros.goals import ENGINES, Job, drive_tests_goal, run_campaign_goal
+from ds_studies.ros.goals import ENGINES, Job, Work, drive_tests_goal, run_campaign_goal
 from ds_studies.ros.state_listener import StateListener
 
 EVERY = 1.0
@@ -102,7 +100,7 @@ class OrchestratorNode(Node):
         self._job = None
         self._close(job.goal, job.result, close)
 
-    def _serve(self, kind: Any, name: str, work: Callable[[Job, Collection[str]], None]) -> ActionServer[Any, Any, Any]:
+    def _serve(self, kind: Any, name: str, work: Work) -> ActionServer[Any, Any, Any]:
         return ActionServer(
             self,
             kind,
@@ -122,7 +120,7 @@ class OrchestratorNode(Node):
         close()
         return result
 
-    def _accept(self, goal: ServerGoalHandle, kind: Any, work: Callable[[Job, Collection[str]], None]) -> None:
+    def _accept(self, goal: ServerGoalHandle, kind: Any, work: Work) -> None:
         result = kind.Result()
         try:
             self._check(goal.request.engine)
@@ -178,6 +176,7 @@ class OrchestratorNode(Node):
 
 def main() -> None:
     """Run the node until a signal."""
+    signal.set_wakeup_fd(-1)  # by which a signal ends the process while it starts
     listen()
     init_ros()
     try:
