@@ -210,7 +210,7 @@ def test_given_roads_are_driven(graph: Graph) -> None:
 
     from ds_sim.ros.conversions import road_to_message
 
-    roads = [generate(np.random.default_rng(seed), max_angle=100.0) for seed in (1, 2)]
+    roads = [generate(np.random.default_rng(seed), max_angle=100) for seed in (1, 2)]
     fields: dict[str, Any] = {
         "folder": "given", "driver": "autopilot", "simulators": ["bullet", "softbody"], "seeds": [7, 8],
         "roads": [road_to_message(road) for road in roads],
