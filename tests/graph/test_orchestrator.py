@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ class Graph:
     supervisor: Any
     root: Path
     domain: int
+    clients: dict[str, Any] = field(default_factory=dict)
 
     def until(self, done: Callable[[], Any], limit: float = LIMIT) -> Any:
         """Spin until something is true."""
@@ -59,13 +60,18 @@ class Graph:
         self.until(client.service_is_ready)
         return self.wait(client.call_async(kind.Request(**fields)))
 
-    def send(self, kind: Any, name: str, feedback: Callable[[Any], None] | None = None, **fields: Any) -> Any:
-        """Send a goal and return its handle."""
+    def client(self, kind: Any, name: str) -> Any:
+        """Client of an action, kept, as its discovery may take seconds in which drives end."""
         from rclpy.action import ActionClient
 
-        client = ActionClient(self.node, kind, name)
-        self.until(client.server_is_ready)
-        return self.wait(client.send_goal_async(kind.Goal(**fields), feedback_callback=feedback))
+        if name not in self.clients:
+            self.clients[name] = ActionClient(self.node, kind, name)
+        self.until(self.clients[name].server_is_ready)
+        return self.clients[name]
+
+    def send(self, kind: Any, name: str, feedback: Callable[[Any], None] | None = None, **fields: Any) -> Any:
+        """Send a goal and return its handle."""
+        return self.wait(self.client(kind, name).send_goal_async(kind.Goal(**fields), feedback_callback=feedback))
 
     def run(self, kind: Any, name: str, **fields: Any) -> tuple[int, Any]:
         """Send a goal; return its status and result."""
@@ -191,6 +197,7 @@ def test_a_goal_that_cannot_be_gets_one_line(graph: Graph, fields: dict[str, str
 def test_a_cancelled_campaign_resumes_and_another_goal_waits(graph: Graph, tmp_path: Path) -> None:
     from ds_interfaces.action import DriveTests, RunCampaign
 
+    graph.client(DriveTests, "drive_tests")
     handle = graph.send(RunCampaign, "run_campaign", config=CONFIG, folder="d", engine="local")
     graph.until(lambda: len(stored(graph.root / "d")) >= 2)
     status, result = graph.run(DriveTests, "drive_tests", folder="e", driver="autopilot", simulators=["bullet"])
