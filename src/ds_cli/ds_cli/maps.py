@@ -142,14 +142,14 @@ def maps_command(
     Every simulator's map, and the siblings' merged into one; --map shows another one alone. With --json, all of them.
     """
     from ds_analysis.outcomes.maps import maps_of_study
-    from ds_analysis.outcomes.study import FILE, read_study
+    from ds_analysis.outcomes.study import is_study, read_study
     from ds_analysis.paper.campaign_contents import exclusion_lines, maps_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.maps.feature_map import compared_ids, slices_of, to_json
 
     data = None
-    if (folder / FILE).exists():
+    if is_study(folder):
         named = None if axes is None else [one.strip() for one in axes.split(",")]
         every = maps_of_study(read_study(folder), named)
     else:

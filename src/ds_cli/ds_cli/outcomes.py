@@ -77,8 +77,8 @@ def outcomes_export_command(
 ) -> None:
     """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it."""
     from ds_analysis.outcomes.folders import read_table
-    from ds_analysis.outcomes.study import FILE, read_study, study_of, write_rows
+    from ds_analysis.outcomes.study import is_study, read_study, study_of, write_rows
 
-    study = read_study(folder) if (folder / FILE).exists() else study_of(read_table(folder))
+    study = read_study(folder) if is_study(folder) else study_of(read_table(folder))
     write_rows(out, study)
     print(f"{out}: {len(study.rows)} drives of {', '.join(study.simulators)}")

@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError, table_of_campaign, table_of_comparison
-from ds_analysis.outcomes.study import FILE, read_study
+from ds_analysis.outcomes.study import is_study, read_study
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 
 
@@ -29,7 +29,7 @@ def read_table(folder: Path, *, twin: str | None = None, most: int | None = None
         return table.with_twin(twin) if twin else table
     if (folder / "comparison.json").exists():
         return table_of_comparison(folder, twin=twin)
-    if (folder / FILE).exists():
+    if is_study(folder):
         table = read_study(folder).table()
         return table.with_twin(twin) if twin else table
     raise OutcomeTableError(

@@ -286,6 +286,11 @@ def write_study(folder: Path, study: Study) -> Path:
     return folder / FILE
 
 
+def is_study(folder: Path) -> bool:
+    """Whether a folder holds imported outcomes."""
+    return (folder / FILE).exists()
+
+
 def read_study(folder: Path) -> Study:
     """Read a study's file.
 

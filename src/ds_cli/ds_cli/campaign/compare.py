@@ -77,13 +77,6 @@ def is_campaign(text: str) -> bool:
     return Path(text).is_dir()
 
 
-def is_study(text: str) -> bool:
-    """Whether an argument is a folder of imported outcomes."""
-    from ds_analysis.outcomes.study import FILE
-
-    return (Path(text) / FILE).is_file()
-
-
 def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan:
     """Compare a campaign's network with another campaign's, or with a network.
 
@@ -201,6 +194,7 @@ def campaign_compare_command(
     from ds_analysis.comparison.paired_drives import ComparisonError
     from ds_analysis.comparison.tables import networks_table
     from ds_analysis.outcomes.pairs import compare_studies
+    from ds_analysis.outcomes.study import is_study
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.store.folder_files import make_folder
@@ -214,11 +208,13 @@ def campaign_compare_command(
     if len(candidates) > 1 and (junit or markdown):
         raise ComparisonError("--junit and --markdown are for one candidate: compare them one at a time")
 
+    def written(found: Comparison, label: str) -> tuple[Comparison, Result]:
+        make_folder(page := out / label if label else out)
+        return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
+
     def compared(candidate: str, label: str) -> tuple[Comparison, Result]:
-        if is_study(first) and is_study(candidate):
-            make_folder(page := out / label if label else out)
-            found = compare_studies(Path(first), Path(candidate))
-            return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
+        if is_study(Path(first)) and is_study(Path(candidate)):
+            return written(compare_studies(Path(first), Path(candidate)), label)
         if not is_campaign(candidate):
             candidate = driver_named(candidate, backend, "cpu")
         if is_campaign(first):
@@ -234,8 +230,7 @@ def campaign_compare_command(
             names = simulators_of(sims or SIMULATORS)
             plan = plan_of_networks(first, candidate, names, roads or ROADS, SEED if seed is None else seed)
         make_folder(out)
-        page = out / label if label else out
-        make_folder(page)
+        make_folder(out / label if label else out)
         sets = [
             replace(tests, settings=with_engine_without_ros(tests.settings, workers, engine, cluster))
             for tests in plan.sets
@@ -243,17 +238,17 @@ def campaign_compare_command(
         with stopped_in(out):
             progress = Progress(listen=ScreenListener, say=say)
             if stop_early:
-                if len(sets) > 1 or plan.origin != "random" or is_campaign(first):
+                if is_campaign(first):
                     raise ComparisonError("--stop-early is for two networks, which drive random roads")
                 found = compare_until_sure(
                     sets[0], plan.reference, plan.candidate, source=plan.source, out=out, label=label, progress=progress
                 )
-                return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
-            found = compare(
-                sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out, label=label,
-                progress=progress,
-            )  # fmt: skip
-        return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
+            else:
+                found = compare(
+                    sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out, label=label,
+                    progress=progress,
+                )  # fmt: skip
+        return written(found, label)
 
     if len(candidates) == 1:
         end(compared(candidates[0], "")[1], as_json)

@@ -55,15 +55,18 @@ def run_campaign_goal(job: Job, trusted: Collection[str]) -> None:
     """Run or resume the campaign of a goal of `RunCampaign`, and fill in its result."""
     request = job.goal.request
     config = _config_of(request.config, job.folder, trusted)
-    engine = config.engine if not request.engine else request.engine
-    changed = {"engine": "graph" if engine == "attach" else engine, "workers": request.workers or config.workers}
-    if engine == "attach":
-        changed["workers"] = 1
+    engine = request.engine or config.engine
+    attach = engine == "attach"
+    changed = (
+        {"engine": "graph", "workers": 1}
+        if attach
+        else {"engine": engine, "workers": request.workers or config.workers}
+    )
     found = run_campaign(
         parse_config(config.model_dump() | changed, "the goal", received=True),
         job.folder,
         job.listener,
-        attach=engine == "attach",
+        attach=attach,
         say=job.listener.say,
         stop=job.stop,
     )
