@@ -13,6 +13,7 @@ from pathlib import Path
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "action_msgs", "std_msgs", "std_srvs", "sensor_msgs", "geometry_msgs", "nav_msgs",
     "visualization_msgs", "diagnostic_msgs", "tf2_msgs", "rcl_interfaces", "rosgraph_msgs", "ds_interfaces",
+    "simulation_interfaces",
 }  # fmt: skip
 ROS_FOLDERS = {"ros", "graph"}
 """Folders of a package whose modules may import ROS."""
@@ -21,7 +22,7 @@ FLOORS = (
     {"ds_sim"},
     {"ds_bags", "ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody", "ds_sim_torcs"},
     {"ds_driver", "ds_twin_donkey"},
-    {"ds_orchestrator"},  # searches, drives, remembers, maps
+    {"ds_orchestrator", "ds_sim_ros"},  # searches, drives, remembers, maps; speaks drivers' messages
     {"ds_analysis"},  # reads, never drives
     {"ds_report"},  # shows
     {"ds_studies"},  # drives because an analysis asks for it
@@ -117,7 +118,8 @@ import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.closed_loop
 import ds_orchestrator.campaign.runner, ds_studies.whole_campaign
 import ds_report.html_report, ds_report.build, ds_cli.application
 from ds_sim.registry import SIMULATORS, make_simulator
-for name in SIMULATORS: make_simulator(name)
+import ds_sim_ros.simulator
+for name in set(SIMULATORS) - {{"ros"}}: make_simulator(name)
 app = ds_cli.application.make_app()
 for verb in app.list_commands(None): app.get_command(None, verb)
 """

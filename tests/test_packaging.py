@@ -23,7 +23,9 @@ def distribution_of(package: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_every_manifest_has_the_version_of_the_project() -> None:
     manifests = sorted(ROOT.glob("src/*/package.xml"))
-    assert len(manifests) == len(PYTHON_PACKAGES) + 2  # ds_interfaces and ds_bringup are built by CMake
+    assert (
+        len(manifests) == len(PYTHON_PACKAGES) + 3
+    )  # ds_interfaces, simulation_interfaces and ds_bringup are built by CMake
     versions = {file.parent.name: ElementTree.parse(file).findtext("version") for file in manifests}
     assert versions == dict.fromkeys(versions, VERSION)
 

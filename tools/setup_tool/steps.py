@@ -28,6 +28,7 @@ USED_MODULES = (
     *("ds_sim_bullet.simulator", "ds_sim_panda.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
     *(
         "ds_sim_torcs.simulator",
+        "ds_sim_ros.simulator",
         "ds_studies.whole_campaign",
         "ds_orchestrator.graph.client",
         "ds_analysis.common.heatmap",

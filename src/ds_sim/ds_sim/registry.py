@@ -18,10 +18,13 @@ SIMULATORS = {
     "panda": "ds_sim_panda.simulator:PandaSimulator",
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
     "torcs": "ds_sim_torcs.simulator:TorcsSimulator",
+    "ros": "ds_sim_ros.simulator:RosSimulator",
 }
-"""Name on the command line -> `module:Class`, a class without constructor arguments."""
+"""Name on the command line -> `module:Class`, a class without constructor arguments; `ros` needs a file."""
 STANDARD = ("bullet", "softbody", "panda", "donkey")
 """Simulators that set-up installs; `torcs` needs Debian's TORCS and a build, so nothing takes it unasked."""
+FOREIGN = frozenset({"ros", SIMULATORS["ros"]})
+"""Bases of names whose simulator is another program, which commands reach through ROS."""
 MAX_LABEL_LENGTH = 100
 """Chosen: a bag's name contains two labels and some digits, and a file name has at most 255 bytes."""
 
@@ -57,8 +60,8 @@ class SimulatorName:
 
     @property
     def is_shipped(self) -> bool:
-        """Whether the simulator's code is part of this project, whatever file it is given."""
-        return self.base in SIMULATORS or self.base in SIMULATORS.values()
+        """Whether all of the simulator's code is part of this project, whatever file it is given."""
+        return (self.base in SIMULATORS or self.base in SIMULATORS.values()) and self.base not in FOREIGN
 
     @property
     def could_exist(self) -> bool:
@@ -111,7 +114,8 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
 
     A shipped simulator may be named freely, with a parameter file too: `donkey@FILE` opens one regular file of YAML,
     of bounded size, in which nothing can run. Any other name imports a Python module, which runs its code, so a file
-    alone never decides it: the user repeats exactly that name in an option.
+    alone never decides it: the user repeats exactly that name in an option. The same holds for `ros@FILE`, which
+    commands whatever listens to its topics.
 
     Args:
         name: as the file has it.
@@ -136,6 +140,11 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
     if SimulatorName.parse(name).is_shipped or name in confirmed:
         return name
     shown = repr(name) if len(name) <= MAX_LABEL_LENGTH else f"{name[:MAX_LABEL_LENGTH]!r}..."
+    if SimulatorName.parse(name).base in FOREIGN:
+        raise UntrustedSimulatorError(
+            f"simulator {shown} sends commands to whatever listens to its topics, which a received file must not "
+            f"decide: if you trust it, name it yourself with {option} {shown}"
+        )
     if ":" not in name:
         raise UntrustedSimulatorError(f"unknown simulator {shown}: expected one of {', '.join(SIMULATORS)}")
     raise UntrustedSimulatorError(

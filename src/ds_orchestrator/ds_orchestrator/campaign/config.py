@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from ds_orchestrator.campaign.config_errors import problems, read_keys
+from ds_sim.config_errors import problems, read_keys
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.maps.algebra import operator_of

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, FilePath, ValidationError
 
-from ds_orchestrator.campaign.config_errors import problems, read_keys
+from ds_sim.config_errors import problems, read_keys
 from ds_sim.installation import install_command
 from ds_sim.registry import path_moved
 

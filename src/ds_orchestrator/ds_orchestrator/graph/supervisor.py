@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_driver.processes import ChildProcesses, last_line_of
+from ds_driver.processes import USER_DOMAIN, ChildProcesses, last_line_of
 
 
 class RosMissingError(RuntimeError):
@@ -88,6 +88,7 @@ class Supervisor:
         self._logs = logs
         self._environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain),
+            USER_DOMAIN: os.environ.get(USER_DOMAIN) or os.environ.get("ROS_DOMAIN_ID", ""),
             "OMP_NUM_THREADS": "1",
             "PYTHONUNBUFFERED": "1",
             "RCUTILS_COLORIZED_OUTPUT": "0",

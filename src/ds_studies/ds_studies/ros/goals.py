@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.action.server import ServerGoalHandle
 
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, moved, parse_config
-from ds_orchestrator.campaign.config_errors import read_keys
+from ds_sim.config_errors import read_keys
 from ds_orchestrator.campaign.executor import StopSwitch
 from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests

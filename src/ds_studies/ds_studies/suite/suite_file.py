@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError, moved
-from ds_orchestrator.campaign.config_errors import problems
+from ds_sim.config_errors import problems
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests

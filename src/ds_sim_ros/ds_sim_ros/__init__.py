@@ -1,0 +1,1 @@
+"""Sibling `ros`: any ROS 2 simulator that a YAML file describes, driven through topics and services."""

@@ -1,0 +1,1 @@
+"""The ROS side: a node that drives another simulator."""

@@ -1,0 +1,183 @@
+"""How one frame of 1/20 s passes in another simulator: in lock-step, or in real time.
+
+Both go by the stamps of the messages. Arrival would not do: an image may arrive before the answer of the step that it
+was taken after, and a simulator may publish several messages a frame.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from ds_sim.simulator import FRAME_TIME, SimulatorError
+from ds_sim_ros.ros.inbox import Inbox, Received
+from ds_sim_ros.ros.services import Services
+from ds_sim_ros.settings import StepSettings
+
+FRAME = round(FRAME_TIME * 1e9)
+"""Time of a frame, ns."""
+QUIET = 0.1
+"""Time without a message after which a simulator that stands still has sent all, s; chosen: a hundred times the way of
+a message on one machine."""
+AtStart = Callable[[Any], bool]
+"""Whether an odometry is that of the vehicle at the start."""
+
+
+class _Topics:
+    """The two topics that a frame is made of."""
+
+    def __init__(self, odometry: Inbox, image: Inbox, names: tuple[str, str], timeout: float) -> None:
+        self.inboxes, self._names, self._timeout = (odometry, image), names, timeout
+
+    @property
+    def deadline(self) -> float:
+        return time.monotonic() + self._timeout
+
+    def clear(self) -> None:
+        for inbox in self.inboxes:
+            inbox.clear()
+
+    def newest(self) -> tuple[Received, Received] | None:
+        odometry, image = (inbox.newest for inbox in self.inboxes)
+        return None if odometry is None or image is None else (odometry, image)
+
+    def wait(self, odometry: int, image: int) -> tuple[Received, Received]:
+        """Wait for the first messages with these stamps, ns, or later ones.
+
+        Raises:
+            SimulatorError: one does not come in time.
+        """
+        deadline, found = self.deadline, []
+        for name, inbox, stamp in zip(self._names, self.inboxes, (odometry, image), strict=True):
+            received = inbox.wait(stamp, deadline)
+            if received is None:
+                raise self.missing(f"stamped {stamp / 1e9:.3f} s or later", name)
+            found.append(received)
+        return found[0], found[1]
+
+    def missing(self, what: str, name: str = "") -> SimulatorError:
+        silent = [one for one, inbox in zip(self._names, self.inboxes, strict=True) if inbox.newest is None]
+        name = name or (silent or list(self._names))[0]
+        newest = self.inboxes[self._names.index(name)].newest
+        found = "none came" if newest is None else f"the newest has {newest.stamp / 1e9:.3f} s"
+        return SimulatorError(
+            f"{name}: no message {what} within {self._timeout:g} s, {found}: the simulator hangs, or does not publish "
+            "at the end of each frame of 1/20 s with stamps of simulated time"
+        )
+
+
+class LockStep:
+    """Asks for the steps of each frame, and waits for the messages that are stamped with its end.
+
+    Args:
+        topics: of the simulator.
+        services: of the simulator.
+        settings: of the steps.
+    """
+
+    def __init__(self, topics: _Topics, services: Services, settings: StepSettings) -> None:
+        self._topics, self._services, self._settings = topics, services, settings
+        self._now = 0
+        self._tolerance = round(settings.seconds * 0.5e9)
+
+    def connect(self) -> None:
+        """Step until both topics have been heard, as the first messages to a new subscription may be lost."""
+        deadline = self._topics.deadline
+        while self._topics.newest() is None:
+            if time.monotonic() > deadline:
+                raise self._topics.missing("after a step")
+            self._step(repeatable=True)
+            time.sleep(QUIET)
+
+    def begin(self, at_start: AtStart) -> tuple[Received, Received]:
+        """Pass one frame at rest, as a simulator that is reset may publish nothing before it.
+
+        Returns:
+            Odometry and image of the vehicle at the start, or the newest ones if it does not get there in time.
+        """
+        time.sleep(QUIET)  # what was sent before the reset arrives, and is forgotten
+        self._topics.clear()
+        self._step()
+        deadline, newest = self._topics.deadline, None
+        while time.monotonic() < deadline:
+            time.sleep(QUIET / 4)
+            newest = self._topics.newest()
+            if newest is not None and self._is_settled(*newest) and at_start(newest[0].message):
+                break
+        if newest is None:
+            raise self._topics.missing("after a step")
+        self._now = newest[0].stamp
+        return newest
+
+    def advance(self) -> tuple[Received, Received]:
+        """Pass one frame with the command that was sent; returns the odometry and the image of its end."""
+        self._step()
+        self._now += FRAME
+        earliest = self._now - self._tolerance
+        odometry, image = self._topics.wait(earliest, earliest)
+        if max(odometry.stamp, image.stamp) > self._now + self._tolerance:
+            raise SimulatorError(
+                f"after steps of {FRAME_TIME:g} s together a message is stamped "
+                f"{(max(odometry.stamp, image.stamp) - self._now) / 1e9:.3f} s too late: pause the simulator, or correct "
+                "time.seconds"
+            )
+        return odometry, image
+
+    def _step(self, *, repeatable: bool = False) -> None:
+        request = {"simulation_interfaces/srv/StepSimulation": {"steps": self._settings.per_frame}}
+        self._services.call(self._settings.step, request, repeatable=repeatable)
+
+    def _is_settled(self, odometry: Received, image: Received) -> bool:
+        quiet = time.monotonic() - max(odometry.arrived, image.arrived) >= QUIET
+        return quiet and abs(odometry.stamp - image.stamp) <= self._tolerance
+
+
+class RealTime:
+    """Lets time pass; a frame ends with the first odometry 1/20 s after the frame before, by its stamp.
+
+    Attributes:
+        latency: largest time by which a frame came later, and by which its image was older than its odometry, s.
+    """
+
+    def __init__(self, topics: _Topics) -> None:
+        self._topics = topics
+        self._last: tuple[Received, Received] | None = None
+        self.latency = (0.0, 0.0)
+
+    def connect(self) -> None:
+        """Do nothing: what is lost comes again."""
+
+    def begin(self, at_start: AtStart) -> tuple[Received, Received]:
+        """Wait until the vehicle stands at the start; see `LockStep.begin`."""
+        self._topics.clear()
+        deadline, newest = self._topics.deadline, None
+        while time.monotonic() < deadline:
+            time.sleep(FRAME_TIME / 10)
+            newest = self._topics.newest()
+            if newest is not None and at_start(newest[0].message):
+                break
+        if newest is None:
+            raise self._topics.missing("after the reset")
+        self._last, self.latency = newest, (0.0, 0.0)
+        return newest
+
+    def advance(self) -> tuple[Received, Received]:
+        """Wait for the end of the frame; see `LockStep.advance`."""
+        assert self._last is not None
+        due = self._last[0].stamp + FRAME
+        self._topics.wait(due, self._last[1].stamp + 1)
+        newest = self._topics.newest()
+        assert newest is not None
+        late, age = (newest[0].stamp - due) / 1e9, (newest[0].stamp - newest[1].stamp) / 1e9
+        self.latency = max(self.latency[0], late), max(self.latency[1], age)
+        self._last = newest
+        return newest
+
+
+def make_clock(
+    odometry: Inbox, image: Inbox, names: tuple[str, str], timeout: float, services: Services, step: StepSettings | None
+) -> LockStep | RealTime:
+    """Make the clock of a simulator; real time without `step`."""
+    topics = _Topics(odometry, image, names, timeout)
+    return RealTime(topics) if step is None else LockStep(topics, services, step)

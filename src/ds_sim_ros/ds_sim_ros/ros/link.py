@@ -1,0 +1,250 @@
+"""Connection to another simulator: a node of its own, the command, the road, the reset, and the frames."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from ds_interfaces.msg import DriveCommand
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+
+from ds_driver.control.bicycle import Geometry
+from ds_driver.control.other_stacks import KINDS, Motion, set_part
+from ds_driver.processes import USER_DOMAIN
+from ds_driver.ros.command_publisher import message_type
+from ds_road import Road
+from ds_sim.ros.conversions import road_to_message
+from ds_sim.ros.node_thread import NodeThread
+from ds_sim.ros.runtime import init_ros
+from ds_sim.simulator import Command, SimulatorError
+from ds_sim_ros.roads import write_road
+from ds_sim_ros.ros.clocks import AtStart, make_clock
+from ds_sim_ros.ros.inbox import MOST, Inbox, Received
+from ds_sim_ros.ros.services import POLL, Services
+from ds_sim_ros.settings import RosSettings
+
+TRIGGER = "std_srvs/srv/Trigger"
+
+
+class Link:
+    """Drives one simulator; where it fails, close it and make another.
+
+    Args:
+        settings: description of the simulator.
+        folder: folder of the description, for its relative paths.
+
+    Raises:
+        SimulatorError: a topic of the simulator is missing.
+    """
+
+    def __init__(self, settings: RosSettings, folder: Path) -> None:
+        self._settings, self._folder = settings, folder
+        domain = settings.domain if settings.domain is not None else _user_domain()
+        self._claim = _Claim(f"{domain}_{settings.command.topic.strip('/').replace('/', '.')}")
+        self._context = Context()
+        init_ros(context=self._context, args=[], domain_id=domain)
+        self._node = Node(f"digital_siblings_{os.getpid()}", context=self._context, start_parameter_services=False)
+        self._thread = NodeThread(self._node)
+        try:
+            self._connect()
+        except BaseException:
+            self.close()
+            raise
+
+    def _connect(self) -> None:
+        settings = self._settings
+        self._command = _CommandTopic(self._node, settings)
+        odometry, image = Inbox(), Inbox()
+        self._wait_until(lambda: self._command.is_heard, f"nothing subscribes to {self._command.text}")
+        self._subscribe(settings.odometry, Odometry, odometry)
+        self._subscribe(settings.image, Image, image)
+        self._services = Services(self._node, self._thread, settings.timeout)
+        names = (settings.odometry, settings.image)
+        self._clock = make_clock(odometry, image, names, settings.timeout, self._services, settings.time)
+        self._fresh = True
+
+    @property
+    def latency(self) -> tuple[float, float] | None:
+        """See `RealTime.latency`; None in lock-step."""
+        return getattr(self._clock, "latency", None)
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether one node alone publishes each topic; a simulator that was killed stays in the graph for 20 s."""
+        return all(self._publishers(topic) == 1 for topic in (self._settings.odometry, self._settings.image))
+
+    def begin(self, road: Road, seed: int, at_start: AtStart) -> tuple[Received, Received]:
+        """Load a road and put the vehicle at rest at its start; returns odometry and image.
+
+        Raises:
+            SimulatorError: another run has the simulator, or it does not work within the limits.
+        """
+        self._claim.take()
+        self._load(road, seed)
+        if self._fresh:
+            self._clock.connect()
+            self._check_alone()
+            self._load(road, seed)
+            self._fresh = False
+        return self._clock.begin(at_start)
+
+    def advance(self, command: Command, speed: float) -> tuple[Received, Received]:
+        """Send a command, pass one frame, and return the odometry and the image of its end.
+
+        Args:
+            command: of the driver.
+            speed: that its throttle asks for, m/s, for messages that carry a speed.
+
+        Raises:
+            SimulatorError: the simulator does not do it within the limits.
+        """
+        self._command.send(command, speed)
+        return self._clock.advance()
+
+    def release(self) -> None:
+        """End the run: ask the vehicle to stop, as time may go on there, and let other runs have it."""
+        if self._claim.is_held:
+            self._command.publish(Command(0.0, 0.0), 0.0)
+            self._claim.release()
+
+    def close(self) -> None:
+        """Leave the ROS graph."""
+        self._claim.release()
+        if self._thread.end():
+            self._node.destroy_node()
+            self._context.try_shutdown()
+
+    def _check_alone(self) -> None:
+        for topic in (self._settings.odometry, self._settings.image):
+            if (number := self._publishers(topic)) > 1:
+                raise SimulatorError(f"{number} nodes publish {topic}: stop all simulators but one")
+
+    def _publishers(self, topic: str) -> int:
+        return int(self._node.count_publishers(self._node.resolve_topic_name(topic)))
+
+    def _load(self, road: Road, seed: int) -> None:
+        settings, way = self._settings, self._settings.road
+        self._command.send(Command(0.0, 0.0), 0.0)
+        if way.service is not None:
+            fields = {"road": road_to_message(road), "seed": seed}
+            self._services.call(way.service, {"ds_interfaces/srv/LoadRoad": fields})
+        if way.file is not None and way.reload is not None:
+            write_road(road, self._folder / way.file)
+            self._services.call(way.reload, {TRIGGER: {}})
+        if settings.reset is not None:
+            self._services.call(settings.reset, {TRIGGER: {}, "simulation_interfaces/srv/ResetSimulation": {}})
+
+    def _subscribe(self, topic: str, kind: Any, inbox: Inbox) -> None:
+        full, name = self._node.resolve_topic_name(topic), _name_of(kind)
+        found = self._node.get_publishers_info_by_topic
+        self._wait_until(
+            lambda: any(one.topic_type == name for one in found(full)), f"nothing publishes {name} on {full}"
+        )
+        # Decided by the publishers that are there now: reliable where they are, so that no image is lost.
+        profile = QoSProfile(depth=MOST, reliability=ReliabilityPolicy.BEST_AVAILABLE)
+        self._node.create_subscription(kind, topic, inbox.put, profile)
+
+    def _wait_until(self, holds: Callable[[], bool], problem: str) -> None:
+        deadline = time.monotonic() + self._settings.timeout
+        while not holds():
+            if time.monotonic() > deadline:
+                raise SimulatorError(
+                    f"{problem} after {self._settings.timeout:g} s: start the simulator in this ROS domain "
+                    f"({self._context.get_domain_id()}), or correct its file"
+                )
+            self._thread.pause(POLL)
+
+
+class _CommandTopic:
+    """Publishes commands as the message that the simulator knows."""
+
+    def __init__(self, node: Node, settings: RosSettings) -> None:
+        self._node, command, vehicle = node, settings.command, settings.vehicle
+        self._timeout = settings.timeout
+        self._geometry = Geometry(vehicle.wheelbase, vehicle.max_steering_angle)
+        self._kind = KINDS.get(command.type)
+        try:
+            self._type = DriveCommand if self._kind is None else message_type(self._kind)
+        except ValueError as error:
+            raise SimulatorError(f"command.type {command.type}: {error}") from None
+        # Reliable and acknowledged before each step, or a command might reach a simulator after its step.
+        self._publisher = node.create_publisher(self._type, command.topic, 1)
+        self.text = f"{node.resolve_topic_name(command.topic)} as {_name_of(self._type)}"
+
+    @property
+    def is_heard(self) -> bool:
+        return bool(self._publisher.get_subscription_count() > 0)
+
+    def send(self, command: Command, speed: float) -> None:
+        self.publish(command, speed)
+        if not self._publisher.wait_for_all_acked(Duration(seconds=self._timeout)):
+            raise SimulatorError(f"no command was taken from {self.text} within {self._timeout:g} s: it hangs")
+
+    def publish(self, command: Command, speed: float) -> None:
+        self._publisher.publish(self._message(command, speed))
+
+    def _message(self, command: Command, speed: float) -> Any:
+        message = self._type()
+        if self._kind is None:
+            message.steering, message.throttle = command.steering, command.throttle
+            return message
+        throttle = command.throttle if self._kind.needs_throttle else None
+        motion = Motion(command.steering, speed=speed if throttle is None else None, throttle=throttle)
+        self._kind.fill(message, motion, self._geometry)
+        if self._kind.stamp:
+            set_part(message, self._kind.stamp, self._now())
+        return message
+
+    def _now(self) -> Time:
+        return self._node.get_clock().now().to_msg()
+
+
+def _name_of(kind: Any) -> str:
+    """Name of a message's type, such as `sensor_msgs/msg/Image`."""
+    package, folder, *_ = kind.__module__.split(".")
+    return f"{package}/{folder}/{kind.__name__}"
+
+
+def _user_domain() -> int:
+    return int(os.environ.get(USER_DOMAIN) or os.environ.get("ROS_DOMAIN_ID") or 0)
+
+
+class _Claim:
+    """Keeps two runs from driving one vehicle at a time, in whatever processes of this user."""
+
+    def __init__(self, name: str) -> None:
+        self._path = Path(tempfile.gettempdir()) / f"ds_ros_simulator_{os.getuid()}_{name}.lock"
+        self._file = -1
+
+    @property
+    def is_held(self) -> bool:
+        return self._file >= 0
+
+    def take(self) -> None:
+        if self.is_held:
+            return
+        file = os.open(self._path, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(file)
+            raise SimulatorError(
+                "another run drives this simulator, which has one vehicle: drive one road at a time (--workers 1)"
+            ) from None
+        self._file = file
+
+    def release(self) -> None:
+        if self.is_held:
+            os.close(self._file)
+            self._file = -1

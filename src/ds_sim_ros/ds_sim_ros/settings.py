@@ -1,0 +1,220 @@
+"""The file that describes another ROS 2 simulator: its keys, and errors in one line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from ds_driver.networks.images import Crop
+from ds_sim.config_errors import problems, read_keys
+from ds_sim.simulator import FRAME_TIME
+
+REALTIME = "realtime"
+ROAD_FILES = (".json", ".csv")
+"""Suffixes of a road that is written or read as a file."""
+_NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+
+
+class RosSettingsError(ValueError):
+    """The description of a simulator cannot be used; one line says why."""
+
+
+def _ros_name(text: str) -> str:
+    if not _NAME.fullmatch(text):
+        raise ValueError(f"{text!r} is no name of a topic or service, expected one such as /camera/image")
+    return text
+
+
+def _file_name(text: str) -> str:
+    if Path(text).suffix not in ROAD_FILES or "\0" in text:
+        raise ValueError(f"{text!r}: expected a file that ends in {' or '.join(ROAD_FILES)}")
+    return text
+
+
+def _stepped(value: Any) -> Any:
+    """Replace the word for real time by None, so that errors in the keys of the other form name one form only."""
+    if value == REALTIME:
+        return None
+    if not isinstance(value, dict):
+        raise ValueError(f"expected {REALTIME}, or the keys step and seconds")
+    return value
+
+
+RosName = Annotated[str, AfterValidator(_ros_name)]
+FileName = Annotated[str, AfterValidator(_file_name)]
+Length = Annotated[float, Field(gt=0.0, le=100.0)]
+Angle = Annotated[float, Field(gt=0.0, lt=1.5)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class VehicleSettings(_Strict):
+    """The vehicle.
+
+    Attributes:
+        length: m.
+        width: m.
+        wheelbase: m.
+        max_steering_angle: angle of the front wheels at |steering| = 1, rad.
+        centre_ahead: distance from the point whose pose the odometry gives to the vehicle's centre, m, ahead positive.
+    """
+
+    length: Length
+    width: Length
+    wheelbase: Length
+    max_steering_angle: Angle
+    centre_ahead: Finite = 0.0
+
+
+class CommandSettings(_Strict):
+    """How the vehicle is commanded.
+
+    Attributes:
+        topic: topic of the commands.
+        type: this project's message, or a key of `ds_driver.control.other_stacks.KINDS`.
+        acceleration: of `ds_sim_ros.speed_law`, m/s^2; chosen as in `examples/bicycle.py`, a small car.
+        drag: of `ds_sim_ros.speed_law`, 1/s; chosen there, too: a top speed of 36 km/h.
+    """
+
+    topic: RosName
+    type: Literal["twist", "twist_stamped", "ackermann", "servo", "autoware", "drive_command"]
+    acceleration: Annotated[float, Field(gt=0.0, le=100.0)] = 3.0
+    drag: Annotated[float, Field(gt=0.0, le=10.0)] = 0.3
+
+
+class RoadSettings(_Strict):
+    """How a road gets into the simulator: by a service, by a file, or not at all because the track is fixed.
+
+    Attributes:
+        service: name of a service of the type ds_interfaces/srv/LoadRoad.
+        file: file that is written before `reload` is called, relative to the description's folder.
+        reload: name of a service of the type std_srvs/srv/Trigger.
+        centre_line: file with the track, relative to the description's folder.
+        lane_width: width of each lane of the track of a CSV file, m.
+    """
+
+    service: RosName | None = None
+    file: FileName | None = None
+    reload: RosName | None = None
+    centre_line: FileName | None = None
+    lane_width: Annotated[float, Field(ge=1.0, le=20.0)] = 4.0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> RoadSettings:
+        if (self.file is None) != (self.reload is None):
+            raise ValueError("file and reload belong together: give both, or neither")
+        if [self.service, self.file, self.centre_line].count(None) != 2:
+            raise ValueError("expected exactly one of service, file with reload, and centre_line")
+        return self
+
+
+class StepSettings(_Strict):
+    """Lock-step by the standard's service.
+
+    Attributes:
+        step: name of a service of the type simulation_interfaces/srv/StepSimulation.
+        seconds: simulated time of one step, s.
+    """
+
+    step: RosName
+    seconds: Annotated[float, Field(gt=0.0, le=FRAME_TIME)]
+
+    @model_validator(mode="after")
+    def _fills_a_frame(self) -> StepSettings:
+        if abs(self.per_frame * self.seconds - FRAME_TIME) > 1e-9:
+            raise ValueError(f"seconds is {self.seconds:g}: no whole number of steps makes a frame of {FRAME_TIME:g} s")
+        return self
+
+    @property
+    def per_frame(self) -> int:
+        """Steps in a frame."""
+        return round(FRAME_TIME / self.seconds)
+
+
+class OriginSettings(_Strict):
+    """Pose of the road frame in the odometry's frame; m, rad."""
+
+    x: Finite = 0.0
+    y: Finite = 0.0
+    yaw: Finite = 0.0
+
+
+class CameraSettings(_Strict):
+    """Geometry of the camera, where it is known; see `ds_sim.camera.spec.CameraSpec`. Chosen: a compact car's."""
+
+    horizontal_fov: Annotated[float, Field(gt=0.0, lt=3.0)] = 1.6
+    height: Length = 1.2
+    forward: Finite = 0.0
+    pitch: Finite = 0.1
+
+
+class AutopilotSettings(_Strict):
+    """Gains of the autopilot; see `ds_sim.simulator.AutopilotGains`. Chosen: those of the twin."""
+
+    proportional: Finite = 0.4
+    derivative: Finite = 0.0
+    integral: Finite = 0.0
+    preview_distance: Annotated[float, Field(ge=0.0, le=20.0)] = 4.0
+
+
+class RosSettings(_Strict):
+    """Description of a simulator.
+
+    Attributes:
+        name: short name.
+        vehicle: the vehicle.
+        image: topic of the type sensor_msgs/msg/Image.
+        odometry: topic of the type nav_msgs/msg/Odometry.
+        origin: pose of the road frame in the frame of the odometry's pose.
+        command: how it is commanded.
+        road: how it gets its road.
+        reset: service that puts the vehicle to the start, of the type std_srvs/srv/Trigger or
+            simulation_interfaces/srv/ResetSimulation; None if loading the road does that.
+        time: steps; None for real time.
+        timeout: limit of each wait, s.
+        domain: ROS domain of the simulator; None for the user's.
+        camera: geometry of the camera; None if it is not known.
+        crop_top: image rows at the top, of 160, that a network does not see.
+        crop_bottom: image rows at the bottom.
+        autopilot: its gains.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]{0,49}$")]
+    vehicle: VehicleSettings
+    image: RosName
+    odometry: RosName
+    origin: OriginSettings = OriginSettings()
+    command: CommandSettings
+    road: RoadSettings
+    reset: RosName | None = None
+    time: Annotated[StepSettings | None, BeforeValidator(_stepped)]
+    timeout: Annotated[float, Field(ge=0.1, le=600.0)] = 5.0
+    domain: Annotated[int, Field(ge=0, le=232)] | None = None
+    camera: CameraSettings | None = None
+    crop_top: Annotated[int, Field(ge=0)] = 60
+    crop_bottom: Annotated[int, Field(ge=0)] = 0
+    autopilot: AutopilotSettings = AutopilotSettings()
+
+    @model_validator(mode="after")
+    def _leaves_something_to_see(self) -> RosSettings:
+        Crop(self.crop_top, self.crop_bottom)
+        return self
+
+
+def read_settings(path: Path) -> RosSettings:
+    """Read and check a description.
+
+    Raises:
+        RosSettingsError: in one line, the file, the key, and what was expected.
+    """
+    raw = read_keys(path, RosSettingsError)
+    try:
+        return RosSettings.model_validate(raw)
+    except ValidationError as error:
+        raise RosSettingsError(f"{path}: {problems(error, RosSettings)}") from None

@@ -1,0 +1,259 @@
+"""Any ROS 2 simulator as a sibling: what it shows and where its vehicle is come through topics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road import Road
+from ds_sim.camera.look import Look
+from ds_sim.camera.spec import CameraSpec
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.parts import check_rows
+from ds_sim.registry import UnknownSimulatorError
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, SimulatorError, SimulatorSpec, VehicleState
+from ds_sim_ros.readings import OdometryReader, image_of
+from ds_sim_ros.roads import check_is_track, read_track, start_of
+from ds_sim_ros.settings import CameraSettings, RosSettings, read_settings
+from ds_sim_ros.speed_law import SpeedLaw
+
+if TYPE_CHECKING:
+    from ds_sim_ros.ros.link import Link
+
+Answer = TypeVar("Answer")
+START_DISTANCE = 0.5
+"""Largest distance of a vehicle from the start of its lane, m; chosen: it still begins well inside the lane."""
+START_ANGLE = 0.2
+"""Largest angle between the vehicle and its lane at the start, rad; chosen: more than a simulator's settling."""
+START_SPEED = 0.1
+"""Largest speed at the start, m/s; chosen: a body that settles on its springs counts as at rest."""
+LOOK = Look(asphalt=(90, 90, 90), grass=(90, 120, 70))
+"""Stands for a look that is not known; nothing is painted with it."""
+NOT_REPEATABLE = "real time: runs are not deterministic"
+
+
+class RosWorld:
+    """Vehicle and scene of another simulator: `ds_sim.parts.Vehicle` and `ds_sim.parts.Scene` on one connection.
+
+    Args:
+        settings: description of the simulator.
+        camera: of the images.
+        folder: folder of the description.
+    """
+
+    def __init__(self, settings: RosSettings, camera: CameraSpec, folder: Path) -> None:
+        self._settings, self._camera, self._folder = settings, camera, folder
+        way, command = settings.road, settings.command
+        self._track = read_track(folder / way.centre_line, way.lane_width) if way.centre_line else None
+        self._law = SpeedLaw(command.acceleration, command.drag)
+        self._reader = OdometryReader(settings)
+        self._link: Link | None = None
+        self._request: tuple[Road, int] | None = None
+        self._state: VehicleState | None = None
+        self._rows = self._rows_of_run = (0, camera.height_px)
+        self.latency: tuple[float, float] | None = None
+
+    def choose(self, road: Road, seed: int) -> None:
+        """Set road and seed of the next run.
+
+        Raises:
+            ds_road.RoadError: the track is fixed, and the road is another one.
+        """
+        if self._track is not None:
+            check_is_track(road, self._track, self._settings.name)
+        self._request = road, seed
+
+    def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
+        """Load the chosen road there, with the vehicle at rest at its start; see `Vehicle.reset`."""
+        if self._request is None:
+            raise SimulatorError(f"{self._settings.name}: no road is chosen: load one")
+        self._law.reset()
+        road, seed = self._request
+        if self._link is not None and not self._link.is_alone:
+            self.close()  # the simulator was started anew, which a new connection sees without the old one
+        self._ask(lambda link: self._begin(link, road, seed))
+
+    def advance(self, command: Command) -> None:
+        """Pass one frame there; see `Vehicle.advance`."""
+        speed = self._law.advance(command.throttle)
+        self._ask(lambda link: self._take(link.advance(command, speed), command.steering))
+
+    def state(self) -> VehicleState:
+        """State at the end of the last frame.
+
+        Raises:
+            SimulatorError: no road is loaded.
+        """
+        if self._state is None:
+            raise SimulatorError(f"{self._settings.name}: no road is loaded: load one first")
+        return self._state
+
+    def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
+        """Do nothing but note the rows to draw: `reset` has loaded the road."""
+        self._rows_of_run = self._rows
+
+    def image(self, state: VehicleState) -> NDArray[np.uint8]:
+        """Image at the end of the last frame, of which rows that are not asked for are zero."""
+        top, bottom = self._rows_of_run
+        if (top, bottom) == (0, self._camera.height_px):
+            return self._image
+        part = np.zeros_like(self._image)
+        part[top:bottom] = self._image[top:bottom]
+        part.setflags(write=False)
+        return part
+
+    def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
+        """Whole image at the end of the last frame; the camera of another simulator cannot be put anywhere else.
+
+        Raises:
+            SimulatorError: the pose is another one.
+        """
+        if state != self._state:
+            raise SimulatorError(f"{self._settings.name} shows only what its vehicle sees now: drive there")
+        return self._image
+
+    def draw_rows(self, top: int, bottom: int) -> None:
+        """Hand on only some rows of the runs to come; see `Scene.draw_rows`."""
+        check_rows(top, bottom, self._camera)
+        self._rows = top, bottom
+
+    def release(self) -> None:
+        """Let other runs have the simulator."""
+        if self._link is not None:
+            self._link.release()
+
+    def close(self) -> None:
+        """End the connection; `reset` makes a new one."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.release()
+            link.close()
+
+    def _ask(self, act: Callable[[Link], Answer]) -> Answer:
+        """Use the connection; one that failed is not used again, as its simulator may be another when it comes back."""
+        if self._link is None:
+            from ds_sim_ros.ros.link import Link  # needs ROS
+
+            self._link = self._named(lambda: Link(self._settings, self._folder))
+        link = self._link
+        try:
+            return self._named(lambda: act(link))
+        except SimulatorError:
+            self.close()
+            raise
+
+    def _named(self, act: Callable[[], Answer]) -> Answer:
+        try:
+            return act()
+        except SimulatorError as error:
+            raise SimulatorError(f"{self._settings.name}: {error}") from None
+
+    def _begin(self, link: Link, road: Road, seed: int) -> None:
+        x, y, yaw = start_of(road)
+
+        def at_start(message: Any) -> bool:
+            self._reader.begin(message, yaw)
+            return _is_at_rest(self._reader.state(message, 0.0), x, y, yaw)
+
+        received = link.begin(road, seed, at_start)
+        self._reader.begin(received[0].message, yaw)
+        self._take(received, 0.0)
+        state = self.state()
+        if not _is_at_rest(state, x, y, yaw):
+            raise SimulatorError(
+                f"the run begins at x {state.x:.2f}, y {state.y:.2f}, yaw {state.yaw:.2f} with {state.speed:.2f} m/s, "
+                f"expected x {x:.2f}, y {y:.2f}, yaw {yaw:.2f} at rest: put the vehicle there, or correct origin"
+            )
+
+    def _take(self, received: tuple[Any, Any], steering: float) -> None:
+        odometry, image = received
+        self._state = self._reader.state(odometry.message, steering)
+        self._image = image_of(image.message, self._settings.image)
+        assert self._link is not None
+        self.latency = self._link.latency
+
+
+def _is_at_rest(state: VehicleState, x: float, y: float, yaw: float) -> bool:
+    near = math.hypot(state.x - x, state.y - y) <= START_DISTANCE and abs(state.yaw - yaw) <= START_ANGLE
+    return near and math.hypot(state.speed, state.lateral_speed) <= START_SPEED
+
+
+class RosSimulator(RoadSimulator):
+    """Simulator that a file describes; it is looked for when the first road is loaded.
+
+    Args:
+        settings: description of the simulator.
+        folder: folder for the relative paths in it.
+
+    Raises:
+        UnknownSimulatorError: no description is given.
+    """
+
+    def __init__(self, settings: RosSettings | None = None, folder: Path = Path()) -> None:
+        if settings is None:
+            raise UnknownSimulatorError("simulator 'ros' needs a file that describes it: ros@my_sim.yaml")
+        geometry = settings.camera or CameraSettings()
+        camera = CameraSpec(**geometry.model_dump())
+        gains = settings.autopilot.model_dump()
+        spec = SimulatorSpec(
+            name=settings.name,
+            physics="another simulator's, driven through ROS 2",
+            vehicle_length=settings.vehicle.length,
+            vehicle_width=settings.vehicle.width,
+            wheelbase=settings.vehicle.wheelbase,
+            max_steering_angle=settings.vehicle.max_steering_angle,
+            camera=camera,
+            look=LOOK,
+            crop_top=settings.crop_top,
+            crop_bottom=settings.crop_bottom,
+            preview_distance=gains.pop("preview_distance"),
+            autopilot=AutopilotGains(**gains),
+            extra={
+                "time": NOT_REPEATABLE if settings.time is None else f"lock-step of {settings.time.per_frame} steps",
+                "camera": "geometry unknown" if settings.camera is None else "geometry as the file has it",
+            },
+        )
+        self._world = RosWorld(settings, camera, folder)
+        super().__init__(spec, self._world, scene=self._world)
+
+    @classmethod
+    def from_file(cls, path: Path) -> RosSimulator:
+        """Make the simulator that a file describes.
+
+        Raises:
+            ds_sim_ros.settings.RosSettingsError: the file, or one that it names, cannot be used.
+        """
+        return cls(read_settings(path), path.parent)
+
+    @property
+    def spec(self) -> SimulatorSpec:
+        """Description of this simulator; in real time with the largest latencies of the last run."""
+        spec, latency = super().spec, self._world.latency
+        if latency is None:
+            return spec
+        late, age = (f"{1000 * seconds:.0f} ms" for seconds in latency)
+        return replace(spec, extra=spec.extra | {"latency": f"frames up to {late} late, images up to {age} old"})
+
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
+        """Load a road there; see `Simulator.load`."""
+        self._world.choose(road, seed)
+        return super().load(road, seed=seed, conditions=conditions)
+
+    def step(self, command: Command) -> Observation:
+        """Advance by one step; see `Simulator.step`."""
+        observation = super().step(command)
+        if observation.outcome is not Outcome.RUNNING:
+            self._world.release()
+        return observation
+
+    def unload(self) -> None:
+        """Forget the road once its run has ended, and let other runs have the simulator."""
+        super().unload()
+        self._world.release()
