@@ -273,6 +273,15 @@ def test_only_what_a_change_touches_is_built_again(
     assert {name for name in after if after[name] != before[name]} == changed
 
 
+def test_an_installed_standard_package_is_preferred(tmp_path: Path) -> None:
+    assert "simulation_interfaces" in workspace.packages(REPOSITORY / "src", tmp_path)
+    index = tmp_path / "share/ament_index/resource_index/packages"
+    index.mkdir(parents=True)
+    (index / "simulation_interfaces").touch()
+    missing = workspace.packages(REPOSITORY / "src").keys() - workspace.packages(REPOSITORY / "src", tmp_path).keys()
+    assert missing == {"simulation_interfaces"}
+
+
 def test_every_requirement_is_pinned_and_none_twice_in_a_file() -> None:
     pinned: dict[str, str] = {}
     for file in sorted((REPOSITORY / "requirements").glob("*.txt")):

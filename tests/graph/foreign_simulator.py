@@ -1,13 +1,12 @@
 """A simulator that knows nothing of this project but its messages: a bicycle with a speed lag, and a plain camera.
 
-`--faulty` makes it misbehave once, `--realtime` lets its time pass by itself.
+`--fault` makes it misbehave after a second, `--realtime` lets its time pass by itself.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import time
 from contextlib import suppress
 
 import numpy as np
@@ -147,7 +146,8 @@ class Simulator(Node):
     def tick(self) -> None:
         self.car.advance(*self.asked)
         self.ticks += 1
-        stamp = rclpy.time.Time(nanoseconds=round(self.ticks * STEP * 1e9)).to_msg()
+        now = 0 if self.fault == "stamps" else round(self.ticks * STEP * 1e9)
+        stamp = rclpy.time.Time(nanoseconds=now).to_msg()
         self.odometry.publish(self.pose(stamp))
         if self.ticks % FRAME == 0:
             self.images.publish(self.picture(stamp))
@@ -169,8 +169,6 @@ class Simulator(Node):
         message = Image(height=ROWS, width=COLUMNS, encoding="rgb8", step=3 * COLUMNS)
         if self.fault == "encoding" and self.ticks > 100:
             message.encoding = "32FC1"
-        if self.fault == "hang" and self.ticks > 100:
-            time.sleep(3600.0)
         message.header.stamp = stamp
         message.data = pixels.tobytes()
         return message

@@ -324,7 +324,7 @@ class Setup:
 
     def _package_inputs(self) -> dict[str, str]:
         base = [step.inputs for step in self._steps() if step.name in ("environment", "build", "ros", "prefix")]
-        return {name: digest([*base, own]) for name, own in workspace.packages(self.root / "src").items()}
+        return {name: digest([*base, own]) for name, own in workspace.packages(self.root / "src", self._prefix).items()}
 
     def _build_workspace(self) -> None:
         inputs = self._package_inputs()

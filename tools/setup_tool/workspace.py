@@ -18,15 +18,22 @@ _PATH_LISTS = (
 )
 _DISCOVERY_HOOK = "ds_bringup/share/ds_bringup/environment/one_machine.sh"
 """Set-up file of ds_bringup that selects the discovery profile, below the workspace's install folder."""
+_STANDARD = ("simulation_interfaces",)
+"""Packages of which this workspace has the part that it uses; an installed one is whole, and preferred."""
 _CHOSEN_BY_HOOK = ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
-def packages(source: Path) -> dict[str, str]:
+def packages(source: Path, prefix: Path | None = None) -> dict[str, str]:
     """Map package -> hash of the files whose change requires a rebuild.
 
     Python modules are linked, not copied, and need no rebuild.
+
+    Args:
+        source: folder of the packages.
+        prefix: folder of the installed ROS 2 below the workspace; None for wheels, which have no standard packages.
     """
-    return {manifest.parent.name: digest(_inputs(manifest.parent)) for manifest in sorted(source.glob("*/package.xml"))}
+    folders = [manifest.parent for manifest in sorted(source.glob("*/package.xml"))]
+    return {folder.name: digest(_inputs(folder)) for folder in folders if not _is_installed(folder.name, prefix)}
 
 
 def remove_build(workspace: Path, package: str) -> None:
@@ -65,6 +72,11 @@ def write_environment_file(environment: Path, workspace: Path, *, has_wheels: bo
     new = target.with_suffix(".new")
     new.write_text("\n".join(lines) + "\n")
     os.replace(new, target)
+
+
+def _is_installed(package: str, prefix: Path | None) -> bool:
+    index = "share/ament_index/resource_index/packages"
+    return prefix is not None and package in _STANDARD and (prefix / index / package).is_file()
 
 
 def _exports(variables: Mapping[str, str]) -> Iterator[str]:

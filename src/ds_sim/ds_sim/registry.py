@@ -61,7 +61,12 @@ class SimulatorName:
     @property
     def is_shipped(self) -> bool:
         """Whether all of the simulator's code is part of this project, whatever file it is given."""
-        return (self.base in SIMULATORS or self.base in SIMULATORS.values()) and self.base not in FOREIGN
+        return (self.base in SIMULATORS or self.base in SIMULATORS.values()) and not self.is_foreign
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether the simulator is another program, which has one vehicle however often it is made here."""
+        return self.base in FOREIGN
 
     @property
     def could_exist(self) -> bool:
@@ -140,7 +145,7 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
     if SimulatorName.parse(name).is_shipped or name in confirmed:
         return name
     shown = repr(name) if len(name) <= MAX_LABEL_LENGTH else f"{name[:MAX_LABEL_LENGTH]!r}..."
-    if SimulatorName.parse(name).base in FOREIGN:
+    if SimulatorName.parse(name).is_foreign:
         raise UntrustedSimulatorError(
             f"simulator {shown} sends commands to whatever listens to its topics, which a received file must not "
             f"decide: if you trust it, name it yourself with {option} {shown}"

@@ -17,7 +17,6 @@ from pydantic import (
     model_validator,
 )
 
-from ds_sim.config_errors import problems, read_keys
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.maps.algebra import operator_of
@@ -27,6 +26,7 @@ from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, VISIBLE_
 from ds_road import Side
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.config_errors import problems, read_keys
 from ds_sim.extension import confirm, is_extension
 from ds_sim.registry import SIMULATORS, SimulatorName
 

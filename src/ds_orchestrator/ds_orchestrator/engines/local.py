@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import threading
+from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.campaign.engine import Watch
+from ds_sim.registry import SimulatorName
 from ds_sim.session import RunRecord
 
 DRIVES_PER_WORKER = 4
@@ -28,6 +30,7 @@ class LocalEngine:
         self._busy = dict.fromkeys(workers, 0)
         self._drives_each = drives_each
         self._changed = threading.Condition()
+        self._vehicles: dict[str, AbstractContextManager[object]] = defaultdict(threading.Lock)
 
     @property
     def capacity(self) -> int | None:
@@ -35,11 +38,16 @@ class LocalEngine:
         return len(self._busy) * self._drives_each
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        """Drive a road as soon as a process has room; gives no feedback.
+        """Drive a road as soon as a process has room, and the simulator if it has one vehicle; gives no feedback.
 
         Raises:
             ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
         """
+        foreign = SimulatorName.parse(request.simulator).is_foreign
+        with self._vehicles[request.simulator] if foreign else nullcontext():
+            return self._drive(request)
+
+    def _drive(self, request: DriveRequest) -> RunRecord:
         with self._changed:
             self._changed.wait_for(lambda: min(self._busy.values()) < self._drives_each)
             worker = min(self._busy, key=lambda one: self._busy[one])

@@ -23,6 +23,7 @@ from ds_orchestrator.graph.supervisor import (
     driver_process,
     simulator_processes,
 )
+from ds_sim.registry import SimulatorName
 from ds_sim.session import RunRecord
 
 LOCKS = Path("/tmp")
@@ -84,8 +85,9 @@ class GraphEngine:
     ) -> None:
         self._graphs = list(graphs)
         self._free: dict[str, SimpleQueue[Engine]] = {name: SimpleQueue() for name in simulators}
-        for free in self._free.values():
-            for graph in self._graphs:
+        for name, free in self._free.items():
+            # A simulator that is another program has one vehicle, so one graph drives it.
+            for graph in self._graphs[:1] if SimulatorName.parse(name).is_foreign else self._graphs:
                 free.put(graph)
         self._start_probing, self._probing = start_probing, threading.Lock()
         self._probe: Engine | None = None

@@ -116,11 +116,11 @@ class LockStep:
         self._now += FRAME
         earliest = self._now - self._tolerance
         odometry, image = self._topics.wait(earliest, earliest)
-        if max(odometry.stamp, image.stamp) > self._now + self._tolerance:
+        ahead = max(odometry.stamp, image.stamp) - self._now
+        if ahead > self._tolerance:
             raise SimulatorError(
-                f"after steps of {FRAME_TIME:g} s together a message is stamped "
-                f"{(max(odometry.stamp, image.stamp) - self._now) / 1e9:.3f} s too late: pause the simulator, or correct "
-                "time.seconds"
+                f"after steps of {FRAME_TIME:g} s a message is stamped {ahead / 1e9:.3f} s later than expected: pause "
+                "the simulator, or correct time.seconds"
             )
         return odometry, image
 

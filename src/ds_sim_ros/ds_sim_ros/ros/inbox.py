@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 MOST = 200
-"""Messages that are kept; chosen: ten seconds of frames, or a frame of a simulator that publishes 4000 times a second."""
+"""Messages that are kept; chosen: a frame of a simulator that publishes 4000 times a second."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image
 
 from ds_driver.control.bicycle import Geometry
@@ -66,7 +67,9 @@ class Link:
         settings = self._settings
         self._command = _CommandTopic(self._node, settings)
         odometry, image = Inbox(), Inbox()
-        self._wait_until(lambda: self._command.is_heard, f"nothing subscribes to {self._command.text}")
+        self._wait_for(
+            settings.command.topic, self._command.type_name, "command", self._node.get_subscriptions_info_by_topic
+        )
         self._subscribe(settings.odometry, Odometry, odometry)
         self._subscribe(settings.image, Image, image)
         self._services = Services(self._node, self._thread, settings.timeout)
@@ -146,22 +149,20 @@ class Link:
             self._services.call(settings.reset, {TRIGGER: {}, "simulation_interfaces/srv/ResetSimulation": {}})
 
     def _subscribe(self, topic: str, kind: Any, inbox: Inbox) -> None:
-        full, name = self._node.resolve_topic_name(topic), _name_of(kind)
-        found = self._node.get_publishers_info_by_topic
-        self._wait_until(
-            lambda: any(one.topic_type == name for one in found(full)), f"nothing publishes {name} on {full}"
-        )
+        self._wait_for(topic, _name_of(kind), kind.__name__.lower(), self._node.get_publishers_info_by_topic)
         # Decided by the publishers that are there now: reliable where they are, so that no image is lost.
         profile = QoSProfile(depth=MOST, reliability=ReliabilityPolicy.BEST_AVAILABLE)
         self._node.create_subscription(kind, topic, inbox.put, profile)
 
-    def _wait_until(self, holds: Callable[[], bool], problem: str) -> None:
-        deadline = time.monotonic() + self._settings.timeout
-        while not holds():
+    def _wait_for(self, topic: str, kind: str, what: str, ends: Callable[[str], list[TopicEndpointInfo]]) -> None:
+        """Wait until the simulator's end of a topic has a type."""
+        full, deadline = self._node.resolve_topic_name(topic), time.monotonic() + self._settings.timeout
+        while kind not in (found := {one.topic_type for one in ends(full)}):
             if time.monotonic() > deadline:
+                other = f", but {', '.join(sorted(found))}" if found else ""
                 raise SimulatorError(
-                    f"{problem} after {self._settings.timeout:g} s: start the simulator in this ROS domain "
-                    f"({self._context.get_domain_id()}), or correct its file"
+                    f"{full}: no {what} of the type {kind} after {self._settings.timeout:g} s{other}: start the "
+                    f"simulator in this ROS domain ({self._context.get_domain_id()}), or correct its file"
                 )
             self._thread.pause(POLL)
 
@@ -180,16 +181,12 @@ class _CommandTopic:
             raise SimulatorError(f"command.type {command.type}: {error}") from None
         # Reliable and acknowledged before each step, or a command might reach a simulator after its step.
         self._publisher = node.create_publisher(self._type, command.topic, 1)
-        self.text = f"{node.resolve_topic_name(command.topic)} as {_name_of(self._type)}"
-
-    @property
-    def is_heard(self) -> bool:
-        return bool(self._publisher.get_subscription_count() > 0)
+        self.type_name, self._topic = _name_of(self._type), node.resolve_topic_name(command.topic)
 
     def send(self, command: Command, speed: float) -> None:
         self.publish(command, speed)
         if not self._publisher.wait_for_all_acked(Duration(seconds=self._timeout)):
-            raise SimulatorError(f"no command was taken from {self.text} within {self._timeout:g} s: it hangs")
+            raise SimulatorError(f"{self._topic}: no command was taken within {self._timeout:g} s: it hangs")
 
     def publish(self, command: Command, speed: float) -> None:
         self._publisher.publish(self._message(command, speed))

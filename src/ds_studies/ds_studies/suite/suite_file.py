@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError, moved
-from ds_sim.config_errors import problems
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
@@ -26,6 +25,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.conditions.model import DEFAULT
+from ds_sim.config_errors import problems
 from ds_sim.installation import ds_command
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome

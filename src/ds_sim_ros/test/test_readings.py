@@ -1,0 +1,109 @@
+"""What is read from messages, what is written as a road, and the speed that a throttle asks for."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace as Message
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_description import GOOD
+
+from ds_road import Road, RoadError
+from ds_sim.simulator import MAX_SPEED, Command, SimulatorError
+from ds_sim_ros.readings import OdometryReader, image_of
+from ds_sim_ros.roads import check_is_track, read_track, write_road
+from ds_sim_ros.settings import RosSettings, RosSettingsError
+from ds_sim_ros.simulator import RosSimulator
+from ds_sim_ros.speed_law import SpeedLaw
+
+TRACK = Road.from_road_points([(125.0, 20.0 + 5.0 * i) for i in range(21)])
+
+
+def odometry(x: float, y: float, yaw: float, *, speed: float = 0.0, turn: float = 0.0, roll: float = 0.0) -> Any:
+    cos, sin, c, s = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(roll / 2), math.sin(roll / 2)
+    pose = Message(position=Message(x=x, y=y, z=0.3), orientation=Message(w=cos * c, x=cos * s, y=sin * s, z=sin * c))
+    twist = Message(linear=Message(x=speed, y=0.0, z=0.0), angular=Message(x=0.0, y=0.0, z=turn))
+    return Message(pose=Message(pose=pose), twist=Message(twist=twist))
+
+
+def reader(**changes: Any) -> OdometryReader:
+    return OdometryReader(RosSettings.model_validate(GOOD | changes))
+
+
+def test_a_pose_is_brought_to_the_road_frame_and_to_the_vehicles_centre() -> None:
+    made = reader(origin={"x": 10.0, "y": 0.0, "yaw": math.pi / 2}, vehicle=GOOD["vehicle"] | {"centre_ahead": 1.3})
+    made.begin(odometry(0.0, 0.0, 0.0), 0.0)
+    state = made.state(odometry(10.0, 5.0, math.pi / 2, speed=4.0, turn=0.5, roll=0.1), 0.5)
+    assert (state.x, state.y, state.yaw) == pytest.approx((6.3, 0.0, 0.0))
+    assert (state.speed, state.lateral_speed, state.roll, state.heave) == pytest.approx((4.0, 0.65, 0.1, 0.0))
+    assert state.steering_angle == -0.25
+
+
+def test_yaw_goes_on_beyond_a_full_circle() -> None:
+    made = reader()
+    made.begin(odometry(0.0, 0.0, 0.0), 0.0)
+    yaws = [made.state(odometry(0.0, 0.0, 0.5 * k), 0.0).yaw for k in range(20)]
+    assert yaws == pytest.approx([0.5 * k for k in range(20)])
+
+
+def test_nonsense_is_one_line() -> None:
+    made, broken = reader(), odometry(0.0, 0.0, 0.0)
+    broken.pose.pose.orientation.w = 0.0
+    with pytest.raises(SimulatorError, match="^/car/odom: the orientation has the norm 0, expected a unit quaternion$"):
+        made.state(broken, 0.0)
+    with pytest.raises(SimulatorError, match="^/car/odom: position.y is nan, expected a finite number"):
+        made.state(odometry(0.0, math.nan, 0.0), 0.0)
+    small = Message(data=b"123", encoding="rgb8", height=2, width=2, step=6)
+    with pytest.raises(
+        SimulatorError, match="^/car/camera: image of 2 x 2 px, 6 bytes a row and 3 bytes: does not fit"
+    ):
+        image_of(small, "/car/camera")
+
+
+def test_a_bgr_image_of_any_size_becomes_rgb_of_160_rows() -> None:
+    pixels = np.full((100, 100, 3), (1, 2, 3), np.uint8)
+    image = image_of(Message(data=pixels.tobytes(), encoding="bgr8", height=100, width=100, step=300), "/camera")
+    assert image.shape == (160, 320, 3) and image[80, 160].tolist() == [3, 2, 1] and not image.flags.writeable
+
+
+def test_a_road_is_written_for_a_simulator_that_reloads_it(tmp_path: Path) -> None:
+    write_road(TRACK, tmp_path / "road.json")
+    written = json.loads((tmp_path / "road.json").read_text())
+    assert written["start"] == pytest.approx({"x": 127.0, "y": 20.0, "yaw": math.pi / 2})
+    assert written["lane"] == "right" and written["centre_line"][1] == [125.0, 25.0]
+    write_road(TRACK, tmp_path / "road.csv")
+    assert read_track(tmp_path / "road.csv", 4.0) == TRACK
+
+
+def test_only_the_road_of_a_fixed_track_is_accepted(tmp_path: Path) -> None:
+    write_road(TRACK, tmp_path / "track.csv")
+    settings = RosSettings.model_validate(GOOD | {"road": {"centre_line": "track.csv"}})
+    simulator = RosSimulator(settings, tmp_path)
+    for lane in ("right", "left"):
+        check_is_track(TRACK.in_lane(lane), TRACK, "mine")  # type: ignore[arg-type]
+    shifted = Road.from_road_points(TRACK.points + [0.5, 0.0])
+    for road in (shifted, Road.from_road_points(TRACK.points[:-4])):
+        with pytest.raises(
+            RoadError, match="is not the track of mine, which is fixed: drive the road of its centre_line"
+        ):
+            simulator.load(road, seed=1)
+    with pytest.raises(SimulatorError, match="mine: no road is loaded"):
+        simulator.step(Command(0.0, 0.0))
+    (tmp_path / "track.csv").write_text("x,y\n1,2\n")
+    with pytest.raises(RosSettingsError, match="track.csv: not one track .*: expected lines of x,y in metres"):
+        RosSimulator(settings, tmp_path)
+
+
+@pytest.mark.parametrize("drag", [0.1, 0.3, 10.0])
+def test_the_throttle_law_settles_whatever_the_drag(drag: float) -> None:
+    law, speeds = SpeedLaw(3.0, drag), []
+    for _ in range(1000):
+        speeds.append(law.advance(max(0.0, 1.0 - (law.speed / MAX_SPEED) ** 2)))
+    assert np.ptp(speeds[-100:]) < 0.01 and 0.0 < speeds[-1] < MAX_SPEED
+    for _ in range(2000):
+        law.advance(0.0)
+    assert law.speed < 0.01
