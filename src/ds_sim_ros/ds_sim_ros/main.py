@@ -6,5 +6,5 @@ from ds_sim.executables import start
 
 
 def main() -> None:
-    """Host `ros` unless the parameter `simulator` names another simulator."""
+    """Host the simulator of the parameter `simulator`, which names a file: `ros@FILE`."""
     start("ds_sim.ros.simulator_node", "ros")
