@@ -21,7 +21,7 @@ from ds_sim.camera.spec import CameraSpec
 from ds_sim.frames import ROAD_FRAME, base_frame, body_pose, camera_frame, camera_pose
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.conversions import transform_message
-from ds_sim.simulator import DrawsRows, Observation, Simulator, SimulatorSpec, VehicleState
+from ds_sim.simulator import FRAME_TIME, DrawsRows, Observation, Simulator, SimulatorSpec, VehicleState
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -83,6 +83,8 @@ class FramePublisher:
         self._state = node.create_publisher(VehicleStateMsg, "state", 50)
         self._odom = node.create_publisher(Odometry, "odom", 50)
         self._clock = node.create_publisher(Clock, "/clock", 10) if clock else None
+        # Stamps never decrease, as tf, bags and filters expect, and are above 0, so that an unset one never matches.
+        self._run_start = 1.0
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
 
@@ -91,12 +93,12 @@ class FramePublisher:
         """Number of subscriptions to images: `camera/image_raw` and `frame`."""
         return int(self._image.get_subscription_count() + self._frame.get_subscription_count())
 
-    def publish(self, observation: Observation, road: Road, stamp: float) -> Header:
+    def publish(self, observation: Observation, road: Road) -> Header:
         """Publish one frame, the state before its image; return the header that its answer must carry.
 
         What nobody subscribes to is not built. A driver that connects late gets the first frame when it is repeated.
         """
-        header = Header(stamp=messages.to_time(stamp), frame_id=self._camera_frame)
+        header = Header(stamp=messages.to_time(self._run_start + observation.time), frame_id=self._camera_frame)
         if self._clock is not None:
             self._clock.publish(Clock(clock=header.stamp))
         if self._state.get_subscription_count():
@@ -112,9 +114,13 @@ class FramePublisher:
         self._transforms.publish(observation.vehicle, header.stamp)
         return header
 
-    def publish_road(self, road: Road, stamp: float) -> None:
+    def publish_road(self, road: Road) -> None:
         """Publish a road for viewers, including those that join later."""
-        self._markers.publish(messages.road_markers(road, self._spec.look, messages.to_time(stamp)))
+        self._markers.publish(messages.road_markers(road, self._spec.look, messages.to_time(self._run_start)))
+
+    def end_run(self, seconds: float) -> None:
+        """Let the stamps of the next run follow those of one that lasted some simulated time, s."""
+        self._run_start += seconds + FRAME_TIME
 
 
 RowsSeen = Callable[[SimulatorSpec], tuple[int, int] | None]

@@ -24,8 +24,9 @@ from ds_sim.ros.parameters import check_goal, declare_parameters
 from ds_sim.ros.real_time_loop import RealTimeLoop
 from ds_sim.ros.requests import DriveRoadServer, LoadedRoad, RequestRefused, no_road
 from ds_sim.ros.runtime import run_node, with_info
+from ds_sim.ros.standard_control import StandardControl
 from ds_sim.session import Session
-from ds_sim.simulator import FRAME_TIME, Command, CommandError, Observation, Outcome, Reason
+from ds_sim.simulator import Command, CommandError, Observation, Outcome, Reason
 
 
 class SimulatorNode(Node):
@@ -48,13 +49,12 @@ class SimulatorNode(Node):
         self._goal: ServerGoalHandle | None = None
         self._last: Observation | None = None
         self._watchdog, self._monitor = CommandWatchdog(self._timeout), CommandMonitor()
-        # Stamps never decrease, as tf, bags and filters expect, and are above 0, so that an unset one never matches.
-        self._run_start = 1.0
         self.create_subscription(DriveCommand, "drive", with_info(self._on_command), 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
         self.create_service(GetSimulatorInfo, "get_info", lambda _, info: messages.info_response(spec, info))
         self.create_service(Trigger, "reset", self._on_reset)
         self._server = DriveRoadServer(self, self._begin, self._result)
+        self._standard = StandardControl(self, self._session, self._loaded, self._frames, self._check_idle)
         # Steady clock: the node's own may be simulated time (use_sim_time), which stands still between runs.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._real_time = RealTimeLoop(self, steady, self._advance)
@@ -86,7 +86,7 @@ class SimulatorNode(Node):
     def _load(self, request: LoadRoad.Request | DriveRoad.Goal) -> Road:
         self._check_idle()
         road = self._loaded.load(request.road, request.seed, request.conditions)
-        self._frames.publish_road(road, self._run_start)
+        self._frames.publish_road(road)
         return road
 
     def _check_idle(self) -> None:
@@ -107,6 +107,7 @@ class SimulatorNode(Node):
         self._goal, self._handed_over = goal, False
         self._sync_now = request.sync or self._sync
         self.drawn.choose()
+        self._standard.leave()
         first = self._session.start(loaded.road, loaded.seed, loaded.conditions)  # costs the driver no time
         limit = request.command_timeout or self._timeout
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
@@ -118,13 +119,16 @@ class SimulatorNode(Node):
         self._last = observation
         if observation is not None and self._session.run is not None:
             road = self._session.run.road
-            self._awaited = self._frames.publish(observation, road, self._run_start + observation.time)
+            self._awaited = self._frames.publish(observation, road)
             self._watchdog.sent(observation.step)
             self._monitor.frame(self._awaited.stamp)
         self._hand_over_if_ended()
 
     def _on_command(self, message: DriveCommand, info: dict[str, Any]) -> None:
-        if self._goal is None or not self._session.driving:
+        if self._goal is None:
+            self._standard.hold(message)
+            return
+        if not self._session.driving:
             return
         self._monitor.command(info.get("publication_sequence_number"))
         if self._monitor.two_drivers:
@@ -179,7 +183,7 @@ class SimulatorNode(Node):
         self._goal, run = None, self._session.run
         assert run is not None
         run.message = "; ".join(filter(None, (run.message, self._real_time.end())))
-        self._run_start += run.simulated_seconds + FRAME_TIME
+        self._frames.end_run(run.simulated_seconds)
         messages.close_goal(goal, run.outcome)
         self.get_logger().info(f"{run.road.road_id}: {run.outcome.name} after {run.steps} steps {run.message}".rstrip())
         return messages.drive_result(run)
