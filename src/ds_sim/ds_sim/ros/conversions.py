@@ -7,6 +7,7 @@ from array import array
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -316,10 +317,12 @@ def commands_of(trajectory: Trajectory) -> list[Command]:
     return [Command(*pair) for pair in zip(trajectory.steering, trajectory.throttle, strict=True)]
 
 
-def refusal_result(reason: Reason, message: str) -> DriveRoad.Result:
-    """Make the result of a refused goal: an error without a run."""
-    outcome = OutcomeMsg(value=int(Outcome.SIM_ERROR))
-    return DriveRoad.Result(outcome=outcome, reason=ReasonMsg(value=int(reason)), message=message)
+def refusal_result(kind: Any, reason: Reason, message: str) -> Any:
+    """Make the result of a refused goal of an action; that of `drive_road` is an error without a run."""
+    result = kind.Result(reason=ReasonMsg(value=int(reason)), message=message)
+    if hasattr(result, "outcome"):
+        result.outcome.value = int(Outcome.SIM_ERROR)
+    return result
 
 
 def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:

@@ -1,10 +1,10 @@
-"""Requests to a simulator's node: the action `drive_road`, what is driven next, and why a request is refused."""
+"""Requests to a node: goals of its actions, the road that is driven next, and why a request is refused."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
-from ds_interfaces.action import DriveRoad
 from ds_interfaces.msg import Condition as ConditionMsg
 from ds_interfaces.msg import Road as RoadMsg
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -19,7 +19,7 @@ from ds_sim.simulator import Reason, SimulatorSpec
 
 
 class RequestRefused(ValueError):
-    """A simulator's node does not accept a road or a goal.
+    """A node does not accept a road or a goal.
 
     Args:
         reason: reason code for programs.
@@ -76,45 +76,55 @@ class LoadedRoad:
         return road
 
 
-class DriveRoadServer:
-    """Accepts every goal; aborts a refused one at once, as a rejection cannot carry a reason.
+class GoalServer:
+    """Action server that accepts every goal, and aborts a refused one at once, as a rejection cannot carry a reason.
 
     Args:
         node: node that owns the server.
-        begin: begins the run of a goal or raises RequestRefused; calls `execute` of the goal when the run has ended.
-        result: closes a goal whose run has ended, and returns its result.
+        kind: type of the action.
+        name: its name.
+        begin: begins what a goal asks for or raises RequestRefused; calls `close` when it has ended.
+        on_cancel: called when a goal is cancelled.
     """
 
     def __init__(
         self,
         node: Node,
+        kind: Any,
+        name: str,
         begin: Callable[[ServerGoalHandle], None],
-        result: Callable[[ServerGoalHandle], DriveRoad.Result],
+        on_cancel: Callable[[ServerGoalHandle], None] = lambda _goal: None,
     ) -> None:
-        self._node = node
-        self._begin, self._result = begin, result
-        self._refused: dict[bytes, RequestRefused] = {}
+        self._node, self._kind = node, kind
+        self._begin, self._on_cancel = begin, on_cancel
+        self._ends: dict[bytes, tuple[Any, Callable[[], None]]] = {}
         self._server = ActionServer(
             node,
-            DriveRoad,
-            "drive_road",
+            kind,
+            name,
             execute_callback=self._execute,
             goal_callback=lambda _goal: GoalResponse.ACCEPT,
             handle_accepted_callback=self._accept,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+            cancel_callback=self._cancel,
         )
+
+    def close(self, goal: ServerGoalHandle, result: Any, final: Callable[[], None]) -> None:
+        """Send the result of a goal; `final` sets its last state."""
+        self._ends[bytes(goal.goal_id.uuid)] = result, final
+        goal.execute()
 
     def _accept(self, goal: ServerGoalHandle) -> None:
         try:
             self._begin(goal)
         except RequestRefused as refused:
             self._node.get_logger().warning(f"goal refused: {refused}", throttle_duration_sec=10.0)
-            self._refused[bytes(goal.goal_id.uuid)] = refused
-            goal.execute()
+            self.close(goal, refusal_result(self._kind, refused.reason, str(refused)), goal.abort)
 
-    def _execute(self, goal: ServerGoalHandle) -> DriveRoad.Result:
-        refused = self._refused.pop(bytes(goal.goal_id.uuid), None)
-        if refused is None:
-            return self._result(goal)
-        goal.abort()
-        return refusal_result(refused.reason, str(refused))
+    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        self._on_cancel(goal)
+        return CancelResponse.ACCEPT
+
+    def _execute(self, goal: ServerGoalHandle) -> Any:
+        result, final = self._ends.pop(bytes(goal.goal_id.uuid))
+        final()
+        return result

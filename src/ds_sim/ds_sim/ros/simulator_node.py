@@ -22,7 +22,7 @@ from ds_sim.ros.frame_publisher import DrawnRows, FramePublisher
 from ds_sim.ros.neighbours import Neighbours, two_drivers
 from ds_sim.ros.parameters import check_goal, declare_parameters
 from ds_sim.ros.real_time_loop import RealTimeLoop
-from ds_sim.ros.requests import DriveRoadServer, LoadedRoad, RequestRefused, no_road
+from ds_sim.ros.requests import GoalServer, LoadedRoad, RequestRefused, no_road
 from ds_sim.ros.runtime import run_node, with_info
 from ds_sim.ros.standard_control import StandardControl
 from ds_sim.session import Session
@@ -45,7 +45,7 @@ class SimulatorNode(Node):
         self._frames = FramePublisher(self, spec, clock=parameters.publish_clock)
         self.drawn = DrawnRows(self._session.simulator, self._frames)
         self._neighbours, self._loaded = Neighbours(self), LoadedRoad(spec, parameters.conditions)
-        self._sync_now, self._handed_over, self._awaited = self._sync, False, Header()
+        self._sync_now, self._awaited = self._sync, Header()
         self._goal: ServerGoalHandle | None = None
         self._last: Observation | None = None
         self._watchdog, self._monitor = CommandWatchdog(self._timeout), CommandMonitor()
@@ -53,7 +53,7 @@ class SimulatorNode(Node):
         self.create_service(LoadRoad, "load_road", self._on_load_road)
         self.create_service(GetSimulatorInfo, "get_info", lambda _, info: messages.info_response(spec, info))
         self.create_service(Trigger, "reset", self._on_reset)
-        self._server = DriveRoadServer(self, self._begin, self._result)
+        self._server = GoalServer(self, DriveRoad, "drive_road", self._begin)
         self._standard = StandardControl(self, self._session, self._loaded, self._frames, self._check_idle)
         # Steady clock: the node's own may be simulated time (use_sim_time), which stands still between runs.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -104,7 +104,7 @@ class SimulatorNode(Node):
         loaded = self._loaded
         if loaded.road is None:
             raise no_road()
-        self._goal, self._handed_over = goal, False
+        self._goal = goal
         self._sync_now = request.sync or self._sync
         self.drawn.choose()
         self._standard.leave()
@@ -174,19 +174,14 @@ class SimulatorNode(Node):
         self._hand_over_if_ended()
 
     def _hand_over_if_ended(self) -> None:
-        if self._goal is not None and not self._session.driving and not self._handed_over:
-            self._handed_over = True
-            self._goal.execute()
-
-    def _result(self, goal: ServerGoalHandle) -> DriveRoad.Result:
-        """Close the goal of a run that has ended."""
-        self._goal, run = None, self._session.run
-        assert run is not None
+        goal, run = self._goal, self._session.run
+        if goal is None or run is None or self._session.driving:
+            return
+        self._goal = None
         run.message = "; ".join(filter(None, (run.message, self._real_time.end())))
         self._frames.end_run(run.simulated_seconds)
-        messages.close_goal(goal, run.outcome)
         self.get_logger().info(f"{run.road.road_id}: {run.outcome.name} after {run.steps} steps {run.message}".rstrip())
-        return messages.drive_result(run)
+        self._server.close(goal, messages.drive_result(run), lambda: messages.close_goal(goal, run.outcome))
 
 
 def main(simulator: str = "bullet") -> None:

@@ -18,6 +18,7 @@ from ds_orchestrator.store.model import Test
 from ds_sim.bounded_yaml import BoundedYamlError, load_yaml
 from ds_sim.config_errors import read_keys
 from ds_sim.ros.conversions import conditions_from_messages, road_from_message
+from ds_sim.ros.requests import GoalServer
 from ds_studies.ros.campaign_messages import outcome_message
 from ds_studies.ros.state_listener import StateListener
 from ds_studies.whole_campaign import check_trust, run_campaign
@@ -36,6 +37,7 @@ class Job:
 
     Attributes:
         goal: the goal.
+        server: takes its result.
         folder: folder of its drives.
         work: what it asks.
         result: the action's result.
@@ -44,6 +46,7 @@ class Job:
     """
 
     goal: ServerGoalHandle
+    server: GoalServer
     folder: Path
     work: Work
     result: Any

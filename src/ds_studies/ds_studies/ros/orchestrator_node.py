@@ -14,7 +14,6 @@ from typing import Any
 
 from ds_interfaces.action import DriveTests, RunCampaign
 from ds_interfaces.msg import CampaignState
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -26,7 +25,7 @@ from ds_sim.extension import confirm
 from ds_sim.ros.neighbours import Presence
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.parameters import declare
-from ds_sim.ros.requests import RequestRefused
+from ds_sim.ros.requests import GoalServer, RequestRefused
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import Reason
 from ds_studies.ros.campaign_view import CampaignView
@@ -50,13 +49,13 @@ class OrchestratorNode(Node):
         confirm(self._trusted)
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._job: Job | None = None
-        self._ends: dict[bytes, tuple[Any, Callable[[], None]]] = {}
         self._presence = Presence(self, "orchestrator_presence", lambda: self.get_logger().error(self._crowd()))
         self._view = CampaignView(self, self._crowd)
-        self._servers = [
-            self._serve(RunCampaign, "run_campaign", run_campaign_goal),
-            self._serve(DriveTests, "drive_tests", drive_tests_goal),
-        ]
+        for kind, name, work in (
+            (RunCampaign, "run_campaign", run_campaign_goal),
+            (DriveTests, "drive_tests", drive_tests_goal),
+        ):
+            self._serve(kind, name, work)
         # Steady clock: under use_sim_time the node's own stands still between runs.
         self.create_timer(EVERY, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"ready; the folders of goals are below {self._root.resolve()}")
@@ -98,42 +97,17 @@ class OrchestratorNode(Node):
         job.listener.end(state, message)
         self.get_logger().info(f"{job.folder}: {message or 'finished'}")
         self._job = None
-        self._close(job.goal, job.result, close)
+        job.server.close(job.goal, job.result, close)
 
-    def _serve(self, kind: Any, name: str, work: Work) -> ActionServer[Any, Any, Any]:
-        return ActionServer(
-            self,
-            kind,
-            name,
-            execute_callback=self._result_of,
-            goal_callback=lambda _goal: GoalResponse.ACCEPT,
-            handle_accepted_callback=lambda goal: self._accept(goal, kind, work),
-            cancel_callback=self._on_cancel,
-        )
-
-    def _close(self, goal: ServerGoalHandle, result: Any, close: Callable[[], None]) -> None:
-        self._ends[bytes(goal.goal_id.uuid)] = result, close
-        goal.execute()
-
-    def _result_of(self, goal: ServerGoalHandle) -> Any:
-        result, close = self._ends.pop(bytes(goal.goal_id.uuid))
-        close()
-        return result
-
-    def _accept(self, goal: ServerGoalHandle, kind: Any, work: Work) -> None:
-        result = kind.Result()
-        try:
+    def _serve(self, kind: Any, name: str, work: Work) -> None:
+        def begin(goal: ServerGoalHandle) -> None:
             self._check(goal.request.engine)
-            folder = self._folder(goal.request.folder)
-        except RequestRefused as refused:
-            self.get_logger().warning(f"goal refused: {refused}")
-            result.reason.value, result.message = int(refused.reason), str(refused)
-            self._close(goal, result, goal.abort)
-            return
-        listener = StateListener(goal.request.folder)
-        self._job = Job(goal=goal, folder=folder, work=work, result=result, listener=listener)
-        self._view.begin(self._job, folder if kind is RunCampaign else None)
-        self._jobs.put(self._job)
+            folder, listener = self._folder(goal.request.folder), StateListener(goal.request.folder)
+            self._job = Job(goal=goal, server=server, folder=folder, work=work, result=kind.Result(), listener=listener)
+            self._view.begin(self._job, folder if kind is RunCampaign else None)
+            self._jobs.put(self._job)
+
+        server = GoalServer(self, kind, name, begin, self._on_cancel)
 
     def _check(self, engine: str) -> None:
         if crowd := self._crowd():
@@ -159,12 +133,11 @@ class OrchestratorNode(Node):
             "other namespaces (__ns:=)"
         )
 
-    def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+    def _on_cancel(self, goal: ServerGoalHandle) -> None:
         job = self._job
         if job is not None and job.goal.goal_id == goal.goal_id:
             # Engines may take seconds to end their drives, and this thread has to answer.
             threading.Thread(target=job.stop.turn_on, name="cancel", daemon=True).start()
-        return CancelResponse.ACCEPT
 
     def _show(self) -> None:
         job = self._job
