@@ -2,6 +2,7 @@
 
 `python -m benchmarks.memory_study --out study --networks recurrent,stacked` drives what is missing and keeps it;
 `--score` computes the tables from the drives of all `KINDS`. A drive takes some 2 s: 1,600 drives, an hour on one core.
+`--sims bullet,softbody,panda,donkey,torcs` adds a simulator to the same tests, as was done after the study.
 
 Fixed before the first drive: `TESTS` random roads, once as they are and once under mild conditions (the ranges of
 `conditions_mild.yaml`, from EN 1436 and the Highway Code); the networks of `examples/networks_of_today.py`, one
@@ -43,7 +44,6 @@ KINDS = {"convolutional": False, "residual": False, "transformer": False, "stack
 """Network -> whether it has memory."""
 CONDITIONS = {"line_contrast": {"low": 0.4, "high": 1.0}, "visibility": {"low": 100.0, "high": 1000.0}}
 TESTS, SEED, RESAMPLES = 40, 3600, 2000
-PAIRS = tuple(combinations(range(len(SIMULATORS)), 2))
 
 
 def draw_tests(conditions: bool) -> list[BudgetTest]:
@@ -58,7 +58,7 @@ def draw_tests(conditions: bool) -> list[BudgetTest]:
 
 def table_of(runs: Runs, tests: list[BudgetTest], rows: list[int]) -> OutcomeTable:
     """Outcomes of the tests that are valid everywhere, for every network."""
-    known = {name: [run for k in rows if (run := runs[name][k]) is not None] for name in SIMULATORS}
+    known = {name: [run for k in rows if (run := of[k]) is not None] for name, of in runs.items()}
     return table_of_runs(known, conditions=[tests[k].conditions for k in rows])
 
 
@@ -68,7 +68,7 @@ def agreement(lateral: Array, rows: Indices) -> float:
     if (ranks.std(axis=0) == 0.0).any():
         return float("nan")
     found = np.corrcoef(ranks.T)
-    return float(np.mean([found[pair] for pair in PAIRS]))
+    return float(np.mean([found[pair] for pair in combinations(range(lateral.shape[1]), 2)]))
 
 
 def contrast(lateral: Mapping[str, Array]) -> tuple[float, float, float]:
@@ -89,9 +89,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--networks", default=",".join(KINDS))
+    parser.add_argument("--sims", default=",".join(SIMULATORS))
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--score", action="store_true")
     arguments = parser.parse_args()
+    simulators = arguments.sims.split(",")
     rows: list[tuple[Value, ...]] = []
     tables: list[Table] = []
     for name in ("plain", "mild"):
@@ -102,7 +104,14 @@ def main() -> None:
         for network in arguments.networks.split(","):
             place = arguments.out / name
             found[network], valid = drive(
-                place, network, tests, [], arguments.workers, gates=gates, known_only=arguments.score
+                place,
+                network,
+                tests,
+                [],
+                arguments.workers,
+                gates=gates,
+                known_only=arguments.score,
+                simulators=simulators,
             )
             invalid |= {k for of in valid.values() for k, one in enumerate(of) if not one}
         if not arguments.score:
@@ -113,12 +122,12 @@ def main() -> None:
             table = table_of(runs, tests, kept)
             lateral[network] = table.lateral
             say(f"{name}, {network}: {len(table)} tests")
-            failed = np.stack([table.failed(one) for one in SIMULATORS])
+            failed = np.stack([table.failed(one) for one in simulators])
             apart = float((failed.any(axis=0) & ~failed.all(axis=0)).mean())
             scores = [
                 score(Case(network=network, group="in turn", name=one, outside="", table=table.with_twin(one),
                            clusters=table.test_ids))
-                for one in SIMULATORS
+                for one in simulators
             ]  # fmt: skip
             brier = [
                 float(np.mean([errors.mean() for errors in of]))
@@ -134,9 +143,20 @@ def main() -> None:
             tables += [replace(one, name=f"{name}_{network}_{one.name}") for one in analysis_tables(analysis)[:4]]
         difference = contrast(lateral)
         say(f"{name}: with memory minus without: {difference[0]:.3f} [{difference[1]:.3f}, {difference[2]:.3f}]")
-        rows.append((name, "with memory minus without", None, *[None] * 4, difference[0], None, *difference[1:], None))
+        rows.append(
+            (
+                name,
+                "with memory minus without",
+                None,
+                *[None] * len(simulators),
+                difference[0],
+                None,
+                *difference[1:],
+                None,
+            )
+        )
     if arguments.score:
-        columns = ["tests", "network", "memory", *SIMULATORS, "agreement", "not unanimous", "undriven", "model", "four"]
+        columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "undriven", "model", "four"]
         summary = Table(name="memory", title="Agreement", columns=[Column(one) for one in columns], rows=rows, notes=[])
         write_tables([summary, *tables], arguments.out)
 

@@ -94,6 +94,7 @@ def drive(
     *,
     gates: Gates | None,
     known_only: bool,
+    simulators: Sequence[str] = SIMULATORS,
 ) -> tuple[Runs, Valid]:
     """Drive the tests on every simulator and twin, or read what was driven.
 
@@ -105,13 +106,14 @@ def drive(
         workers: number of processes.
         gates: what is known of the tests' validity, completed here; None to drive without gates.
         known_only: drive nothing.
+        simulators: what drives beside the twins.
     """
-    simulators = {name: (name, dict[str, float]()) for name in SIMULATORS} | {
+    driven = {name: (name, dict[str, float]()) for name in simulators} | {
         twin.name: (twin.simulator(out / "twins"), {key: twin.values[key] for key in CAMERA}) for twin in twins
     }
     runs: Runs = {}
     valid: dict[str, list[bool]] = {}
-    for name, (simulator, camera) in simulators.items():
+    for name, (simulator, camera) in driven.items():
         settings = DriveSettings(
             siblings=(simulator,), driver=driver, gates="none" if gates is None else "all", workers=workers
         )
