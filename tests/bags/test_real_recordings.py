@@ -14,6 +14,9 @@ from ds_analysis.prediction.real.recordings import is_recording, read_recording
 from ds_analysis.prediction.real.records import RecordError
 from ds_bags.run_writer import write_bag
 from ds_driver import drive_road, make_driver
+from ds_recording.floor_camera import FloorCamera
+from ds_recording.located import COLUMNS, Located, write_located
+from ds_recording.track import Track
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
@@ -46,6 +49,28 @@ def test_a_road_with_another_bend_is_left(driven: tuple[Path, RunRecord]) -> Non
     mirrored = Road([(250.0 - x, y) for x, y in ROAD.control_points])
     found = read_recording(driven[0], mirrored, scale=1.0)
     assert found.outcome(2.0) == "out_of_bounds" and found.lateral is not None and 2.0 < found.lateral < 2.5
+
+
+@pytest.mark.parametrize(("offset", "outcome", "lateral"), [(0.05, "completed", 0.8), (0.2, "out_of_bounds", 2.08)])
+def test_a_located_recording_gives_the_offset_from_the_lane_driven(
+    tmp_path: Path, offset: float, outcome: str, lateral: float
+) -> None:
+    along = np.linspace(0.0, ROAD.length / 16.0, 101)
+    swerve = offset * np.sin(np.linspace(0.0, np.pi, 101)) ** 8  # the car leaves its lane and comes back
+    table = np.zeros((101, len(COLUMNS)))
+    table[:, COLUMNS.index("along_m")], table[:, COLUMNS.index("lateral_m")] = along, 0.125 + swerve
+    camera = FloorCamera(
+        width_px=160, height_px=120, focal_px=90.0, centre_x_px=79.5, centre_y_px=59.5, height_m=0.1, pitch_rad=0.2
+    )
+    track = Track(np.column_stack((along, np.zeros(101))))
+    about = {"source": "tub", "lane_width_m": 0.25}
+    write_located(tmp_path, Located(table=table, track=track, lane_width=0.25, camera=camera, about=about))
+    (tmp_path / "tub").mkdir()
+    (tmp_path / "tub/manifest.json").write_text('[]\n[]\n{}\n{}\n{"paths": ["c.catalog"]}')
+    (tmp_path / "tub/c.catalog").write_text('{"_index": 0, "_timestamp_ms": 86400000}')
+    found = read_recording(tmp_path, ROAD, scale=16.0)
+    assert found.outcome(2.0) == outcome and found.lateral == pytest.approx(lateral, abs=0.09)
+    assert found.when == "1970-01-02T00:00:00+00:00" and is_recording(tmp_path)
 
 
 def test_a_topic_with_the_lateral_position_is_read(driven: tuple[Path, RunRecord]) -> None:

@@ -137,16 +137,23 @@ def test_an_error_of_the_autopilot_is_repeated_and_excludes_nothing(tmp_path: Pa
     assert store.gates() == undisturbed.gates()
 
 
-def test_a_simulator_that_refuses_a_condition_excludes_the_test_there(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("reason", "state"),
+    [(Reason.NOT_APPLICABLE, GateState.NOT_APPLICABLE), (Reason.OUT_OF_SIGHT, GateState.OUT_OF_SIGHT)],
+)
+@pytest.mark.parametrize("probed", [True, False])
+def test_a_simulator_that_cannot_judge_a_test_excludes_it_there(
+    tmp_path: Path, reason: Reason, state: GateState, probed: bool
+) -> None:
     class Refusing(GatedEngine):
         def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-            if request.probed and request.simulator == DONKEYS[0]:
-                return request.ended(Outcome.SIM_ERROR, "cannot", Reason.NOT_APPLICABLE)
+            if request.probed is probed and request.simulator == DONKEYS[0]:
+                return request.ended(Outcome.SIM_ERROR, "cannot", reason)
             return super().drive(request)
 
     _, store = run(tmp_path / "a", Refusing())
     of_first = {gate.state for (_, name), gate in store.gates().items() if name == DONKEYS[0]}
-    assert of_first == {GateState.NOT_APPLICABLE} and not store.errors()
+    assert state in of_first and GateState.VALID not in of_first and not store.errors()
     assert {e.simulator for e in store.executions()} <= {DONKEYS[1]}
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from ds_sim.registry import SIMULATORS, STANDARD
+from ds_sim.registry import NEED_FILE, SIMULATORS, STANDARD
 from ds_sim.testing import missing_because
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -50,4 +50,4 @@ def _reason_to_skip(name: str) -> str:
 
 
 def _names(config: pytest.Config) -> list[str]:
-    return config.getoption("simulator") or [*sorted(SIMULATORS), EXAMPLE]
+    return config.getoption("simulator") or [*sorted(SIMULATORS.keys() - NEED_FILE), EXAMPLE]

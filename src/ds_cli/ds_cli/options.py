@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.cluster import ClusterOptions
 
-SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey", "torcs", "ros")
+SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey", "torcs", "recording", "ros")
 """Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
 
 ALL = "all"
@@ -66,7 +66,8 @@ Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas."
 Simulator = Annotated[
     str,
     typer.Option(
-        help="Simulator: bullet, softbody, panda, donkey, torcs, donkey@FILE (fitted), ros@FILE, or module:Class.",
+        help="Simulator: bullet, softbody, panda, donkey, torcs, donkey@FILE (fitted), recording@FOLDER, ros@FILE, or "
+        "module:Class.",
         autocompletion=_complete_simulator,
     ),
 ]

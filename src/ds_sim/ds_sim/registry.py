@@ -18,11 +18,14 @@ SIMULATORS = {
     "panda": "ds_sim_panda.simulator:PandaSimulator",
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
     "torcs": "ds_sim_torcs.simulator:TorcsSimulator",
+    "recording": "ds_recording.sibling.simulator:RecordingSimulator",
     "ros": "ds_sim_ros.simulator:RosSimulator",
 }
-"""Name on the command line -> `module:Class`, a class without constructor arguments; `ros` needs a file."""
+"""Name on the command line -> `module:Class`, a class without constructor arguments but for `ros` and `recording`."""
 STANDARD = ("bullet", "softbody", "panda", "donkey")
 """Simulators that set-up installs; `torcs` needs Debian's TORCS and a build, so nothing takes it unasked."""
+NEED_FILE = frozenset({"recording", "ros"})
+"""Simulators that are nothing without the file or folder after `@`."""
 FOREIGN = frozenset({"ros", SIMULATORS["ros"]})
 """Bases of names whose simulator is another program, which commands reach through ROS."""
 MAX_LABEL_LENGTH = 100

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.conditions.loading import check_applicable, load
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, Reason, Simulator, SimulatorError
+from ds_sim.simulator import (
+    FRAME_TIME,
+    Command,
+    Observation,
+    Outcome,
+    OutOfSightError,
+    Reason,
+    Simulator,
+    SimulatorError,
+)
 
 NO_IMAGE: NDArray[np.uint8] = np.empty((0, 0, 3), np.uint8)
 """Image of an observation that is kept without one."""
@@ -128,7 +137,8 @@ class Session:
         try:
             observation = act()
         except Exception as error:  # any exception is a simulator error, never a failure of the driver
-            self.end(Outcome.SIM_ERROR, f"{type(error).__name__}: {error}".splitlines()[0])
+            reason = Reason.OUT_OF_SIGHT if isinstance(error, OutOfSightError) else Reason.NONE
+            self.end(Outcome.SIM_ERROR, f"{type(error).__name__}: {error}".splitlines()[0], reason)
             return None
         self.run.observations.append(_without_image(observation))
         self.run.outcome = observation.outcome

@@ -37,6 +37,10 @@ class SimulatorError(RuntimeError):
     """A simulator cannot continue; the run ends as an error, never as a failure of the driver."""
 
 
+class OutOfSightError(SimulatorError):
+    """The driver went where the simulator cannot show what it would see: neither a failure nor worth another try."""
+
+
 class Reason(IntEnum):
     """Why a request was refused, or why a run ended without a verdict. Values of ds_interfaces/msg/Reason."""
 
@@ -52,6 +56,7 @@ class Reason(IntEnum):
     RESET = 9
     NOT_APPLICABLE = 10
     TWO_ORCHESTRATORS = 11
+    OUT_OF_SIGHT = 12
 
 
 class Outcome(IntEnum):

@@ -1,4 +1,4 @@
-"""Reads recorded drives for the fit, from bags of this project or Donkey Car tubs (version 2): 20 Hz, model metres."""
+"""Reads recorded drives for the fit: bags of this project, Donkey Car tubs (version 2), tables; 20 Hz, model metres."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ds_bags.donkey_tub import TubError, is_tub, number, read_tub
 from ds_bags.layout import BagError, printable
 from ds_bags.reader import BagReader, stamp_of
+from ds_road.bounded_file import FileError, read_regular
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.parameters import SCALE
@@ -21,6 +22,12 @@ from ds_twin_donkey.parameters import SCALE
 Array = NDArray[np.float64]
 CHANNELS = ("x", "y", "yaw", "speed", "yaw_rate")
 """Fitted quantities: position (m) and heading (rad) of the car's centre, forward speed (m/s), yaw rate (rad/s)."""
+TABLE = "located.csv"
+"""Name of the table in a folder that `ds recording locate` wrote."""
+_TABLE_COLUMNS = ("time_s", "steering", "throttle", "x_m", "y_m", "yaw_rad", "speed_mps", "yaw_rate_radps")
+"""Columns of a table; of the last five it may have some only."""
+_LARGEST_TABLE = 2**26
+"""Bytes of a table; chosen: half a million rows, seven hours."""
 MAX_GAP = 0.25
 """Largest time between two rows, s; chosen: five frames. A longer gap ends a drive, as its commands are unknown."""
 _MAX_JITTER = 0.002
@@ -60,7 +67,7 @@ class Log:
 
     Attributes:
         name: name of the file or folder.
-        kind: `bag` or `tub`.
+        kind: `bag`, `tub` or `table`.
         sha256: SHA-256 over the files that were read, one after the other.
         drives: parts without gaps.
     """
@@ -77,7 +84,7 @@ class Log:
 
 
 def read_log(path: Path) -> Log:
-    """Read a folder with a rosbag2 bag of one run or with a Donkey Car tub.
+    """Read a folder with a rosbag2 bag of one run, with a Donkey Car tub, or with a located recording, or a table.
 
     Raises:
         LogError: the log cannot be used; the message is one line with the remedy.
@@ -86,9 +93,14 @@ def read_log(path: Path) -> Log:
         return _read_bag(path)
     if is_tub(path):
         return _read_tub(path)
+    if (path / TABLE).is_file() or path.suffix == ".csv":
+        return _read_table(path if path.suffix == ".csv" else path / TABLE)
     if not path.exists():
         raise LogError(f"{path}: no such log: name the folder of a bag or of a Donkey Car tub")
-    raise LogError(f"{path}: neither a bag (metadata.yaml) nor a Donkey Car tub (manifest.json): give such a folder")
+    raise LogError(
+        f"{path}: no bag (metadata.yaml), Donkey Car tub (manifest.json) or located recording ({TABLE}): "
+        "give such a folder"
+    )
 
 
 def drives_of(times: Array, commands: Array, measured: Array) -> tuple[Drive, ...]:
@@ -191,7 +203,7 @@ def _read_tub(path: Path) -> Log:
     if not (np.isfinite(columns["x"]) & np.isfinite(columns["y"])).any() and not np.isfinite(columns["speed"]).any():
         raise LogError(
             f"{path}: the tub has neither positions (pos/pos_x, pos/pos_z) nor speed (pos/speed, enc/speed): "
-            "no motion can be fitted, record them too"
+            "no motion can be fitted: record them too, or find them with `ds recording locate`"
         )
     if not np.isfinite(times).all():
         raise LogError(f"{path}: _timestamp_ms of a record is not a number: remove that record")
@@ -205,6 +217,33 @@ def _read_tub(path: Path) -> Log:
         sha256=_digest(tub.files),
         drives=drives_of(times, np.array([(r.steering, r.throttle) for r in tub.records], dtype=np.float64), measured),
     )
+
+
+def _read_table(path: Path) -> Log:
+    """Read a CSV file with a line of names, such as `ds recording locate` and motion capture write."""
+    try:
+        text = read_regular(path, _LARGEST_TABLE).decode()
+        head, *lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+        rows = np.array(
+            [[float(value) if value else np.nan for value in line.split(",")] for line in lines], dtype=np.float64
+        )
+        columns = dict(zip([name.strip() for name in head.split(",")], rows.T, strict=True))
+        times, steering, throttle = (columns[name] for name in _TABLE_COLUMNS[:3])
+    except (OSError, FileError, ValueError, KeyError) as error:
+        reason = (
+            f"it has no column {error}" if isinstance(error, KeyError) else getattr(error, "strerror", None) or error
+        )
+        expected = ", ".join(_TABLE_COLUMNS)
+        raise LogError(
+            f"{path}: {printable(str(reason))}: expected a line of names and numbers below ({expected})"
+        ) from None
+    measured = np.column_stack([columns.get(name, np.full(len(times), np.nan)) for name in _TABLE_COLUMNS[3:]])
+    if not np.isfinite(times).all() or not np.isfinite(measured).any():
+        raise LogError(
+            f"{path}: time_s, or all of {', '.join(_TABLE_COLUMNS[3:])}, are no numbers: record the motion, too"
+        )
+    commands = np.column_stack((steering, throttle)).clip(-1.0, 1.0)
+    return Log(name=path.name, kind="table", sha256=_digest([path]), drives=drives_of(times, commands, measured))
 
 
 def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:

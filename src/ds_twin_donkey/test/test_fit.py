@@ -245,10 +245,24 @@ def test_gaps_and_reverse_throttle_end_a_drive() -> None:
     assert [len(d.commands) for d in drives] == [20, 20, 15]
 
 
+def test_a_table_of_motion_is_a_log(tmp_path: Path) -> None:
+    path = tmp_path / "located.csv"
+    rows = [f"{0.05 * k},{0.1 * k},0,1,0.25,0.5,{0.02 if k else ''}" for k in range(40)]
+    path.write_text("\n".join(["time_s,x_m,y_m,note,steering,throttle,yaw_rad", *rows]))
+    (drive,) = read_log(tmp_path).drives
+    assert drive.commands[7].tolist() == [0.25, 0.5] and len(drive.measured) == 40
+    assert drive.measured[7, :3] == pytest.approx([0.7, 0.0, 0.02]) and np.isnan(drive.measured[0, 2:]).all()
+    for text in ("time_s,steering\n1,2\n", "time_s,steering,throttle\n1,2,x\n", "time_s,steering,throttle\n1,0,0\n"):
+        path.write_text(text)
+        with pytest.raises(LogError, match="located.csv: ") as caught:
+            read_log(path)
+        assert "\n" not in str(caught.value)
+
+
 def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no such log"):
         read_log(tmp_path / "none")
-    with pytest.raises(LogError, match="neither a bag"):
+    with pytest.raises(LogError, match="no bag .*, Donkey Car tub"):
         read_log(tmp_path)
     (tmp_path / "metadata.yaml").write_text("nonsense")
     with pytest.raises(LogError, match=r"is not as rosbag2 writes it .*copy the bag again$"):

@@ -32,6 +32,7 @@ IN_WORDS = {
     GateState.NOT_APPLICABLE: "not applicable",
     GateState.INFEASIBLE: "infeasible",
     GateState.OUT_OF_ODD: "out of the operational design domain",
+    GateState.OUT_OF_SIGHT: "out of what the recording shows",
 }
 """States of excluded tests, in words."""
 

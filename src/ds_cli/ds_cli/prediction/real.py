@@ -236,7 +236,8 @@ def record_command(
     """Record outcomes of proposed drives, apart from simulated ones, and show what they change.
 
     From a CSV with a row per drive; from a rosbag2 recording of one drive, by its odometry from the start of the road
-    or a topic with the lateral position; or from a Donkey Car tub with --outcome.
+    or a topic with the lateral position; from a folder that `ds recording locate` wrote of it; or from a Donkey Car tub
+    with --outcome.
     """
     from ds_analysis.prediction.real.proposal import read_proposed
     from ds_analysis.prediction.real.recordings import is_recording

@@ -22,10 +22,9 @@ from ds_orchestrator.store.model import DriveArrays, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
-from ds_sim.gates.gate import Gate, gate_of, not_applicable
+from ds_sim.gates.gate import Gate, gate_of, left_out, not_applicable
 from ds_sim.registry import label_of, spec_of
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Reason
 
 PATIENCE = 5
 """A simulator counts as broken after this many consecutive tests without an outcome, retries included; chosen: two or
@@ -201,9 +200,8 @@ class Executor:
         if gate is not None and not gate.is_valid:
             return gate
         run = self._drive(test, simulator, self._settings.driver)
-        if run.reason is Reason.NOT_APPLICABLE:
-            return self._keep_gate(test, simulator, not_applicable(run.message))
-        return self._keep(test, simulator, run)
+        excluded = left_out(run)
+        return self._keep(test, simulator, run) if excluded is None else self._keep_gate(test, simulator, excluded)
 
     def judge(self, test: Test, simulator: str) -> Gate | None:
         """Decide, before a network drives a test, whether it can be judged by it there; None if the test has no gate.
@@ -224,8 +222,7 @@ class Executor:
         except NotApplicableError as error:
             return self._keep_gate(test, simulator, not_applicable(str(error)))
         run = self._drive(test, simulator, AUTOPILOT, probed=True)
-        refused = run.reason is Reason.NOT_APPLICABLE
-        return self._keep_gate(test, simulator, not_applicable(run.message) if refused else gate_of(run))
+        return self._keep_gate(test, simulator, left_out(run) or gate_of(run))
 
     def _drive(self, test: Test, simulator: str, driver: str, *, probed: bool = False) -> RunRecord:
         """Drive until there is a verdict, or the simulator cannot realise the test; repeats errors `retries` times."""
@@ -234,7 +231,7 @@ class Executor:
             run = self._engine.drive(
                 DriveRequest(simulator, driver, test.road, test.seed, test.conditions, probed=probed)
             )
-            if run.outcome.is_verdict or run.reason is Reason.NOT_APPLICABLE:
+            if run.outcome.is_verdict or left_out(run) is not None:
                 return run
             self._check_stop()
             message = f"autopilot: {run.message}" if probed else run.message

@@ -17,7 +17,7 @@ from ds_sim.simulator import SimulatorError
 
 CODE = (
     "ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_sim_torcs",
-    "ds_sim_ros", "ds_twin_donkey",
+    "ds_sim_ros", "ds_twin_donkey", "ds_recording",
 )  # fmt: skip
 """Packages whose code takes part in a drive."""
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "pybullet", "pymunk", "shapely")

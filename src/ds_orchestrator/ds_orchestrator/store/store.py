@@ -122,10 +122,14 @@ class Store:
             )
 
     def add_gate(self, test_id: str, simulator: str, gate: Gate) -> None:
-        """Store what the gates say of a test on one simulator; known ones stay."""
+        """Store what the gates say of a test on one simulator; only a valid test can become an excluded one."""
         outcome = "" if gate.outcome is None else gate.outcome.name
         row = (test_id, simulator, gate.state.value, gate.message, outcome, gate.visible_contrast, gate.hidden_share)
-        self._file.ask("INSERT OR IGNORE INTO gates VALUES (?,?,?,?,?,?,?)", row)
+        self._file.ask(
+            "INSERT INTO gates VALUES (?,?,?,?,?,?,?) ON CONFLICT(test_id, simulator) DO UPDATE SET "
+            f"state = excluded.state, message = excluded.message WHERE state = '{GateState.VALID}'",
+            row,
+        )
 
     def gate(self, test_id: str, simulator: str) -> Gate | None:
         """What the gates say of a test on one simulator, or None if that is not known."""

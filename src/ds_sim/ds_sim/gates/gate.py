@@ -12,7 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Outcome, Reason
 
 PROBE_EVERY = 10
 """Frames between two measurements of a run; chosen: half a second, 4 m of road, which is less than the window."""
@@ -31,6 +31,7 @@ class GateState(StrEnum):
     NOT_APPLICABLE = "not_applicable"
     INFEASIBLE = "infeasible"
     OUT_OF_ODD = "out_of_odd"
+    OUT_OF_SIGHT = "out_of_sight"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +61,13 @@ class Gate:
 def not_applicable(message: str) -> Gate:
     """Make the gate of a test that a simulator cannot realise."""
     return Gate(state=GateState.NOT_APPLICABLE, message=message)
+
+
+def left_out(run: RunRecord) -> Gate | None:
+    """Make the gate of a test by which its run shows that nobody can be judged there; None for any other run."""
+    states = {Reason.NOT_APPLICABLE: GateState.NOT_APPLICABLE, Reason.OUT_OF_SIGHT: GateState.OUT_OF_SIGHT}
+    state = states.get(run.reason)
+    return None if state is None else Gate(state=state, message=run.message)
 
 
 def gate_of(run: RunRecord) -> Gate:

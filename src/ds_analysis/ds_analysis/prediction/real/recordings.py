@@ -1,4 +1,4 @@
-"""Reads the outcome of one real drive from a rosbag2 recording of a car, or from a Donkey Car tub with a verdict."""
+"""Reads the outcome of one real drive from a recording: a bag, a located recording, or a tub with a verdict."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from ds_analysis.common.statistics import Array
 from ds_analysis.prediction.real.records import RecordError
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.reader import BagReader
+from ds_recording.errors import RecordingError
+from ds_recording.located import LOCATED, read_located
+from ds_recording.sibling.recorded_drive import driven_side
 from ds_road import Road
 from ds_sim.oracle import LaneTracker
 
@@ -56,7 +59,7 @@ def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = 
     """Read a recording of a drive on one road.
 
     Args:
-        path: rosbag2 folder, or tub.
+        path: rosbag2 folder, tub, or folder that `ds recording locate` wrote.
         road: road that was driven.
         scale: metres of the road per metre of the car's.
         topic: `TOPIC:FIELD` of the lateral position in metres of the car's, or the topic of its odometry, which begins
@@ -68,10 +71,9 @@ def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = 
         ds_bags.donkey_tub.TubError: the tub is damaged.
     """
     if is_tub(path):
-        records = read_tub(path).records
-        if not records:
-            raise RecordError(f"{path}: a tub without records")
-        return Recording(lateral=None, share=None, when=_said(records[0].seconds))
+        return Recording(lateral=None, share=None, when=_began(path))
+    if (path / LOCATED).is_file():
+        return _located(path, road, scale)
     with BagReader(path) as bag:
         when = _said(bag.start / 1e9)
         if topic is not None and ":" in topic:
@@ -79,6 +81,33 @@ def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = 
             return Recording(lateral=max(map(abs, values)) * scale, share=None, when=when)
         lateral, share = _along(road, _poses(bag, topic), scale, path)
         return Recording(lateral=lateral, share=share, when=when)
+
+
+def _began(path: Path) -> str:
+    """Time of the first record of a tub, or of the first message of a bag."""
+    if not is_tub(path):
+        with BagReader(path) as bag:
+            return _said(bag.start / 1e9)
+    records = read_tub(path).records
+    if not records:
+        raise RecordError(f"{path}: a tub without records")
+    return _said(records[0].seconds)
+
+
+def _located(path: Path, road: Road, scale: float) -> Recording:
+    """What the images of a drive say: the way along the lines that they show, and the offset from the lane driven."""
+    try:
+        located = read_located(path)
+    except RecordingError as error:
+        raise RecordError(str(error)) from None
+    offsets = np.abs(located.column("lateral_m") - driven_side(located)) * scale
+    beyond = np.flatnonzero(offsets > road.lane_width / 2)
+    end = int(beyond[0]) + 1 if beyond.size else len(offsets)
+    along = located.column("along_m")[:end] * scale
+    share = float(along.max() - along.min()) / float(LaneTracker(road.lane_centre).length)
+    return Recording(
+        lateral=float(offsets[:end].max()), share=share, when=_began(path / str(located.about.get("source")))
+    )
 
 
 def _said(seconds: float) -> str:
