@@ -96,7 +96,12 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "Read outcomes of any simulators and cars, and write ours.",
                 ("import", "export"),
             ),
-            Verb("recording", "recording", "Make a track, a twin and a sibling of a car's recording.", ("roads",)),
+            Verb(
+                "recording",
+                "recordings",
+                "Make a track, a twin and a sibling of a car's recording.",
+                ("locate", "calibrate", "roads"),
+            ),
             Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
             Verb(
                 "sim2real",

@@ -54,6 +54,7 @@ class Reading:
         rows: image rows to keep, see `ds_driver.networks.images.fit_to_network`.
         truth: reference for a driver: the recorded steering, or the autopilot's (bags of this project).
         trusted: user-provided simulators whose code may run.
+        whole: keep images as they were recorded, of any size, instead of fitting them to the networks.
     """
 
     camera: str | None = None
@@ -62,6 +63,11 @@ class Reading:
     rows: tuple[int, int] | None = None
     truth: Truth = "recorded"
     trusted: tuple[str, ...] = ()
+    whole: bool = False
+
+    def fitted(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Fit an image to the networks, unless it is to stay whole."""
+        return image if self.whole else fit_to_network(image, self.rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +77,9 @@ class RecordedFrame:
     Attributes:
         index: index of the image in its recording.
         seconds: time since the first image.
-        image: (160, 320, 3) uint8 RGB; None if it cannot be read.
+        image: (160, 320, 3) uint8 RGB, or of any size if read whole; None if it cannot be read.
         steering: reference steering, -1 full left to +1 full right, or None.
+        throttle: recorded throttle, at most 1, or None.
         speed: speed of the vehicle, m/s; 0 if not recorded.
         trouble: reason why there is no image.
         simulator: name of the simulator whose camera took the image, or `ds_driver.networks.pilot.NOT_SIMULATED`.
@@ -85,6 +92,7 @@ class RecordedFrame:
     speed: float = 0.0
     trouble: str = ""
     simulator: str = NOT_SIMULATED
+    throttle: float | None = None
 
     def seen(self, crop: Crop) -> Frame:
         """Return what a driver gets of an image that can be read; the first begins a run."""
@@ -161,7 +169,7 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
         try:
             assert record.image is not None
             data = read_bounded(record.image, MAX_IMAGE_FILE)
-            image = fit_to_network(rgb_of_file(data), recording.reading.rows)
+            image = recording.reading.fitted(rgb_of_file(data))
         except (OSError, ImageError, BoundedYamlError) as error:
             trouble = f"{record.image}: {getattr(error, 'strerror', None) or error}"
         yield RecordedFrame(
@@ -170,6 +178,7 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
             image=image,
             steering=record.steering,
             trouble=trouble,
+            throttle=record.throttle,
         )
 
 
@@ -184,10 +193,10 @@ def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
             first = time if first is None else first
             image, trouble = None, ""
             try:
-                image = fit_to_network(rgb_of_message(message), reading.rows)
+                image = reading.fitted(rgb_of_message(message))
             except ImageError as error:
                 trouble = f"{recording.path}, image {index}: {error}"
-            steering, speed = labels(time)
+            steering, speed, throttle = labels(time)
             yield RecordedFrame(
                 index=index,
                 seconds=(time - first) / 1e9,
@@ -196,6 +205,7 @@ def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
                 speed=speed,
                 trouble=trouble,
                 simulator=recording.simulator,
+                throttle=throttle,
             )
 
 
@@ -219,12 +229,15 @@ def _is_translated(connection: Any) -> bool:
     return f"/{TRANSLATED}/" in connection.topic
 
 
-def _labels(bag: BagReader, recording: Recording) -> Callable[[int], tuple[float | None, float]]:
-    """Return what gives steering, or None, and speed, m/s, at a time in ns."""
+_Labels = Callable[[int], tuple[float | None, float, float | None]]
+
+
+def _labels(bag: BagReader, recording: Recording) -> _Labels:
+    """Return what gives steering, or None, speed, m/s, and throttle, or None, at a time in ns."""
     if recording.reading.steering is not None:
         return _nearest(_field(bag, recording.reading))
     if recording.kind != _PROJECT_BAG:
-        return lambda _time: (None, 0.0)
+        return lambda _time: (None, 0.0, None)
     recorded = read_run(bag, trusted=recording.reading.trusted)
     observations = recorded.run.observations
     speed = {stamp: o.vehicle.speed for stamp, o in zip(recorded.stamps, observations, strict=True)}
@@ -235,17 +248,18 @@ def _labels(bag: BagReader, recording: Recording) -> Callable[[int], tuple[float
         steering = [command.steering for command in recorded.run.commands]
     # The last frame of a run has no command.
     labels = dict(zip(recorded.stamps, steering, strict=False))
-    return lambda time: (labels.get(time), speed.get(time, 0.0))
+    throttle = {stamp: c.throttle for stamp, c in zip(recorded.stamps, recorded.run.commands, strict=False)}
+    return lambda time: (labels.get(time), speed.get(time, 0.0), throttle.get(time))
 
 
-def _nearest(steering: dict[int, float]) -> Callable[[int], tuple[float | None, float]]:
+def _nearest(steering: dict[int, float]) -> _Labels:
     """Look up the value that is nearest in time, within `NEAR`."""
     times = np.array(sorted(steering), dtype=np.int64)
 
-    def at(time: int) -> tuple[float | None, float]:
+    def at(time: int) -> tuple[float | None, float, float | None]:
         after = int(np.searchsorted(times, time))
         near = min(map(int, times[max(0, after - 1) : after + 1]), key=lambda t: abs(t - time), default=None)
-        return (None if near is None or abs(near - time) > NEAR * 1e9 else steering[near]), 0.0
+        return (None if near is None or abs(near - time) > NEAR * 1e9 else steering[near]), 0.0, None
 
     return at
 

@@ -1,0 +1,93 @@
+"""`ds recording`: where the car was in a recording, and the camera that recorded it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ds_cli.options import JsonFlag
+from ds_cli.output import Interrupted, Result, answer, countdown, say
+
+app = typer.Typer()
+recording_app = typer.Typer(help="Find where the car was in a recording of a real car.", no_args_is_help=True)
+app.add_typer(recording_app, name="recording")
+
+
+@recording_app.command("locate")
+def locate_command(
+    source: Annotated[Path, typer.Argument(help="Bag or Donkey Car tub with images of a track.")],
+    lane_width: Annotated[
+        float,
+        typer.Option(min=0.02, max=50.0, help="From the middle of the centre line to that of an edge line, m."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the result.")],
+    camera: Annotated[Path | None, typer.Option(help="YAML file of the camera; estimated if left out.")] = None,
+    topic: Annotated[str | None, typer.Option(help="Topic of the images, for bags with several.")] = None,
+    steering: Annotated[str | None, typer.Option(help="TOPIC:FIELD of the steering, for bags of others.")] = None,
+    factor: Annotated[float, typer.Option(help="Converts that field to steering, -1 left to +1 right.")] = 1.0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Find where the car was in every image of a recording, and the track it drove on.
+
+    Looks for a yellow centre line between two white edge lines. A recording that cannot carry this is refused.
+    """
+    from ds_driver.data.recordings import Reading
+    from ds_recording.floor_camera import read_camera
+    from ds_recording.locate import located_of
+    from ds_recording.located import write_located
+    from ds_recording.page import write_page
+    from ds_recording.recording import read_views
+
+    reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
+    try:
+        known = None if camera is None else read_camera(camera)
+        views = read_views(source, reading, say)
+        found, fit = located_of(views, known, lane_width, progress=countdown())
+        write_located(out, found)
+        page = write_page(out / "index.html", views, found, fit)
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    document = found.about | {"out": str(out), "page": str(page)}
+
+    def show() -> None:
+        about = found.about
+        loop = (
+            f"a closed track of {found.track.length:.1f} m"
+            if about["closed"]
+            else f"{found.track.length:.1f} m of road"
+        )
+        print(f"{about['located']:.1%} of {about['frames']} images located, on {loop}, camera {about['calibration']}")
+        print(page)
+
+    answer(Result(document=document, show=show), as_json)
+
+
+@recording_app.command("calibrate")
+def calibrate_command(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Photographs of a chessboard, or folders.")],
+    squares: Annotated[str, typer.Option(help="Squares of the board along and across.")] = "8x6",
+    size: Annotated[float, typer.Option(min=0.001, max=1.0, help="Side of a square, m.")] = 0.025,
+    out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("camera.yaml"),
+    as_json: JsonFlag = False,
+) -> None:
+    """Calibrate a camera with photographs of a chessboard, taken at the size of its recordings.
+
+    Height and pitch above the floor stay unknown; `ds recording locate` estimates them from the lines.
+    """
+    from ds_recording.chessboard import calibrate, images_of, parse_board
+    from ds_recording.floor_camera import write_camera
+
+    camera, error, boards = calibrate(images_of(images), parse_board(squares), size)
+    write_camera(out, camera)
+    document = {"file": str(out), "focal_px": camera.focal_px, "focal_std": camera.focal_std, "rms_px": error,
+                "boards": boards}  # fmt: skip
+
+    def show() -> None:
+        print(
+            f"focal length {camera.focal_px:.1f} +- {camera.focal_std:.1f} px from {boards} boards, rms {error:.2f} px"
+        )
+        print(out)
+
+    answer(Result(document=document, show=show), as_json)

@@ -1,0 +1,1 @@
+"""Recordings of a real car as siblings: where the car was, on which track, seen by which camera."""

@@ -1,0 +1,222 @@
+"""Locates the car in a recording: lines and motion of every image, a first guess of the road, and the smoother."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_recording.closing import close_lap
+from ds_recording.errors import RecordingError
+from ds_recording.first_guess import chained, guess_track
+from ds_recording.floor_camera import FloorCamera
+from ds_recording.lines import LinePoints, line_pixels, points_on_floor
+from ds_recording.located import Located
+from ds_recording.motion import Motion, MotionFinder
+from ds_recording.recording import Views
+from ds_recording.smoother import Evidence, Smoother, Solution
+from ds_recording.track import Track
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+LEAST_MOTION = 0.6
+"""Share of neighbouring images between which a motion of the floor must be seen; chosen: of images in their order it is
+0.95 and more, of shuffled ones 0.3 and less."""
+LEAST_LINES, ENOUGH_POINTS = 0.5, 8
+"""Share of images that must show lines, and points of lines that are enough."""
+STANDING = 0.004
+"""Way between two images below which a car stands still, lane widths."""
+LEAST_AGREEING = 0.5
+"""Share of an image's line points that must be where the road has lines."""
+LARGEST_STD = (0.1, 0.09)
+"""Standard deviations of offset (lane widths) and heading (rad) beyond which an image counts as a gap."""
+MODEL_STD = (0.01, 0.012)
+"""What is added to them, in squares: a body that rolls, a floor that is not flat; chosen on simulated recordings."""
+CLOSED_TURNS, WORSE_CLOSED = 10, 0.03
+"""Steps of the smoother on a closed line, and share of line points that may disagree more with it than with an open
+one; chosen: a wrong lap loses a third of them."""
+LEAST_LOCATED = 0.5
+"""Share of the stretch's images that must be located."""
+LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A solved stretch in lane widths, with the evidence that it rests on."""
+
+    evidence: Evidence
+    solution: Solution
+    located: NDArray[np.bool_]
+
+
+def _silent(_done: int, _total: int, _line: str) -> None:
+    return None
+
+
+def gather(
+    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent, frames: slice = slice(None)
+) -> Evidence:
+    """Find lines and motions of a stretch's images.
+
+    Args:
+        views: the stretch.
+        camera: mounted, for images of the recorded size.
+        lane_width: m.
+        progress: called with images done, all images, and what is done.
+        frames: part of the stretch.
+    """
+    images, seconds = views.images[frames], views.seconds[frames]
+    seen = camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width)
+    finder = MotionFinder(seen)
+    lines: list[LinePoints] = []
+    motions: list[Motion | None] = []
+    for index, image in enumerate(images):
+        motions.append(finder.see(image, float(seconds[index] - seconds[index - 1]) if index else 0.0))
+        lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1), seen))
+        if index % 500 == 499:
+            progress(index + 1, len(images), "images looked at")
+    return Evidence(times=seconds, lines=lines, motions=motions, steering=views.steering[frames])
+
+
+def check_evidence(evidence: Evidence) -> None:
+    """Refuse what cannot carry a location.
+
+    Raises:
+        RecordingError: with the reason and the share of images that failed.
+    """
+    count = len(evidence.times)
+    seen = [motion for motion in evidence.motions[1:] if motion is not None]
+    moving = len(seen) / (count - 1)
+    if moving < LEAST_MOTION:
+        raise RecordingError(
+            f"between {1.0 - moving:.0%} of neighbouring images no common motion of the floor is seen, expected at "
+            f"most {1.0 - LEAST_MOTION:.0%}: they are shuffled, missing, or show no floor: record without dropping any"
+        )
+    still = float(np.mean([np.hypot(*motion.step[:2]) < STANDING for motion in seen]))
+    if still > 0.9:
+        raise RecordingError(f"nothing moves in {still:.0%} of the images: record the car while it drives")
+    lined = float(np.mean([len(points) >= ENOUGH_POINTS for points in evidence.lines]))
+    if lined < LEAST_LINES:
+        raise RecordingError(
+            f"{1.0 - lined:.0%} of the images show no lane lines, expected at most {1.0 - LEAST_LINES:.0%}: a yellow "
+            "centre line between two white ones is looked for below the horizon; check camera and lane width"
+        )
+    yellow = float(np.mean([bool((~points.white).any()) for points in evidence.lines]))
+    if yellow < 0.5 * LEAST_LINES:
+        raise RecordingError(f"only {yellow:.0%} of the images show a yellow centre line, expected 25%: none is found")
+
+
+def solve(evidence: Evidence) -> Fit:
+    """Guess the road, smooth the run, and join the ends of a lap where there is one.
+
+    Raises:
+        RecordingError: no road fits.
+    """
+    steps, last = [], np.zeros(3)
+    for index, seconds in enumerate(np.diff(evidence.times), start=1):
+        motion = evidence.motions[index]
+        last = last if motion is None else motion.step / seconds
+        steps.append(last * seconds)
+    poses = chained(np.array(steps))
+    track = guess_track(evidence.lines, poses)
+    if track is None:
+        raise RecordingError(
+            "the lines of most images fit no road with a yellow centre line and white edges, one lane width apart: "
+            "check --lane-width and the camera"
+        )
+    solution = Smoother(evidence, poses, track).solve()
+    lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading)
+    if lap is not None:
+        closed = Smoother(evidence, lap.poses, lap.track, lap.pieces).solve(CLOSED_TURNS)
+        if np.nanmean(closed.agree) > np.nanmean(solution.agree) - WORSE_CLOSED:
+            solution = closed
+    located = _trusted(evidence, solution)
+    if located.mean() < LEAST_LOCATED:
+        raise RecordingError(
+            f"{1.0 - located.mean():.0%} of the images could not be located, expected at most "
+            f"{1.0 - LEAST_LOCATED:.0%}: lines and motion contradict each other; check --lane-width and the camera"
+        )
+    return Fit(evidence=evidence, solution=solution, located=located)
+
+
+def _trusted(evidence: Evidence, solution: Solution) -> NDArray[np.bool_]:
+    """Which images are located: known well enough, and not contradicted by what they show themselves."""
+    enough = np.array([len(points) >= ENOUGH_POINTS for points in evidence.lines])
+    contradicted = enough & ~(solution.agree >= LEAST_AGREEING)
+    sure = (solution.std_lateral < LARGEST_STD[0]) & (solution.std_heading < LARGEST_STD[1])
+    return np.asarray(sure & ~contradicted & (np.abs(solution.lateral) < 3.0))
+
+
+def in_metres(views: Views, fit: Fit, camera: FloorCamera, lane_width: float, calibration: str) -> Located:
+    """Tables of a solved stretch, in metres."""
+    solution, times = fit.solution, fit.evidence.times
+    # Speeds over two images on either side, in which the errors of single steps are evened out.
+    low, high = np.maximum(np.arange(len(times)) - 2, 0), np.minimum(np.arange(len(times)) + 2, len(times) - 1)
+    way, seconds = solution.poses[high] - solution.poses[low], times[high] - times[low]
+    ahead = way[:, 0] * np.cos(solution.poses[:, 2]) + way[:, 1] * np.sin(solution.poses[:, 2])
+    stds = [
+        np.hypot(std, more) for std, more in zip((solution.std_lateral, solution.std_heading), MODEL_STD, strict=True)
+    ]
+    yaw = (solution.poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    table = np.stack(
+        (
+            views.frames, times, solution.poses[:, 0] * lane_width, solution.poses[:, 1] * lane_width, yaw,
+            solution.along * lane_width, solution.lateral * lane_width, solution.heading, ahead / seconds * lane_width,
+            way[:, 2] / seconds, stds[0] * lane_width, stds[1], views.steering, views.throttle.clip(0.0, 1.0),
+        ),
+        axis=1,
+    )  # fmt: skip
+    track = solution.track
+    steering = solution.steering
+    about: dict[str, Any] = {
+        "source": str(views.recording.path),
+        "kind": "tub" if views.recording.kind == "tub" else "bag",
+        "frames": views.total,
+        "located": float(fit.located.sum()) / views.total,
+        "closed": track.closed,
+        "lane_width_m": lane_width,
+        "calibration": calibration,
+        "refused": None,
+        "versions": {name: version(name) for name in LIBRARIES},
+        "stretch": {"first": int(views.frames[0]), "last": int(views.frames[-1]), "located": float(fit.located.mean())},
+        "steering": None if steering is None else {
+            "gain_per_m": steering.gain / lane_width, "trim_per_m": steering.trim / lane_width,
+            "delay_s": steering.delay, "lag_s": steering.lag, "explained": steering.explained,
+        },
+        "median_line_residual_m": float(np.nanmedian(solution.residuals)) * lane_width,
+    }  # fmt: skip
+    return Located(
+        table=table[fit.located],
+        track=Track(track.points * lane_width, track.closed),
+        lane_width=lane_width,
+        camera=camera,
+        about=about,
+    )
+
+
+def located_of(
+    views: Views, camera: FloorCamera | None, lane_width: float, progress: Progress = _silent
+) -> tuple[Located, Fit]:
+    """Locate a stretch.
+
+    Raises:
+        RecordingError: it cannot carry a location; with the reason, and the share of images that failed.
+    """
+    if camera is None or not camera.mounted:
+        raise RecordingError("the camera is unknown: give --camera with focal length, height and pitch")
+    if (camera.width_px, camera.height_px) != views.size:
+        raise RecordingError(
+            f"the camera is for {camera.width_px} x {camera.height_px} px, the images have {views.size[0]} x "
+            f"{views.size[1]}: give the camera of this recording"
+        )
+    started = time.monotonic()
+    evidence = gather(views, camera, lane_width, progress)
+    check_evidence(evidence)
+    progress(0, 1, f"lines and motion found in {time.monotonic() - started:.0f} s; solving for the whole run")
+    fit = solve(evidence)
+    return in_metres(views, fit, camera, lane_width, "given"), fit

@@ -1,0 +1,93 @@
+"""Result of locating a recording, and its four files.
+
+Frame of reference: x and y in the plane of the floor, yaw counter-clockwise (REP-103), with the first image near the
+origin, heading along x. Offsets are from the centre line of the ROAD, which is the yellow line between its two
+lanes, to the right positive, as `ds_sim.oracle.LaneTracker` has it for whatever line it is given.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_recording.errors import RecordingError
+from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
+from ds_recording.track import Track, read_track, write_track
+from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
+
+Array = NDArray[np.float64]
+COLUMNS = (
+    "frame", "time_s", "x_m", "y_m", "yaw_rad", "along_m", "lateral_m", "heading_rad", "speed_mps", "yaw_rate_radps",
+    "std_lateral_m", "std_heading_rad", "steering", "throttle",
+)  # fmt: skip
+"""Columns of `located.csv`; steering and throttle are empty where the recording has none."""
+LOCATED, TRACK, CAMERA, ABOUT = "located.csv", "track.csv", "camera.yaml", "recording.json"
+MAX_FILE = 2**27
+"""Largest file that is read, bytes; chosen: a million rows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Located:
+    """Where the car was.
+
+    Attributes:
+        table: a row for each located image, columns as `COLUMNS`, (n, 14); NaN where a command is unknown.
+        track: centre line of the road, m.
+        lane_width: from the middle of the centre line to the middle of an edge line, m.
+        camera: with which it was located.
+        about: contents of `recording.json`.
+    """
+
+    table: Array
+    track: Track
+    lane_width: float
+    camera: FloorCamera
+    about: dict[str, Any]
+
+    def column(self, name: str) -> Array:
+        """One column of the table, (n,)."""
+        return self.table[:, COLUMNS.index(name)]
+
+
+def write_located(folder: Path, located: Located) -> None:
+    """Write the four files into a folder, which is created if missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [",".join(COLUMNS)]
+    for frame, *values in located.table.tolist():
+        lines.append(",".join([str(int(frame)), *("" if value != value else f"{value:.6g}" for value in values)]))
+    (folder / LOCATED).write_text("\n".join(lines) + "\n")
+    write_track(folder / TRACK, located.track, located.lane_width)
+    write_camera(folder / CAMERA, located.camera)
+    (folder / ABOUT).write_text(json.dumps(located.about, indent=1, allow_nan=False) + "\n")
+
+
+def read_located(folder: Path) -> Located:
+    """Read a folder that `write_located` wrote.
+
+    Raises:
+        RecordingError: a file is missing, damaged or of another form.
+    """
+    try:
+        about = json.loads(read_bounded(folder / ABOUT, MAX_FILE))
+        header, *rows = read_bounded(folder / LOCATED, MAX_FILE).decode().splitlines()
+        if tuple(header.split(",")) != COLUMNS:
+            raise ValueError(f"{LOCATED} has the columns {header[:80]}, expected {','.join(COLUMNS)}")
+        table = np.array([[float(v) if v else np.nan for v in row.split(",")] for row in rows])
+        if table.ndim != 2 or table.shape[1] != len(COLUMNS) or not np.isfinite(table[:, :-2]).all():
+            raise ValueError(f"{LOCATED} needs a row of {len(COLUMNS)} numbers for each image")
+        if not isinstance(about, dict):
+            raise ValueError(f"{ABOUT} is no object")
+        width = about.get("lane_width_m")
+        if isinstance(width, bool) or not isinstance(width, int | float) or not 0.0 < width < 1e3:
+            raise ValueError(f"lane_width_m in {ABOUT} is {width!r}, expected metres")
+    except (OSError, ValueError, BoundedYamlError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{folder}: {reason}: give a folder that `ds recording locate` wrote") from None
+    track, _ = read_track(folder / TRACK)
+    camera = read_camera(folder / CAMERA)
+    return Located(table=table, track=track, lane_width=float(width), camera=camera, about=about)

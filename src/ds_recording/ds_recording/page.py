@@ -1,0 +1,158 @@
+"""One HTML file that shows a located recording: the track from above, what is left over, pictures with fitted lines."""
+
+from __future__ import annotations
+
+import base64
+import html
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_recording.floor_camera import FloorCamera
+from ds_recording.locate import Fit
+from ds_recording.located import Located
+from ds_recording.recording import Views
+from ds_recording.track import Track
+from ds_road.figures import COLOURS, WIDTH, draw_figure
+from ds_sim.camera.encodings import png
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+PICTURES, ACROSS = 12, 4
+"""Pictures with fitted lines, and how many lie beside each other."""
+SHOWN = (0.3, 6.0)
+"""Distance ahead of the car within which lines are drawn, lane widths."""
+_STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;max-width:1140px;margin:2em auto;padding:0 1em;color:#222}"
+    "img{max-width:100%}table{border-collapse:collapse}td,th{padding:.2em 1em .2em 0;text-align:left}"
+)
+
+
+def write_page(path: Path, views: Views, located: Located, fit: Fit) -> Path:
+    """Write the page.
+
+    Args:
+        path: file to write.
+        views: images of the stretch.
+        located: result.
+        fit: solution that the result is from, of the same stretch.
+    """
+    about = located.about
+    stretch, camera = about["stretch"], located.camera
+    rows = {
+        "Recording": f"{about['source']} ({about['kind']}, {about['frames']} images)",
+        "Used": f"images {stretch['first']} to {stretch['last']}, of which {stretch['located']:.1%} are located",
+        "Track": f"{located.track.length:.2f} m of {'closed track' if about['closed'] else 'road, not closed'}, "
+        f"lanes of {about['lane_width_m']:g} m",
+        "Camera": f"{about['calibration']}: focal length {camera.focal_px:.1f} +- {camera.focal_std:.1f} px, "
+        f"height {camera.height_m:.3g} m, pitch {np.degrees(camera.pitch_rad or 0.0):.1f} degrees",
+        "Lines": f"are {1000 * about['median_line_residual_m']:.3g} mm from where they should be, in the median",
+        "Steering": _steering(about["steering"]),
+    }
+    table = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in rows.items())
+    sections = [
+        ("The track from above", "Driven line on the road; crosses are images that could not be located.",
+         draw_figure(WIDTH, 620, lambda figure: _from_above(figure, located, fit))),
+        ("Over time", "What lines and motion leave unexplained, and what was driven.",
+         draw_figure(WIDTH, 760, lambda figure: _over_time(figure, located, fit))),
+        ("Pictures", "Fitted lines drawn in: yellow is the centre line, white the edges; grey ones are not located.",
+         contact_sheet(views, located.camera, located.lane_width, fit)),
+    ]  # fmt: skip
+    body = "".join(
+        f'<h2>{title}</h2><p>{text}</p><img alt="{title}" src="data:image/png;base64,'
+        f'{base64.b64encode(png(image)).decode()}">'
+        for title, text, image in sections
+    )
+    path.write_text(
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Located recording</title><style>{_STYLE}</style>'
+        f"<h1>Where the car was</h1><table>{table}</table>{body}</html>\n"
+    )
+    return path
+
+
+def _steering(steering: dict[str, float] | None) -> str:
+    if steering is None:
+        return "explains too little of the motion to say how the car follows it"
+    return (
+        f"full steering turns the car with {abs(steering['gain_per_m']):.3g} 1/m after {steering['delay_s']:.2f} s, "
+        f"{steering['explained']:.0%} of its turning is explained by it"
+    )
+
+
+def beside(track: Track, offset: float) -> Array:
+    """Points at a distance to the right of a line, one for each of its own, (n, 2)."""
+    points = track.points
+    ahead = np.gradient(np.vstack((points[-1:], points, points[:1])), axis=0)[1:-1] if track.closed else None
+    ahead = np.gradient(points, axis=0) if ahead is None else ahead
+    ahead = ahead / np.hypot(*ahead.T)[:, None]
+    return np.asarray(points + offset * np.stack((ahead[:, 1], -ahead[:, 0]), axis=1))
+
+
+def _from_above(figure: Figure, located: Located, fit: Fit) -> None:
+    axes = figure.subplots()
+    for offset, colour in ((-1.0, "#888888"), (0.0, "#c09000"), (1.0, "#888888")):
+        line = beside(located.track, offset * located.lane_width)
+        line = np.vstack((line, line[:1])) if located.track.closed else line
+        axes.plot(*line.T, color=colour, linewidth=1)
+    axes.plot(located.column("x_m"), located.column("y_m"), ".", color=COLOURS[0], markersize=2)
+    lost = fit.solution.poses[~fit.located, :2] * located.lane_width
+    axes.plot(*lost.T, "x", color=COLOURS[1], markersize=4)
+    axes.set(xlabel="x, m", ylabel="y, m")
+    axes.set_aspect("equal", "datalim")
+
+
+def _over_time(figure: Figure, located: Located, fit: Fit) -> None:
+    first, second, third, fourth = figure.subplots(4, 1, sharex=True)
+    times = fit.evidence.times
+    first.plot(times, fit.solution.residuals * located.lane_width, ".", markersize=2, color=COLOURS[0])
+    first.set(title="Median distance of painted lines from the fitted ones", ylabel="m")
+    second.plot(times, fit.solution.agree, ".", markersize=2, color=COLOURS[2])
+    second.set(title="Share of an image's line points that agree", ylim=(0, 1.05))
+    time = located.column("time_s")
+    offset, std = located.column("lateral_m"), located.column("std_lateral_m")
+    third.fill_between(time, offset - 2 * std, offset + 2 * std, color="#cccccc")
+    third.plot(time, offset, linewidth=1, color=COLOURS[0])
+    third.set(title="Offset to the right of the road's centre line, with two standard deviations", ylabel="m")
+    fourth.plot(time, located.column("speed_mps"), linewidth=1, color=COLOURS[1])
+    fourth.set(title="Speed", ylabel="m/s", xlabel="s")
+
+
+def contact_sheet(views: Views, camera: FloorCamera, lane_width: float, fit: Fit) -> NDArray[np.uint8]:
+    """Pictures at even times with the fitted lines, (rows, columns, 3) uint8 RGB."""
+    chosen = np.linspace(0, len(views.images) - 1, PICTURES + 2)[1:-1].round().astype(int)
+    drawn = [drawn_in(views.images[i], int(i), camera, lane_width, fit) for i in chosen]
+    rows = [np.hstack(drawn[i : i + ACROSS]) for i in range(0, PICTURES, ACROSS)]
+    return np.ascontiguousarray(np.vstack(rows))
+
+
+def drawn_in(
+    image: NDArray[np.uint8], frame: int, camera: FloorCamera, lane_width: float, fit: Fit
+) -> NDArray[np.uint8]:
+    """One picture with the fitted lines, `WIDTH` / `ACROSS` columns wide."""
+    width = WIDTH // ACROSS
+    height = round(image.shape[0] * width / image.shape[1])
+    large = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_CUBIC), np.uint8)
+    seen = camera.resized(width, height).scaled(1.0 / lane_width)
+    x, y, yaw = fit.solution.poses[frame]
+    track = fit.solution.track.resampled(0.1)
+    start = int(np.searchsorted(track.stations, fit.solution.along[frame] % max(track.length, 1e-9)))
+    index = start + np.arange(-10, round(1.3 * SHOWN[1] / 0.1))
+    index = index % len(track.points) if track.closed else index[(index >= 0) & (index < len(track.points))]
+    good = bool(fit.located[frame])
+    for offset, colour in ((0.0, (255, 210, 0)), (-1.0, (255, 255, 255)), (1.0, (255, 255, 255))):
+        to = beside(track, offset)[index] - (x, y)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        floor = np.stack((cos * to[:, 0] + sin * to[:, 1], cos * to[:, 1] - sin * to[:, 0]), axis=1)
+        pixels, valid = seen.project(floor)
+        valid &= (floor[:, 0] > SHOWN[0]) & (floor[:, 0] < SHOWN[1])
+        for i in np.flatnonzero(valid[1:] & valid[:-1]):
+            ends = [tuple(int(v) for v in np.clip(16 * pixels[j], -(2**24), 2**24)) for j in (i, i + 1)]
+            for thickness, shade in ((3, (0, 0, 0)), (1, colour if good else (128, 128, 128))):
+                cv2.line(large, ends[0], ends[1], shade, thickness, cv2.LINE_AA, 4)
+    cv2.putText(large, str(frame), (4, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 60, 60), 1, cv2.LINE_AA)
+    return large

@@ -1,0 +1,156 @@
+"""Images, times and commands of the longest stretch of a recording that has no gaps, and whether they make sense."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_driver.data.recordings import Reading, Recording, open_recording
+from ds_recording.errors import RecordingError
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+LONGEST_GAP = 0.5
+"""Time between two images that ends a stretch, s; chosen: ten images, in which a car leaves what it has seen."""
+SHORTEST = 100
+"""Images of a stretch that can be located; chosen: five seconds at 20 Hz."""
+MOST_FRAMES = 4000
+"""Images of a stretch that are used; chosen: 200 s at 20 Hz, solved in a minute."""
+MOST_READ = 200_000
+"""Images of a recording; chosen: three hours at 20 Hz."""
+PERIODS = (0.01, 0.25)
+"""Least and largest median time between images, s; chosen: beyond, no camera of a car, or no common motion."""
+LEAST_ORDERED = 0.95
+"""Share of the images that must be later than the one before; chosen: sessions may be mixed, and a clock set once."""
+WIDEST_IMAGE = 320
+"""Columns to which wider images are shrunk; chosen: lines are then as many pixels wide as they are checked with."""
+SIZES = (16, 8192)
+"""Least and largest side of an image, px."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Views:
+    """One stretch.
+
+    Attributes:
+        recording: where it is from.
+        total: images of the whole recording.
+        frames: index of each image in the recording, (n,).
+        seconds: time since the first image of the recording, (n,), increasing.
+        images: (rows, columns, 3) uint8 RGB, n of them, shrunk to `WIDEST_IMAGE`.
+        size: columns and rows of the images as recorded.
+        steering: -1 full left to +1 full right; NaN where unknown, (n,).
+        throttle: NaN where unknown, (n,).
+    """
+
+    recording: Recording
+    total: int
+    frames: NDArray[np.int64]
+    seconds: Array
+    images: list[NDArray[np.uint8]] = field(repr=False)
+    size: tuple[int, int]
+    steering: Array
+    throttle: Array
+
+
+def read_views(path: Path, reading: Reading, say: Say = lambda _line: None) -> Views:
+    """Read the longest stretch without gaps, or the first `MOST_FRAMES` of it.
+
+    Raises:
+        RecordingError: too few images, or times that make no sense.
+        ds_bags.layout.BagError: neither a bag nor a tub, or a damaged one.
+    """
+    recording = open_recording(path, reading)
+    rows: list[tuple[int, float]] = []
+    sizes: set[tuple[int, int]] = set()
+    total = 0
+    for frame in recording.frames():
+        total += 1
+        if total > MOST_READ:
+            raise RecordingError(f"{path}: more than {MOST_READ} images: split the recording")
+        if frame.image is not None:
+            rows.append((frame.index, frame.seconds))
+            sizes.add((frame.image.shape[1], frame.image.shape[0]))
+        if total % 2000 == 0:
+            say(f"{path}: {total} images read")
+    seconds = np.array([row[1] for row in rows])
+    first, end = longest_stretch(path, seconds, total)
+    if len(sizes) > 1 or not SIZES[0] <= min(min(sizes)) <= max(max(sizes)) <= SIZES[1]:
+        found = " and ".join(f"{w} x {h}" for w, h in sorted(sizes)[:3])
+        raise RecordingError(f"{path}: images of {found} px: expected one size, of {SIZES[0]} to {SIZES[1]} px a side")
+    kept: list[NDArray[np.uint8]] = []
+    commands = []
+    place = 0
+    for frame in recording.frames():
+        if place >= end:
+            break
+        if frame.image is not None:
+            if place >= first:
+                kept.append(shrunk(frame.image))
+                commands.append([np.nan if v is None else v for v in (frame.steering, frame.throttle)])
+            place += 1
+    values = np.array(commands, dtype=np.float64)
+    return Views(
+        recording=recording,
+        total=total,
+        frames=np.array([row[0] for row in rows[first:end]], dtype=np.int64),
+        seconds=seconds[first:end],
+        images=kept,
+        size=next(iter(sizes)),
+        steering=values[:, 0],
+        throttle=values[:, 1],
+    )
+
+
+def longest_stretch(path: Path, seconds: Array, total: int) -> tuple[int, int]:
+    """First image and end of the longest stretch without gaps, at most `MOST_FRAMES` long.
+
+    Args:
+        path: recording, for messages.
+        seconds: times of the images that can be read.
+        total: number of all images, for messages.
+
+    Raises:
+        RecordingError: there is none, or the times make no sense.
+    """
+    if len(seconds) < SHORTEST:
+        raise RecordingError(
+            f"{path}: {len(seconds)} of {total} images can be read, expected at least {SHORTEST}: record a longer drive"
+        )
+    steps = np.diff(seconds)
+    ordered = float((steps > 0.0).mean())
+    if not np.isfinite(seconds).all() or ordered < LEAST_ORDERED:
+        raise RecordingError(
+            f"{path}: {1.0 - ordered:.0%} of the images are no later than the one before: the times make no sense, or "
+            "the images are not in the order in which they were taken: record it again"
+        )
+    period = float(np.median(steps))
+    if not PERIODS[0] <= period <= PERIODS[1]:
+        raise RecordingError(
+            f"{path}: images are {1000 * period:.3g} ms apart in the median, expected {1000 * PERIODS[0]:g} to "
+            f"{1000 * PERIODS[1]:g}: the times make no sense, so nothing can be said about motion"
+        )
+    cuts = np.flatnonzero((steps <= 0.0) | (steps > LONGEST_GAP)) + 1
+    edges = np.concatenate(([0], cuts, [len(seconds)]))
+    longest = int(np.argmax(np.diff(edges)))
+    first, end = int(edges[longest]), int(edges[longest + 1])
+    if end - first < SHORTEST:
+        raise RecordingError(
+            f"{path}: the longest stretch without gaps of {LONGEST_GAP:g} s has {end - first} of {total} images, "
+            f"expected at least {SHORTEST}: record without interruptions"
+        )
+    return first, min(end, first + MOST_FRAMES)
+
+
+def shrunk(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Shrink an image wider than `WIDEST_IMAGE`, keeping its aspect ratio."""
+    height, width = image.shape[:2]
+    if width <= WIDEST_IMAGE:
+        return image
+    size = (WIDEST_IMAGE, max(round(height * WIDEST_IMAGE / width), 1))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
