@@ -1,4 +1,4 @@
-"""`ds recording`: where the car was in a recording, and the camera that recorded it."""
+"""`ds recording`: where the car was in a recording, its camera, and roads to test on its track."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ds_cli.options import JsonFlag
 from ds_cli.output import Interrupted, Result, answer, countdown, say
 
 app = typer.Typer()
-recording_app = typer.Typer(help="Find where the car was in a recording of a real car.", no_args_is_help=True)
+recording_app = typer.Typer(help="Make a track, a twin and a sibling of a car's recording.", no_args_is_help=True)
 app.add_typer(recording_app, name="recording")
 
 
@@ -88,6 +88,40 @@ def calibrate_command(
         print(
             f"focal length {camera.focal_px:.1f} +- {camera.focal_std:.1f} px from {boards} boards, rms {error:.2f} px"
         )
+        print(out)
+
+    answer(Result(document=document, show=show), as_json)
+
+
+@recording_app.command("roads")
+def recording_roads_command(
+    folder: Annotated[Path, typer.Argument(help="Folder that `ds recording locate` wrote.")],
+    out: Annotated[Path, typer.Option(help="Road file to write.")] = Path("roads.json"),
+    length: Annotated[float, typer.Option(min=20.0, max=900.0, help="Length of each road, road metres.")] = 80.0,
+    every: Annotated[float, typer.Option(min=1.0, help="Distance between two starts, road metres.")] = 20.0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Cut the recorded track into roads to test.
+
+    `ds siblings compare --file ROADS --sims recording@FOLDER,...` drives them; a road metre is 1/16 m on the floor.
+    """
+    from ds_recording.sibling.recorded_drive import read_drive
+    from ds_recording.sibling.sections import sections
+    from ds_road import write_roads
+
+    drive = read_drive(folder)
+    roads = sections(drive, length, every)
+    write_roads(roads, out)
+    document = {
+        "file": str(out),
+        "roads": len(roads),
+        "lane_m": round(drive.lane.length, 1),
+        "closed": drive.lane.closed,
+    }
+
+    def show() -> None:
+        lane = f"{'a loop' if drive.lane.closed else 'open'}, {drive.lane.length:.0f} m long"
+        print(f"{len(roads)} roads of {length:g} road metres; the recorded lane is {lane}.")
         print(out)
 
     answer(Result(document=document, show=show), as_json)

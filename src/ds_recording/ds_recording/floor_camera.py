@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,8 @@ from ds_recording.errors import RecordingError
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 
 Array = NDArray[np.float64]
+Rays = NDArray[Any]
+"""Of single or double precision."""
 _WIDEST = 4.0
 """Largest tangent of the angle from the optical axis that a lens model is used for; chosen: 76 degrees."""
 _FLATTEST = 0.03
@@ -96,8 +97,8 @@ class FloorCamera:
         end = int(falling[0]) + 1 if falling.size else len(radius)
         return distorted[:end], radius[:end]
 
-    def _undistorted(self, pixels: Array) -> tuple[Array, Array]:
-        """Points at distance 1 along the optical axis, (n, 2), and whether the lens model reaches so far."""
+    def rays(self, pixels: Array) -> tuple[Array, Array]:
+        """Slopes right and down of the rays through pixels, (n, 2), and which of them the lens model covers."""
         _, _, p1, p2, _ = self.distortion
         seen = (pixels - (self.centre_x_px, self.centre_y_px)) / self.focal_px
         distorted, radius = self._radii
@@ -113,6 +114,19 @@ class FloorCamera:
             found = plain * (np.interp(length, distorted, radius) / np.maximum(length, 1e-12))[:, None]
         return found, np.hypot(*plain.T) < distorted[-1]
 
+    def pixels(self, right: Rays, down: Rays) -> tuple[Rays, Rays, NDArray[np.bool_]]:
+        """Columns and rows of rays with these slopes, px, and which of them the lens model covers; OpenCV's formula."""
+        k1, k2, p1, p2, k3 = self.distortion
+        square = right * right + down * down
+        stretch = 1.0 + square * (k1 + square * (k2 + square * k3))
+        x, y = right * stretch, down * stretch
+        if p1 or p2:
+            product = 2.0 * right * down
+            x += p1 * product + p2 * (square + 2.0 * right * right)
+            y += p1 * (square + 2.0 * down * down) + p2 * product
+        known = square < self._radii[1][-1] ** 2
+        return self.centre_x_px + self.focal_px * x, self.centre_y_px + self.focal_px * y, known
+
     def floor(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Points of the floor, ahead and left of the car's centre, (n, 2) m, and which of them are on it.
 
@@ -120,7 +134,7 @@ class FloorCamera:
             pixels: columns and rows, (n, 2).
         """
         height, pitch = self._mount
-        rays, known = self._undistorted(pixels)
+        rays, known = self.rays(pixels)
         cos, sin = math.cos(pitch), math.sin(pitch)
         descent = sin + rays[:, 1] * cos
         valid = np.logical_and(known, descent > _FLATTEST)
@@ -140,12 +154,9 @@ class FloorCamera:
         limit = self._radii[1][-1]
         inside = np.hypot(seen[:, 0], seen[:, 1]) < limit * np.maximum(seen[:, 2], 1e-6)
         valid = np.logical_and(seen[:, 2] > 1e-6, inside)
-        pixels = np.full((len(points), 2), np.nan)
-        if valid.any():
-            matrix = np.array([[self.focal_px, 0, self.centre_x_px], [0, self.focal_px, self.centre_y_px], [0, 0, 1.0]])
-            drawn, _ = cv2.projectPoints(seen[valid], np.zeros(3), np.zeros(3), matrix, np.array(self.distortion))
-            pixels[valid] = drawn[:, 0]
-        return pixels, valid
+        depth = np.where(valid, seen[:, 2], 1.0)
+        columns, rows, _ = self.pixels(seen[:, 0] / depth, seen[:, 1] / depth)
+        return np.where(valid[:, None], np.stack((columns, rows), axis=1), np.nan), valid
 
 
 def write_camera(path: Path, camera: FloorCamera) -> None:

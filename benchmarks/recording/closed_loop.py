@@ -1,0 +1,171 @@
+"""Is a recording's sibling the simulator that was recorded? Verdicts of networks on both, on the same roads.
+
+`python -m benchmarks.recording.closed_loop --out closed` records `ROADS` roads on `donkey`, each once, by a pilot with
+a shaky hand, as tubs of images and commands; fits the twin to them; and drives networks under conditions on `donkey`,
+on the sibling made from each recording, and on `bullet`, `softbody` and `panda`. Poses are the true ones here, so that
+the sibling alone is measured.
+
+Fixed before the first drive: roads, hand, networks, conditions, limits of the sibling, statistics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+from benchmarks.recording.drives import polynomial
+
+from ds_analysis.common.driven_road import DrivenRoad
+from ds_cli.output import say
+from ds_driver.control.autopilot import Autopilot
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.store.model import Test
+from ds_recording.located import COLUMNS
+from ds_recording.sibling.recorded_drive import read_drive
+from ds_recording.sibling.sections import sections
+from ds_recording.track import HEADER
+from ds_road import Road
+from ds_road.generation import generate
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.oracle import LaneTracker
+from ds_sim.registry import make_simulator
+from ds_sim.simulator import FRAME_TIME, Command, Outcome
+from ds_studies.same_roads import driven_road
+from ds_twin_donkey.fit import FitSettings, fit
+from ds_twin_donkey.logs import read_log
+from ds_twin_donkey.parameter_file import document_of, write_parameters
+from ds_twin_donkey.parameters import SCALE
+
+ROADS, SEED = 12, 3900
+LANE = 4.0 / SCALE
+"""Width of a lane on the floor, m."""
+HAND = (0.15, 0.25)
+"""Share by which the hand's aim returns in a frame, and standard deviation of its steps, m across the lane."""
+NETWORKS = ("dave2_short", "dave2", "epoch", "convolutional")
+CONDITIONS = {
+    "as it is": DEFAULT,
+    "delay 0.1 s": Conditions(command_delay=0.1),
+    "pull to the left": Conditions(tyre_pull=0.03),
+    "dark": Conditions(illuminance=50.0),
+}
+OTHERS = ("donkey", "bullet", "softbody", "panda")
+
+
+def record(road: Road, seed: int, folder: Path) -> None:
+    """Drive a road on `donkey` with a shaky hand, and write the tub and what `ds recording locate` would find in it."""
+    rng = np.random.default_rng(seed)
+    simulator = make_simulator("donkey")
+    spec = simulator.spec
+    pilot, tracker = Autopilot(spec.autopilot), LaneTracker(road.points)
+    seen = simulator.load(road, seed=seed)
+    aim, images, states, commands = 0.0, [], [], []
+    while seen.outcome is Outcome.RUNNING:
+        aim += -HAND[0] * aim + HAND[1] * rng.normal()
+        given = pilot.command(seen.lane.preview_lateral_position + aim, seen.vehicle.speed)
+        command = Command(float(np.clip(round(given.steering, 1), -1.0, 1.0)), given.throttle)
+        images.append(seen.image)
+        states.append(seen.vehicle)
+        commands.append(command)
+        seen = simulator.step(command)
+    simulator.close()
+    if seen.outcome is not Outcome.COMPLETED:
+        raise SystemExit(f"road {seed}: the hand ended {seen.outcome.name}")
+    (folder / "tub/images").mkdir(parents=True)
+    rows, located = [], []
+    for k, (image, command) in enumerate(zip(images, commands, strict=True)):
+        name = f"{k}_cam_image_array_.jpg"
+        cv2.imwrite(str(folder / "tub/images" / name), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
+        rows.append({
+            "_index": k, "_timestamp_ms": 50 * k, "cam/image_array": name, "user/angle": command.steering,
+            "user/throttle": command.throttle, "user/mode": "user",
+        })  # fmt: skip
+        state = states[max(k - spec.camera.latency, 0)]  # what the image shows
+        lateral, along = tracker.update(state.x, state.y)
+        place = np.array([state.x, state.y, state.yaw, along, lateral]) / [SCALE, SCALE, 1.0, SCALE, SCALE]
+        motion = (0.0, state.speed / SCALE, state.yaw_rate, 0.0, 0.0)
+        located.append((k, FRAME_TIME * k, *place, *motion, command.steering, command.throttle))
+    index = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": []})
+    (folder / "tub/manifest.json").write_text("\n".join(["[]", "[]", "{}", "{}", index]))
+    (folder / "tub/catalog_0.catalog").write_text("\n".join(map(json.dumps, rows)))
+    lines = [",".join(COLUMNS), *(",".join(f"{value:.9g}" for value in row) for row in located)]
+    (folder / "located.csv").write_text("\n".join(lines) + "\n")
+    track = [f"{x / SCALE:.6f},{y / SCALE:.6f},{LANE},{LANE}" for x, y in road.points.tolist()]
+    (folder / "track.csv").write_text("\n".join([HEADER, *track]) + "\n")
+    camera = spec.camera
+    k3 = camera.intrinsics
+    known = {
+        "width_px": camera.width, "height_px": camera.height_px, "focal_px": float(k3[0, 0]),
+        "centre_x_px": float(k3[0, 2]), "centre_y_px": float(k3[1, 2]), "height_m": camera.height / SCALE,
+        "pitch_rad": camera.pitch, "forward_m": camera.forward / SCALE, "distortion": polynomial(camera),
+    }  # fmt: skip
+    (folder / "camera.yaml").write_text("".join(f"{key}: {value}\n" for key, value in known.items()))
+    (folder / "recording.json").write_text(json.dumps({"source": "tub", "lane_width_m": LANE}))
+
+
+def main() -> None:
+    """Record, fit, drive, and compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--workers", type=int, default=1)
+    arguments = parser.parse_args()
+    out = arguments.out
+    folders = [out / f"road{k:02d}" for k in range(ROADS)]
+    for k, folder in enumerate(folders):
+        if not (folder / "recording.json").exists():
+            record(generate(np.random.default_rng(SEED + k), max_angle=270), SEED + k, folder)
+            say(f"recorded {folder}")
+    if not (out / "car.yaml").exists():
+        logs = [read_log(folder) for folder in folders]
+        found = fit([drive for log in logs for drive in log.drives], None, FitSettings(), say)
+        write_parameters(out / "car.yaml", document_of(found, logs))
+    for folder in folders:
+        (folder / "simulator.yaml").write_text("car: ../car.yaml\ncrop_top: 40\n")
+    roads = []
+    for folder in folders:
+        drive = read_drive(folder)
+        roads.append(sections(drive, math.floor(drive.lane.length) - 4.0, 1000.0)[0])
+    rows = []
+    for network in NETWORKS:
+        for label, conditions in CONDITIONS.items():
+            say(f"{network}, {label}")
+            verdicts: dict[str, list[str]] = {}
+            for name in ("recording", *OTHERS):
+                names = [f"recording@{folder}" for folder in folders] if name == "recording" else [name] * ROADS
+                tests = [
+                    Test(test_id=f"{k:02d}", sibling=of, run=0, number=0, road=road, seed=SEED + k,
+                         conditions=conditions)
+                    for k, (of, road) in enumerate(zip(names, roads, strict=True))
+                ]  # fmt: skip
+                work: dict[str, list[Test]] = {}
+                for test in tests:
+                    work.setdefault(test.sibling, []).append(test)
+                settings = DriveSettings(
+                    siblings=tuple(work), driver=f"{network}@onnx", gates="none", workers=arguments.workers
+                )
+                place = out / "drives" / network / label.replace(" ", "_") / name
+                driven = drive_tests(settings, work, place, Progress(say=lambda _: None))
+                runs: list[DrivenRoad | None] = [driven_road(driven, test, test.sibling) for test in tests]
+                verdicts[name] = ["?" if run is None else "F" if run.outcome.is_failure else "." for run in runs]
+                say(f"  {name:10} {''.join(verdicts[name])}")
+                rows += [
+                    (
+                        network,
+                        label,
+                        k,
+                        name,
+                        verdicts[name][k],
+                        "" if run is None else round(run.max_lateral_position, 3),
+                    )
+                    for k, run in enumerate(runs)
+                ]
+    lines = ["network,conditions,road,simulator,verdict,max_lateral_m", *(",".join(map(str, row)) for row in rows)]
+    (out / "verdicts.csv").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

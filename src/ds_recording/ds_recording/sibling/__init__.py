@@ -1,0 +1,1 @@
+"""A recording as a simulator: the fitted twin on the recorded track, seen in its photographs."""

@@ -1,0 +1,137 @@
+"""A located recording in road metres: photographs with their poses, the camera, the lane that was driven."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_bags.donkey_tub import TubError, is_tub, read_tub
+from ds_driver.networks.images import ImageError, rgb_of_file
+from ds_recording.errors import RecordingError
+from ds_recording.floor_camera import FloorCamera
+from ds_recording.located import ABOUT, CAMERA, LOCATED, MAX_FILE, TRACK, Located, read_located
+from ds_recording.track import Track
+from ds_road.geometry import BOX
+from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
+from ds_twin_donkey.parameters import SCALE
+
+Array = NDArray[np.float64]
+LARGEST_IMAGE = 2**24
+"""Bytes of a photograph."""
+LANES = (1.0 / SCALE, 20.0 / SCALE)
+"""Least and largest lane width, m on the floor: a road's lanes are 1 to 20 road metres wide."""
+SPACING = 1.0
+"""Step of the driven lane's centre line, road metres; chosen: fine enough for the tightest bend of a track."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedDrive:
+    """Everything that the sibling knows of a recording, in road metres (16 to a metre on the floor), in the road's box.
+
+    Attributes:
+        poses: x, y (m) and yaw (rad) of the car's centre at each photograph, (n, 3).
+        photographs: their files, in the same order.
+        camera: camera and its mounting.
+        lane: centre line of the lane that was driven.
+        lane_width: m.
+        sha256: of the poses, the track and the camera.
+    """
+
+    poses: Array
+    photographs: tuple[Path, ...]
+    camera: FloorCamera
+    lane: Track
+    lane_width: float
+    sha256: str
+
+    def photograph(self, index: int) -> NDArray[np.uint8]:
+        """Photograph, (rows, columns, 3) uint8 RGB.
+
+        Raises:
+            RecordingError: its file is missing, damaged, or of another size than the camera's.
+        """
+        return _photograph(self.photographs[index], (self.camera.height_px, self.camera.width_px))
+
+
+@lru_cache(maxsize=512)
+def _photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    try:
+        image = rgb_of_file(read_bounded(path, LARGEST_IMAGE))
+    except (OSError, BoundedYamlError, ImageError) as error:
+        raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error}: copy the recording again") from None
+    if image.shape[:2] != size:
+        found, wanted = (f"{columns} x {rows}" for rows, columns in (image.shape[:2], size))
+        raise RecordingError(f"{path}: an image of {found} px, expected {wanted} as {CAMERA} has it")
+    return image
+
+
+def read_drive(folder: Path) -> RecordedDrive:
+    """Read the folder that `ds recording locate` wrote, and find the recording's photographs.
+
+    Raises:
+        RecordingError: one line: which file cannot be used, what was expected, what to do.
+    """
+    located = read_located(folder)
+    width = located.lane_width
+    if not LANES[0] <= width <= LANES[1]:
+        raise RecordingError(
+            f"{folder / ABOUT}: a lane of {width:g} m, expected {LANES[0]:g} to {LANES[1]:g}, as this sibling's car "
+            "is a 1:16 one: locate the recording with --lane-width as measured on the floor"
+        )
+    if not located.camera.mounted:
+        raise RecordingError(f"{folder / CAMERA}: height_m and pitch_rad are missing: locate the recording again")
+    files = _photographs(folder, located)
+    frames = located.column("frame").astype(int).tolist()
+    if missing := [frame for frame in frames if frame not in files]:
+        raise RecordingError(f"{folder / LOCATED}: the recording has no image {missing[0]}: locate it again")
+    lane = driven_lane(located)
+    points = lane.points * SCALE
+    shift = BOX / 2 - (points.min(axis=0) + points.max(axis=0)) / 2
+    xy = np.stack((located.column("x_m"), located.column("y_m")), axis=1) * SCALE + shift
+    digest = hashlib.sha256()
+    for name in (LOCATED, TRACK, CAMERA):
+        digest.update(read_bounded(folder / name, MAX_FILE))
+    return RecordedDrive(
+        poses=np.column_stack((xy, located.column("yaw_rad"))),
+        photographs=tuple(files[frame] for frame in frames),
+        camera=located.camera.scaled(SCALE),
+        lane=Track(points + shift, lane.closed).resampled(SPACING),
+        lane_width=width * SCALE,
+        sha256=digest.hexdigest(),
+    )
+
+
+def _photographs(folder: Path, located: Located) -> dict[int, Path]:
+    source = folder / str(located.about.get("source"))
+    if not is_tub(source):
+        raise RecordingError(f"{source}: no Donkey Car tub, which this sibling needs: give the recording as a tub")
+    try:
+        return {one.index: one.image for one in read_tub(source).records if one.image is not None}
+    except TubError as error:
+        raise RecordingError(str(error)) from None
+
+
+def driven_side(located: Located) -> float:
+    """Distance, m to the right, from the track's line to the middle of the lane that was driven; 0 if straddled."""
+    lateral = float(np.median(located.column("lateral_m")))
+    return 0.0 if abs(lateral) < located.lane_width / 4 else math.copysign(located.lane_width / 2, lateral)
+
+
+def driven_lane(located: Located) -> Track:
+    """Centre line of the lane that was driven, m on the floor."""
+    return shifted(located.track, driven_side(located))
+
+
+def shifted(track: Track, right: float) -> Track:
+    """The line at a distance to the right of another, in its units."""
+    points = track.points
+    first, last = (points[-1], points[0]) if track.closed else (2 * points[0] - points[1], 2 * points[-1] - points[-2])
+    ahead = np.vstack((points[1:], last)) - np.vstack((first, points[:-1]))
+    ahead = ahead / np.hypot(ahead[:, 0], ahead[:, 1])[:, None]
+    return replace(track, points=points + right * np.column_stack((ahead[:, 1], -ahead[:, 0])))

@@ -1,0 +1,59 @@
+"""Roads to test on a recorded track: sections of the lane that was driven."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ds_recording.errors import RecordingError
+from ds_recording.sibling.recorded_drive import RecordedDrive, shifted
+from ds_recording.track import Track
+from ds_road import Road, RoadError
+
+TOLERANCE = 0.3
+"""Distance, road metres, by which a lane may differ from the one that was driven; chosen: a thirteenth of its width."""
+
+
+def sections(drive: RecordedDrive, length: float, every: float) -> list[Road]:
+    """Cut the driven lane into overlapping roads, each driven in its right lane.
+
+    Args:
+        drive: a located recording.
+        length: of each road, road metres.
+        every: distance between two starts, road metres.
+
+    Raises:
+        RecordingError: none of them is a valid road, as on a lap that is shorter.
+    """
+    lane = drive.lane
+    count = round(length) + 1
+    last = len(lane.points) if lane.closed else len(lane.points) - count
+    roads = []
+    for start in range(0, max(last, 0), max(round(every), 1)):
+        points = lane.points[(start + np.arange(count)) % len(lane.points)]
+        centre = shifted(Track(points), -drive.lane_width / 2)
+        road = Road.from_road_points(centre.points.round(4), lane_width=drive.lane_width)
+        if road.validity.valid:
+            roads.append(road)
+    if not roads:
+        raise RecordingError(
+            f"no section of {length:g} road metres is a valid road, the lane has {lane.length:.0f}: shorten --length"
+        )
+    return roads
+
+
+def check_is_section(road: Road, drive: RecordedDrive) -> None:
+    """Check that a road lies on the recorded track, in the direction and lane of the recording.
+
+    Raises:
+        RoadError: it does not.
+    """
+    lane, points = road.lane_centre, drive.lane.points
+    nearest = np.array([int(np.argmin((points[:, 0] - x) ** 2 + (points[:, 1] - y) ** 2)) for x, y in lane.tolist()])
+    pieces = drive.lane.nearest(lane, nearest)
+    _, offset, heading = drive.lane.place(lane, pieces)
+    ahead = lane[1] - lane[0]
+    same_way = np.cos(heading[0]) * ahead[0] + np.sin(heading[0]) * ahead[1] > 0.0
+    if np.abs(offset).max() > TOLERANCE or np.hypot(*(lane - points[nearest]).T).max() > 2.0 or not same_way:
+        raise RoadError(
+            f"road {road.road_id} is no section of the recorded track: make roads with `ds recording roads`"
+        )

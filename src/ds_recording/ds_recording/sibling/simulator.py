@@ -1,0 +1,130 @@
+"""The recorded track as a simulator: `recording@FOLDER`, with the folder that `ds recording locate` wrote."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ds_recording.errors import RecordingError
+from ds_recording.sibling.photo_scene import PhotoScene, camera_spec
+from ds_recording.sibling.recorded_drive import RecordedDrive, read_drive
+from ds_recording.sibling.sections import check_is_section
+from ds_road import Road
+from ds_sim.camera.look import Look
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.config_errors import problems, read_keys
+from ds_sim.registry import UnknownSimulatorError
+from ds_sim.road_simulator import RoadSimulator
+from ds_sim.simulator import FRAME_TIME, AutopilotGains, Observation, SimulatorSpec, VehicleState
+from ds_twin_donkey.dynamics import SUBSTEPS
+from ds_twin_donkey.parameter_file import read_parameters
+from ds_twin_donkey.parameters import SCALE, DonkeyParameters
+from ds_twin_donkey.simulator import GAINS, PREVIEW_DISTANCE
+from ds_twin_donkey.vehicle import DonkeyVehicle
+
+SETTINGS = "simulator.yaml"
+"""Optional file in the folder, with the keys of `RecordingSettings`."""
+LOOK = Look(asphalt=(90, 90, 90), grass=(90, 90, 90))
+"""Stands for a look that is not known; nothing is painted with it."""
+
+
+class RecordingSettings(BaseModel):
+    """What a user may add to a located recording.
+
+    Attributes:
+        car: parameter file of the car, written by `ds twin fit`, relative to the folder; None for the nominal car.
+        crop_top: image rows at the top, of 160, that a network does not see.
+        crop_bottom: image rows at the bottom.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    car: str | None = None
+    crop_top: Annotated[int, Field(ge=0, lt=160)] = 0
+    crop_bottom: Annotated[int, Field(ge=0, lt=160)] = 0
+
+
+class FloorVehicle(DonkeyVehicle):
+    """The twin without roll and pitch, which are in the photographs already."""
+
+    def state(self) -> VehicleState:
+        """State of the car's centre, in road metres; the body stays level."""
+        return replace(super().state(), roll=0.0, pitch=0.0)
+
+
+class RecordingSimulator(RoadSimulator):
+    """The twin's dynamics on a recorded track, seen in the photographs of the recording.
+
+    Args:
+        drive: a located recording.
+        parameters: parameters of the car; nominal values if omitted.
+        settings: what the user added.
+
+    Raises:
+        UnknownSimulatorError: no recording is given.
+    """
+
+    def __init__(
+        self,
+        drive: RecordedDrive | None = None,
+        parameters: DonkeyParameters | None = None,
+        settings: RecordingSettings | None = None,
+    ) -> None:
+        if drive is None:
+            raise UnknownSimulatorError("simulator 'recording' needs a located recording: recording@FOLDER")
+        settings, parameters = settings or RecordingSettings(), parameters or DonkeyParameters()
+        self._drive, self._photos = drive, PhotoScene(drive)
+        spec = SimulatorSpec(
+            name="recording",
+            physics="the twin's 1:16 car, on the track of a recording",
+            # As the twin's.
+            vehicle_length=0.28 * SCALE,
+            vehicle_width=0.18 * SCALE,
+            wheelbase=parameters.wheelbase * SCALE,
+            max_steering_angle=parameters.max_steering_angle,
+            camera=camera_spec(drive),
+            look=LOOK,
+            crop_top=settings.crop_top,
+            crop_bottom=settings.crop_bottom,
+            autopilot=AutopilotGains(proportional=GAINS.proportional),
+            preview_distance=PREVIEW_DISTANCE,
+            engine=f"own four-wheel model, Runge-Kutta at {SUBSTEPS / FRAME_TIME:g} Hz; photographs moved by the floor",
+            extra={
+                "scale": f"1:{SCALE:g}",
+                "car": settings.car or "nominal",
+                "photographs": f"{len(drive.poses)}",
+                "recording": f"sha256 {drive.sha256}",
+            },
+        )
+        super().__init__(spec, FloorVehicle(parameters), scene=self._photos)
+
+    @classmethod
+    def from_file(cls, path: Path) -> RecordingSimulator:
+        """Make the simulator of the folder that `ds recording locate` wrote.
+
+        Raises:
+            RecordingError: the folder cannot be used.
+            ds_twin_donkey.parameter_file.ParameterFileError: nor can its car.
+        """
+        settings = RecordingSettings()
+        if (path / SETTINGS).exists():
+            try:
+                settings = RecordingSettings.model_validate(read_keys(path / SETTINGS, RecordingError))
+            except ValidationError as error:
+                raise RecordingError(f"{path / SETTINGS}: {problems(error, RecordingSettings)}") from None
+        parameters = read_parameters(path / settings.car)[0] if settings.car else None
+        return cls(read_drive(path), parameters, settings)
+
+    @property
+    def spec(self) -> SimulatorSpec:
+        """Description of this simulator, with the largest share of a picture of the last run that nothing shows."""
+        spec = super().spec
+        return replace(spec, extra=spec.extra | {"unseen": f"at most {100 * self._photos.unseen:.1f} % of a picture"})
+
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
+        """Load a section of the recorded track; see `Simulator.load`."""
+        check_is_section(road, self._drive)
+        return super().load(road, seed=seed, conditions=conditions)
