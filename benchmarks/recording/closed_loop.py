@@ -2,8 +2,9 @@
 
 `python -m benchmarks.recording.closed_loop --out closed` records `ROADS` roads on `donkey`, each once, by a pilot with
 a shaky hand, as tubs of images and commands; fits the twin to them; and drives networks under conditions on `donkey`,
-on the sibling made from each recording, and on `bullet`, `softbody` and `panda`. Poses are the true ones here, so that
-the sibling alone is measured.
+on the siblings made from each recording, and on `bullet`, `softbody` and `panda`. `true poses` is made from the true
+poses, track and camera, so that the sibling alone is measured; `found` from what `ds recording locate` finds in images
+and commands with the true camera, as after `ds recording calibrate`.
 
 Fixed before the first drive: roads, hand, networks, conditions, limits of the sibling, statistics.
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,10 +24,14 @@ from benchmarks.recording.drives import polynomial
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_cli.output import say
 from ds_driver.control.autopilot import Autopilot
+from ds_driver.data.recordings import Reading
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
 from ds_orchestrator.store.model import Test
-from ds_recording.located import COLUMNS
+from ds_recording.floor_camera import read_camera
+from ds_recording.locate import located_of
+from ds_recording.located import COLUMNS, write_located
+from ds_recording.recording import read_views
 from ds_recording.sibling.recorded_drive import read_drive
 from ds_recording.sibling.sections import sections
 from ds_recording.track import HEADER
@@ -53,6 +59,7 @@ CONDITIONS = {
     "pull to the left": Conditions(tyre_pull=0.03),
     "dark": Conditions(illuminance=50.0),
 }
+MADE = ("true poses", "found")
 OTHERS = ("donkey", "bullet", "softbody", "panda")
 
 
@@ -119,27 +126,34 @@ def main() -> None:
         if not (folder / "recording.json").exists():
             record(generate(np.random.default_rng(SEED + k), max_angle=270), SEED + k, folder)
             say(f"recorded {folder}")
-    if not (out / "car.yaml").exists():
-        logs = [read_log(folder) for folder in folders]
-        found = fit([drive for log in logs for drive in log.drives], None, FitSettings(), say)
-        write_parameters(out / "car.yaml", document_of(found, logs))
-    for folder in folders:
-        (folder / "simulator.yaml").write_text("car: ../car.yaml\ncrop_top: 40\n")
-    roads = []
-    for folder in folders:
-        drive = read_drive(folder)
-        roads.append(sections(drive, math.floor(drive.lane.length) - 4.0, 1000.0)[0])
+        if not (folder / "found/recording.json").exists():
+            views = read_views(folder / "tub", Reading(whole=True))
+            place = located_of(views, read_camera(folder / "camera.yaml"), LANE)[0]
+            write_located(folder / "found", replace(place, about=place.about | {"source": "../tub"}))
+            say(f"located {len(place.table)} of {len(views.frames)} images of {folder}")
+    siblings = {name: folders if name == MADE[0] else [folder / "found" for folder in folders] for name in MADE}
+    roads: dict[str, list[Road]] = {}
+    for name, made in siblings.items():
+        car = out / f"car of {name}.yaml"
+        if not car.exists():
+            logs = [read_log(folder) for folder in made]
+            fitted = fit([drive for log in logs for drive in log.drives], None, FitSettings(), say)
+            write_parameters(car, document_of(fitted, logs))
+        for folder in made:
+            (folder / "simulator.yaml").write_text(f"car: {car.resolve()}\ncrop_top: 40\n")
+        drives = [read_drive(folder) for folder in made]
+        roads[name] = [sections(one, math.floor(one.lane.length) - 4.0, 1000.0)[0] for one in drives]
     rows = []
     for network in NETWORKS:
         for label, conditions in CONDITIONS.items():
             say(f"{network}, {label}")
             verdicts: dict[str, list[str]] = {}
-            for name in ("recording", *OTHERS):
-                names = [f"recording@{folder}" for folder in folders] if name == "recording" else [name] * ROADS
+            for name in (*MADE, *OTHERS):
+                names = [f"recording@{folder}" for folder in siblings[name]] if name in MADE else [name] * ROADS
                 tests = [
                     Test(test_id=f"{k:02d}", sibling=of, run=0, number=0, road=road, seed=SEED + k,
                          conditions=conditions)
-                    for k, (of, road) in enumerate(zip(names, roads, strict=True))
+                    for k, (of, road) in enumerate(zip(names, roads.get(name, roads[MADE[0]]), strict=True))
                 ]  # fmt: skip
                 work: dict[str, list[Test]] = {}
                 for test in tests:
@@ -147,7 +161,7 @@ def main() -> None:
                 settings = DriveSettings(
                     siblings=tuple(work), driver=f"{network}@onnx", gates="none", workers=arguments.workers
                 )
-                place = out / "drives" / network / label.replace(" ", "_") / name
+                place = out / "drives" / network / label.replace(" ", "_") / name.replace(" ", "_")
                 driven = drive_tests(settings, work, place, Progress(say=lambda _: None))
                 runs: list[DrivenRoad | None] = [driven_road(driven, test, test.sibling) for test in tests]
                 verdicts[name] = ["?" if run is None else "F" if run.outcome.is_failure else "." for run in runs]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -45,6 +47,7 @@ def locate_command(
         known = None if camera is None else read_camera(camera)
         views = read_views(source, reading, say)
         found, fit = located_of(views, known, lane_width, progress=countdown())
+        found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})
         write_located(out, found)
         page = write_page(out / "index.html", views, found, fit)
     except KeyboardInterrupt:

@@ -164,7 +164,7 @@ def test_only_its_own_track_is_driven(folder: Path) -> None:
     [
         ("recording.json", "{}", "lane_width_m in recording.json is None, expected metres"),
         ("recording.json", '{"source": "tub", "lane_width_m": 4.0}', "a lane of 4 m, expected 0.0625 to 1.25"),
-        ("recording.json", '{"source": "elsewhere", "lane_width_m": 0.25}', "no Donkey Car tub"),
+        ("recording.json", '{"source": "elsewhere", "lane_width_m": 0.25}', "elsewhere: .*: put the recording there"),
         ("located.csv", "frame,x\n1,2\n", "located.csv has the columns frame,x, expected frame,time_s"),
         (
             "located.csv",

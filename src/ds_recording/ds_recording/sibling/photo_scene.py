@@ -9,6 +9,7 @@ the floor is drawn as if infinitely far.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import cv2
@@ -85,6 +86,7 @@ class PhotoScene(RenderedScene):
     def __init__(self, drive: RecordedDrive) -> None:
         super().__init__(camera_spec(drive))
         self._drive = drive
+        self._photograph = lru_cache(maxsize=64)(drive.photograph)
         self.unseen = 0.0
         camera = drive.camera
         columns, rows = network_grid(camera.width_px, camera.height_px)
@@ -126,7 +128,7 @@ class PhotoScene(RenderedScene):
             # What the nearest photograph does not show keeps what is on its border, unless another one shows it.
             found = missing if index == first else missing[shown]
             chosen = slice(None) if index == first else shown
-            part[found] = _sampled(self._drive.photograph(index), columns[chosen], lines[chosen])
+            part[found] = _sampled(self._photograph(index), columns[chosen], lines[chosen])
             missing = missing[~shown]
             if not missing.size:
                 break

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import TubError, is_tub, read_tub
+from ds_bags.layout import BagError
+from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
@@ -19,13 +20,14 @@ from ds_recording.located import ABOUT, CAMERA, LOCATED, MAX_FILE, TRACK, Locate
 from ds_recording.track import Track
 from ds_road.geometry import BOX
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
+from ds_sim.camera.encodings import png
 from ds_twin_donkey.parameters import SCALE
 
 Array = NDArray[np.float64]
-LARGEST_IMAGE = 2**24
-"""Bytes of a photograph."""
 LANES = (1.0 / SCALE, 20.0 / SCALE)
 """Least and largest lane width, m on the floor: a road's lanes are 1 to 20 road metres wide."""
+NEAR = 3.0
+"""Largest distance from a point of the lane to a photograph, road metres; chosen: what the sibling's camera bears."""
 SPACING = 1.0
 """Step of the driven lane's centre line, road metres; chosen: fine enough for the tightest bend of a track."""
 
@@ -36,7 +38,7 @@ class RecordedDrive:
 
     Attributes:
         poses: x, y (m) and yaw (rad) of the car's centre at each photograph, (n, 3).
-        photographs: their files, in the same order.
+        photographs: as JPEG or PNG files, in the same order.
         camera: camera and its mounting.
         lane: centre line of the lane that was driven.
         lane_width: m.
@@ -44,7 +46,7 @@ class RecordedDrive:
     """
 
     poses: Array
-    photographs: tuple[Path, ...]
+    photographs: tuple[bytes, ...]
     camera: FloorCamera
     lane: Track
     lane_width: float
@@ -54,21 +56,18 @@ class RecordedDrive:
         """Photograph, (rows, columns, 3) uint8 RGB.
 
         Raises:
-            RecordingError: its file is missing, damaged, or of another size than the camera's.
+            RecordingError: it is damaged, or of another size than the camera's.
         """
-        return _photograph(self.photographs[index], (self.camera.height_px, self.camera.width_px))
-
-
-@lru_cache(maxsize=512)
-def _photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    try:
-        image = rgb_of_file(read_bounded(path, LARGEST_IMAGE))
-    except (OSError, BoundedYamlError, ImageError) as error:
-        raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error}: copy the recording again") from None
-    if image.shape[:2] != size:
-        found, wanted = (f"{columns} x {rows}" for rows, columns in (image.shape[:2], size))
-        raise RecordingError(f"{path}: an image of {found} px, expected {wanted} as {CAMERA} has it")
-    return image
+        try:
+            image = rgb_of_file(self.photographs[index])
+        except ImageError as error:
+            raise RecordingError(f"photograph {index} of the recording: {error}: copy the recording again") from None
+        if image.shape[:2] != (self.camera.height_px, self.camera.width_px):
+            raise RecordingError(
+                f"photograph {index} of the recording has {image.shape[1]} x {image.shape[0]} px, expected "
+                f"{self.camera.width_px} x {self.camera.height_px} as {CAMERA} has it: locate the recording again"
+            )
+        return image
 
 
 def read_drive(folder: Path) -> RecordedDrive:
@@ -101,20 +100,39 @@ def read_drive(folder: Path) -> RecordedDrive:
         poses=np.column_stack((xy, located.column("yaw_rad"))),
         photographs=tuple(files[frame] for frame in frames),
         camera=located.camera.scaled(SCALE),
-        lane=Track(points + shift, lane.closed).resampled(SPACING),
+        lane=_with_photographs(Track(points + shift, lane.closed).resampled(SPACING), xy),
         lane_width=width * SCALE,
         sha256=digest.hexdigest(),
     )
 
 
-def _photographs(folder: Path, located: Located) -> dict[int, Path]:
+def near_photographs(points: Array, poses: Array) -> NDArray[np.bool_]:
+    """Which points, (n, 2), have a photograph near them; both in road metres."""
+    return np.array([np.hypot(*(poses[:, :2] - point).T).min() <= NEAR for point in points])
+
+
+def _with_photographs(lane: Track, poses: Array) -> Track:
+    """An open lane without the ends that were seen but not driven."""
+    if lane.closed:
+        return lane
+    shown = np.flatnonzero(near_photographs(lane.points, poses))
+    return Track(lane.points[shown[0] : shown[-1] + 1] if shown.size > 1 else lane.points)
+
+
+def _photographs(folder: Path, located: Located) -> dict[int, bytes]:
+    """Encoded photographs by their index in the recording; those of a bag without loss, as they may be raw there."""
     source = folder / str(located.about.get("source"))
-    if not is_tub(source):
-        raise RecordingError(f"{source}: no Donkey Car tub, which this sibling needs: give the recording as a tub")
+    topic = located.about.get("topic")
+    wanted = set(located.column("frame").astype(int).tolist())
     try:
-        return {one.index: one.image for one in read_tub(source).records if one.image is not None}
-    except TubError as error:
-        raise RecordingError(str(error)) from None
+        if is_tub(source):
+            records = [one for one in read_tub(source).records if one.image is not None and one.index in wanted]
+            return {one.index: read_bounded(one.image, MAX_IMAGE_FILE) for one in records if one.image is not None}
+        frames = open_recording(source, Reading(whole=True, camera=topic if isinstance(topic, str) else None)).frames()
+        return {one.index: png(one.image) for one in frames if one.image is not None and one.index in wanted}
+    except (OSError, BoundedYamlError, TubError, BagError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{source}: {reason}: put the recording there, or locate it again") from None
 
 
 def driven_side(located: Located) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ds_recording.errors import RecordingError
-from ds_recording.sibling.recorded_drive import RecordedDrive, shifted
+from ds_recording.sibling.recorded_drive import RecordedDrive, near_photographs, shifted
 from ds_recording.track import Track
 from ds_road import Road, RoadError
 
@@ -14,7 +14,7 @@ TOLERANCE = 0.3
 
 
 def sections(drive: RecordedDrive, length: float, every: float) -> list[Road]:
-    """Cut the driven lane into overlapping roads, each driven in its right lane.
+    """Cut the driven lane into overlapping roads, each driven in its right lane, where there are photographs.
 
     Args:
         drive: a located recording.
@@ -25,14 +25,16 @@ def sections(drive: RecordedDrive, length: float, every: float) -> list[Road]:
         RecordingError: none of them is a valid road, as on a lap that is shorter.
     """
     lane = drive.lane
+    shown = near_photographs(lane.points, drive.poses)
     count = round(length) + 1
-    last = len(lane.points) if lane.closed else len(lane.points) - count
+    last = len(lane.points) if lane.closed else len(lane.points) - count + 1
     roads = []
     for start in range(0, max(last, 0), max(round(every), 1)):
-        points = lane.points[(start + np.arange(count)) % len(lane.points)]
+        part = (start + np.arange(count)) % len(lane.points)
+        points = lane.points[part]
         centre = shifted(Track(points), -drive.lane_width / 2)
         road = Road.from_road_points(centre.points.round(4), lane_width=drive.lane_width)
-        if road.validity.valid:
+        if shown[part].all() and road.validity.valid:
             roads.append(road)
     if not roads:
         raise RecordingError(
