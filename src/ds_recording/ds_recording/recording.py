@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 Say = Callable[[str], None]
 LONGEST_GAP = 0.5
 """Time between two images that ends a stretch, s; chosen: ten images, in which a car leaves what it has seen."""
-SHORTEST = 100
-"""Images of a stretch that can be located; chosen: five seconds at 20 Hz."""
+SHORTEST = 60
+"""Images of a stretch that can be located; chosen: three seconds at 20 Hz, after which a network may leave its lane."""
 MOST_FRAMES = 4000
 """Images of a stretch that are used; chosen: 200 s at 20 Hz, solved in a minute."""
 MOST_READ = 200_000
