@@ -73,7 +73,7 @@ def guess_track(lines: list[LinePoints], poses: Array) -> Track | None:
         The line, from behind the first pose to ahead of the last; None if hardly any frame shows one.
     """
     moments = np.arange(0, len(lines), EVERY)
-    candidates = [_candidates(_joined(lines, poses, int(i))) for i in moments]
+    candidates = [candidate_shapes(*_joined(lines, poses, int(i))) for i in moments]
     chosen = _sequence(candidates, poses[moments])
     kept = [(pose, shape) for pose, shape in zip(poses[moments], chosen, strict=True) if shape is not None]
     if len(kept) < max(8, 0.3 * len(moments)):
@@ -104,9 +104,16 @@ def _joined(lines: list[LinePoints], poses: Array, at: int) -> tuple[Array, NDAr
     return found[kept], colour[kept]
 
 
-def _candidates(joined: tuple[Array, NDArray[np.bool_]]) -> Array:
-    """Likely shapes: offset to the right, heading of the road, curvature, votes, (`BEST` or fewer, 4)."""
-    points, white = joined
+def candidate_shapes(points: Array, white: NDArray[np.bool_]) -> Array:
+    """Likely shapes of the road about the car.
+
+    Args:
+        points: of lines, ahead and left of the car, (n, 2).
+        white: which of them are white, (n,).
+
+    Returns:
+        Offset to the right, heading of the road, curvature, votes, (`BEST` or fewer, 4).
+    """
     if len(points) < LEAST_VOTES:
         return np.zeros((0, 4))
     headings, curvatures = (grid.ravel() for grid in np.meshgrid(HEADINGS, CURVATURES))

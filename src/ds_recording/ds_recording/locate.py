@@ -35,7 +35,7 @@ LEAST_AGREEING = 0.5
 """Share of an image's line points that must be where the road has lines."""
 LARGEST_STD = (0.1, 0.09)
 """Standard deviations of offset (lane widths) and heading (rad) beyond which an image counts as a gap."""
-MODEL_STD = (0.01, 0.012)
+MODEL_STD = (0.015, 0.012)
 """What is added to them, in squares: a body that rolls, a floor that is not flat; chosen on simulated recordings."""
 CLOSED_TURNS, WORSE_CLOSED = 10, 0.03
 """Steps of the smoother on a closed line, and share of line points that may disagree more with it than with an open

@@ -1,0 +1,119 @@
+"""How well `ds recording locate` finds cars in simulated recordings whose truth is known, as a table.
+
+`python -m benchmarks.recording.table --out FOLDER` takes some five minutes on a core; `--estimate` also estimates the
+camera, which takes a few minutes for each recording. Offsets count in lane widths. Settings were fixed beforehand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from benchmarks.recording.drives import Plan, line_distance, record
+from numpy.typing import NDArray
+
+from ds_driver.data.recordings import Reading
+from ds_recording.errors import RecordingError
+from ds_recording.floor_camera import read_camera
+from ds_recording.locate import located_of
+from ds_recording.located import Located, write_located
+from ds_recording.recording import read_views
+from ds_recording.steering import follow_steering
+from ds_recording.track import wrap
+from ds_sim.registry import spec_of
+
+Array = NDArray[np.float64]
+PLANS = {
+    f"{simulator}-{course}-{seed}": Plan(simulator=simulator, seed=seed, course=course)
+    for simulator in ("donkey", "panda")
+    for course, seed in (("open", 11), ("open", 12), ("open", 13), ("loop", 14))
+} | {
+    f"donkey-{fault.replace(' ', '-')}": Plan(simulator="donkey", seed=15, frames=500, fault=fault)
+    for fault in ("shuffled", "static", "no lines")
+}  # fmt: skip
+"""Recordings; no seed was used for development."""
+COLUMNS = (
+    "offset bias", "offset 95 %", "heading rms", "heading bias", "speed bias", "speed rms", "gain error", "track 95 %",
+    "located", "2 std",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Record, locate and compare."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--out", type=Path, required=True, help="folder for recordings and results")
+    parser.add_argument("--only", default="", help="part of the recordings' names")
+    parser.add_argument("--estimate", action="store_true", help="also estimate the camera")
+    arguments = parser.parse_args()
+    print(f"{'recording':22s} {'camera':9s} " + " ".join(f"{column:>12s}" for column in COLUMNS) + "   seconds")
+    for name, plan in PLANS.items():
+        if arguments.only not in name:
+            continue
+        folder = arguments.out / name
+        if not (folder / "truth.csv").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            record(plan, folder)
+        for known in (True, False) if arguments.estimate and not plan.fault else (True,):
+            began = time.monotonic()
+            width = line_distance(spec_of(plan.simulator))
+            kind = "known" if known else "estimated"
+            try:
+                views = read_views(folder / "tub", Reading(whole=True))
+                camera = read_camera(folder / "camera.yaml") if known else None
+                found, _ = located_of(views, camera, width)
+            except RecordingError as error:
+                print(f"{name:22s} {kind:9s} refused: {error}", flush=True)
+                continue
+            write_located(folder / f"located_{kind}", found)
+            values = " ".join(f"{value:12.3f}" for value in compared(found, folder, width))
+            lens = "" if known else f"   focal {found.camera.focal_px:.1f} +- {found.camera.focal_std:.1f} px"
+            print(f"{name:22s} {kind:9s} {values} {time.monotonic() - began:9.0f}{lens}", flush=True)
+
+
+def compared(found: Located, folder: Path, width: float) -> list[float]:
+    """Errors against the truth, as `COLUMNS`: lane widths, degrees, shares."""
+    truth = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
+    rows = truth[found.column("frame").astype(int)]
+    offset = (found.column("lateral_m") - rows["lateral_m"]) / width
+    heading = np.degrees(wrap(found.column("heading_rad") - rows["heading_rad"]))
+    moving = rows["speed_mps"] > 1.0
+    speed = found.column("speed_mps")[moving] / rows["speed_mps"][moving] - 1.0
+    times = found.column("time_s")
+    middle = slice(None, -1)
+    pair = [
+        follow_steering(times, found.column("steering"), speeds[middle] / width, rates[middle])
+        for speeds, rates in (
+            (found.column("speed_mps"), found.column("yaw_rate_radps")), (rows["speed_mps"], rows["yaw_rate_radps"])
+        )
+    ]  # fmt: skip
+    gain = pair[0].gain / pair[1].gain - 1.0 if pair[0] and pair[1] else np.nan
+    covered = np.abs(offset) <= 2.0 * found.column("std_lateral_m") / width
+    return [
+        float(np.median(offset)), float(np.percentile(np.abs(offset), 95)), float(np.sqrt((heading**2).mean())),
+        float(np.median(heading)), float(np.median(speed)), float(np.sqrt((speed**2).mean())), gain,
+        _track_error(found, rows, folder) / width, len(rows) / len(truth), float(covered.mean()),
+    ]  # fmt: skip
+
+
+def _track_error(found: Located, rows: NDArray[np.void], folder: Path) -> float:
+    """95 % of the distances of the centre line's points from the true one, m, after the best rigid motion."""
+    line = np.loadtxt(folder / "track.csv", delimiter=",", skiprows=1)
+    true = np.stack((rows["x_m"], rows["y_m"]), axis=1)
+    ours = np.stack((found.column("x_m"), found.column("y_m")), axis=1)
+    left, _, right = np.linalg.svd((ours - ours.mean(axis=0)).T @ (true - true.mean(axis=0)))
+    rotation = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
+    low, high = found.column("along_m").min(), found.column("along_m").max()
+    driven = (found.track.stations[: len(found.track.points)] >= low) & (
+        found.track.stations[: len(found.track.points)] <= high
+    )
+    moved = (found.track.points[driven] - ours.mean(axis=0)) @ rotation + true.mean(axis=0)
+    dense = np.concatenate([np.linspace(a, b, 10) for a, b in zip(line[:-1], line[1:], strict=True)])
+    away = np.sqrt(((moved[:, None] - dense[None]) ** 2).sum(axis=2).min(axis=1))
+    return float(np.percentile(away, 95))
+
+
+if __name__ == "__main__":
+    main()
