@@ -18,6 +18,8 @@ SUFFIXES = (".jpg", ".jpeg", ".png")
 LEAST_BOARDS = 6
 """Photographs in which the board must be found; chosen: fewer leave focal length and distance undecided."""
 MOST_IMAGES, MAX_FILE = 200, 2**26
+NEEDED = 1.5
+"""Factor on the error with all terms of the lens within which k1 and k2 are enough."""
 WORST_ERROR = 1.0
 """Largest root mean square of the reprojection, px; chosen: good ones have 0.1 to 0.4."""
 
@@ -82,11 +84,14 @@ def calibrate(paths: Sequence[Path], corners: tuple[int, int], size: float) -> t
             f"a board of {corners[0] + 1} x {corners[1] + 1} squares is found in {len(boards)} of {len(paths)} "
             f"photographs, expected at least {LEAST_BOARDS}: show all of it, tilted differently, with a white border"
         )
-    flags = cv2.CALIB_FIX_ASPECT_RATIO
     start = np.array([[shape[1], 0, (shape[1] - 1) / 2], [0, shape[1], (shape[0] - 1) / 2], [0, 0, 1.0]])
-    rms, matrix, lens, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
-        [grid] * len(boards), boards, shape[::-1], start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
+    usual = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_USE_INTRINSIC_GUESS
+    few, all_terms = (
+        cv2.calibrateCameraExtended([grid] * len(boards), boards, shape[::-1], start.copy(), np.zeros(5), flags=flags)
+        for flags in (usual | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, usual)
     )
+    # Terms that the boards do not need fit their noise, and bend the image where no board was.
+    rms, matrix, lens, _, _, deviations, *_ = few if few[0] < NEEDED * all_terms[0] else all_terms
     if not np.isfinite(matrix).all() or rms > WORST_ERROR:
         raise RecordingError(
             f"the board's corners are {rms:.1f} px off in the calibrated camera, expected at most {WORST_ERROR:g}: "
@@ -95,6 +100,6 @@ def calibrate(paths: Sequence[Path], corners: tuple[int, int], size: float) -> t
     camera = FloorCamera(
         width_px=shape[1], height_px=shape[0], focal_px=float(matrix[0, 0]), centre_x_px=float(matrix[0, 2]),
         centre_y_px=float(matrix[1, 2]), distortion=tuple(map(float, np.ravel(lens)[:5])),
-        focal_std=float(np.ravel(deviations)[0]),
+        focal_std=float(np.ravel(deviations)[:2].max()),
     )  # fmt: skip
     return camera, float(rms), len(boards)

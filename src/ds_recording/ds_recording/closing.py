@@ -66,7 +66,7 @@ def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Clo
         gap = float(np.hypot(*(points[lap] - points[0]))) / (lap * spacing)
         if alike > ALIKE or abs(turn) > LARGEST_TURN or gap > LARGEST_GAP:
             continue
-        score = alike + (turn / LARGEST_TURN) ** 2 + (gap / LARGEST_GAP) ** 2
+        score = 10.0 * alike + (turn / LARGEST_TURN) ** 2 + (gap / LARGEST_GAP) ** 2
         if best is None or score < best[0]:
             best = score, lap, gap, turn
     if best is None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ds_recording.closing import close_lap
 from ds_recording.errors import RecordingError
+from ds_recording.estimate import estimate_camera, mount
 from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import LinePoints, line_pixels, points_on_floor
@@ -29,6 +30,8 @@ LEAST_MOTION = 0.6
 0.95 and more, of shuffled ones 0.3 and less."""
 LEAST_LINES, ENOUGH_POINTS = 0.5, 8
 """Share of images that must show lines, and points of lines that are enough."""
+SAMPLE = 300
+"""Images that are looked at before a camera is estimated."""
 STANDING = 0.004
 """Way between two images below which a car stands still, lane widths."""
 LEAST_AGREEING = 0.5
@@ -83,15 +86,34 @@ def gather(
     return Evidence(times=seconds, lines=lines, motions=motions, steering=views.steering[frames])
 
 
-def check_evidence(evidence: Evidence) -> None:
-    """Refuse what cannot carry a location.
+def nominal_camera(size: tuple[int, int], lane_width: float) -> FloorCamera:
+    """A camera as cars have it, to see whether there is any common motion at all."""
+    focal = 0.6 * size[0]
+    return FloorCamera(
+        width_px=size[0], height_px=size[1], focal_px=focal, centre_x_px=(size[0] - 1) / 2,
+        centre_y_px=(size[1] - 1) / 2, height_m=0.4 * lane_width, pitch_rad=float(np.arctan(0.2 * size[1] / focal)),
+    )  # fmt: skip
+
+
+def contradiction(views: Views, lane_width: float, camera: FloorCamera, frames: slice) -> float:
+    """Robust sum of squares of a part of a recording, solved with a camera.
+
+    Raises:
+        RecordingError: nothing fits.
+    """
+    evidence = gather(views, camera, lane_width, frames=frames)
+    check_motion(evidence)
+    return solve(evidence, closing=False).solution.cost
+
+
+def check_motion(evidence: Evidence) -> None:
+    """Refuse images between which nothing moves together, or at all.
 
     Raises:
         RecordingError: with the reason and the share of images that failed.
     """
-    count = len(evidence.times)
     seen = [motion for motion in evidence.motions[1:] if motion is not None]
-    moving = len(seen) / (count - 1)
+    moving = len(seen) / (len(evidence.times) - 1)
     if moving < LEAST_MOTION:
         raise RecordingError(
             f"between {1.0 - moving:.0%} of neighbouring images no common motion of the floor is seen, expected at "
@@ -100,6 +122,15 @@ def check_evidence(evidence: Evidence) -> None:
     still = float(np.mean([np.hypot(*motion.step[:2]) < STANDING for motion in seen]))
     if still > 0.9:
         raise RecordingError(f"nothing moves in {still:.0%} of the images: record the car while it drives")
+
+
+def check_evidence(evidence: Evidence) -> None:
+    """Refuse what cannot carry a location.
+
+    Raises:
+        RecordingError: with the reason and the share of images that failed.
+    """
+    check_motion(evidence)
     lined = float(np.mean([len(points) >= ENOUGH_POINTS for points in evidence.lines]))
     if lined < LEAST_LINES:
         raise RecordingError(
@@ -111,7 +142,7 @@ def check_evidence(evidence: Evidence) -> None:
         raise RecordingError(f"only {yellow:.0%} of the images show a yellow centre line, expected 25%: none is found")
 
 
-def solve(evidence: Evidence) -> Fit:
+def solve(evidence: Evidence, *, closing: bool = True) -> Fit:
     """Guess the road, smooth the run, and join the ends of a lap where there is one.
 
     Raises:
@@ -130,7 +161,7 @@ def solve(evidence: Evidence) -> Fit:
             "check --lane-width and the camera"
         )
     solution = Smoother(evidence, poses, track).solve()
-    lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading)
+    lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading) if closing else None
     if lap is not None:
         closed = Smoother(evidence, lap.poses, lap.track, lap.pieces).solve(CLOSED_TURNS)
         if np.nanmean(closed.agree) > np.nanmean(solution.agree) - WORSE_CLOSED:
@@ -207,16 +238,22 @@ def located_of(
     Raises:
         RecordingError: it cannot carry a location; with the reason, and the share of images that failed.
     """
-    if camera is None or not camera.mounted:
-        raise RecordingError("the camera is unknown: give --camera with focal length, height and pitch")
-    if (camera.width_px, camera.height_px) != views.size:
+    if camera is not None and (camera.width_px, camera.height_px) != views.size:
         raise RecordingError(
             f"the camera is for {camera.width_px} x {camera.height_px} px, the images have {views.size[0]} x "
             f"{views.size[1]}: give the camera of this recording"
         )
     started = time.monotonic()
+    calibration = "given"
+    if camera is None:
+        check_motion(gather(views, nominal_camera(views.size, lane_width), lane_width, frames=slice(SAMPLE)))
+        calibration = "estimated"
+        camera = estimate_camera(views, lane_width, lambda *part: contradiction(views, lane_width, *part), progress)
+    elif not camera.mounted:
+        calibration = "chessboard"
+        camera = mount(views, camera, lane_width)
     evidence = gather(views, camera, lane_width, progress)
     check_evidence(evidence)
     progress(0, 1, f"lines and motion found in {time.monotonic() - started:.0f} s; solving for the whole run")
     fit = solve(evidence)
-    return in_metres(views, fit, camera, lane_width, "given"), fit
+    return in_metres(views, fit, camera, lane_width, calibration), fit

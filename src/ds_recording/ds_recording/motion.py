@@ -19,8 +19,8 @@ from ds_recording.floor_camera import FloorCamera
 Array = NDArray[np.float64]
 CORNERS = 150
 """Corners that are followed; chosen: a picture of 160 x 120 has hardly more."""
-FARTHEST = 8.0
-"""Distance of the farthest corners, lane widths; chosen: beyond, they are specks."""
+FARTHEST = 4.0
+"""Distance of the farthest corners, lane widths; chosen: beyond, texture is finer than pixels and does not move."""
 WINDOW = 7
 """Side of the window around a corner, px; chosen: within it what is nearer moves more than what is farther, which
 shortens the motion by 2 % (by 3 % with 11 px, 9 to 14 % with 21), and smaller ones hold too little."""
@@ -28,6 +28,8 @@ NOISE = 0.12
 """Error of a followed corner of full contrast, px; chosen on simulated recordings of 160 x 120."""
 LEAST_POINTS, LEAST_SHARE = 8, 0.35
 """Corners that must agree with one motion, and their share; chosen: fewer agree by chance."""
+SPEEDS, DOUBT = (0.0, 0.7, 1.4, 2.8), 25
+"""Speeds that are tried where none is known (lane widths/s), and images after which one is doubted."""
 GATE = 2.5
 """Residual beyond which a corner counts as an outlier, standard deviations."""
 
@@ -39,12 +41,12 @@ class Motion:
     Attributes:
         step: ahead, left, turned to the left: lane widths, lane widths, rad, (3,).
         covariance: (3, 3).
-        share: of the followed corners that agree with it.
+        corners: that agree with it.
     """
 
     step: Array
     covariance: Array
-    share: float
+    corners: int
 
 
 class MotionFinder:
@@ -62,6 +64,7 @@ class MotionFinder:
         near = valid & (floor[:, 0] < FARTHEST) & (np.abs(floor[:, 1]) < FARTHEST)
         self._mask = (near.reshape(rows.shape) * 255).astype(np.uint8)
         self._step = np.zeros(3)
+        self._lost, self._images = True, 0
 
     def see(self, image: NDArray[np.uint8], seconds: float) -> Motion | None:
         """Motion since the last image, (rows, columns, 3) uint8 RGB; None for the first, or if it is not seen.
@@ -74,7 +77,15 @@ class MotionFinder:
         before, self._previous = self._previous, grey
         if before is None or seconds <= 0.0:
             return None
-        found = self._between(before, grey, self._step * min(seconds, 0.3))
+        # Far corners hardly move, so a search from too slow a guess finds a standstill: now and then all are tried.
+        guesses = [self._step * min(seconds, 0.3)]
+        if self._lost or self._images % DOUBT == 0:
+            guesses += [np.array([speed * min(seconds, 0.3), 0.0, 0.0]) for speed in SPEEDS]
+        self._images += 1
+        tried = [found for guess in guesses if (found := self._between(before, grey, guess)) is not None]
+        found = max(tried, key=lambda motion: motion.corners, default=None)
+        # Lost, or just found: the next image is searched anew.
+        self._lost = found is None or (self._lost and self._images % 4 != 0)
         if found is not None:
             self._step = found.step / seconds
         return found
@@ -85,17 +96,25 @@ class MotionFinder:
             return None
         start = corners.reshape(-1, 2).astype(np.float32)
         floor, _ = self._camera.floor(start.astype(float))
-        expected, covered = self._camera.project(moved(floor, guess))
-        ahead = np.where(covered[:, None], expected, start).astype(np.float32)
-        options: Any = {"winSize": (WINDOW, WINDOW), "maxLevel": 2, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-        end, there, _ = cv2.calcOpticalFlowPyrLK(before, after, start, ahead.copy(), **options)
-        back, again, _ = cv2.calcOpticalFlowPyrLK(after, before, end, start.copy(), **options)
-        kept = (there.ravel() > 0) & (again.ravel() > 0) & (np.hypot(*(back - start).T) < 0.7)
-        followed = int(kept.sum())
-        if followed < LEAST_POINTS:
-            return None
         tensor = cv2.cornerEigenValsAndVecs(before, WINDOW, 3)[start[:, 1].astype(int), start[:, 0].astype(int)]
-        return self._fit(floor[kept], end[kept].astype(float), _precision(tensor[kept].astype(float)), guess)
+        precision = _precision(tensor.astype(float))
+        found: Motion | None = None
+        # Coarsely, then from where the first motion puts the corners: in the large windows of a pyramid what is near
+        # is held back by what is far.
+        for levels in (2, 0):
+            expected, covered = self._camera.project(moved(floor, guess))
+            ahead = np.where(covered[:, None], expected, start).astype(np.float32)
+            options: Any = {"winSize": (WINDOW, WINDOW), "maxLevel": levels, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+            end, there, _ = cv2.calcOpticalFlowPyrLK(before, after, start, ahead.copy(), **options)
+            back, again, _ = cv2.calcOpticalFlowPyrLK(after, before, end, start.copy(), **options)
+            kept = (there.ravel() > 0) & (again.ravel() > 0) & (np.hypot(*(back - start).T) < 0.7)
+            if kept.sum() < LEAST_POINTS:
+                return None
+            found = self._fit(floor[kept], end[kept].astype(float), precision[kept], guess)
+            if found is None:
+                return None
+            guess = found.step
+        return found
 
     def _fit(self, floor: Array, seen: Array, precision: Array, guess: Array) -> Motion | None:
         """Robust Gauss-Newton over three numbers, in pixels of the second image."""
@@ -128,7 +147,7 @@ class MotionFinder:
         ):
             return None
         inflated = max(1.0, float((size[valid][agree] ** 2).mean()))
-        return Motion(step, np.asarray(np.linalg.inv(normal) * inflated), float(agree.mean()))
+        return Motion(step, np.asarray(np.linalg.inv(normal) * inflated), int(agree.sum()))
 
 
 def moved(points: Array, step: Array) -> Array:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from ds_recording.errors import RecordingError
 from ds_recording.first_guess import SPACING
 from ds_recording.lines import LinePoints
 from ds_recording.motion import Motion
@@ -43,8 +44,12 @@ CLOCK = 0.08
 BEND = 0.05
 """Standard deviation of the change of the road's curvature along one piece, 1/lane width; chosen: from straight to a
 radius of 2.5 lane widths within two lane widths."""
+LONGER = 1.5
+"""Factor by which a line may grow before the search counts as lost."""
 NEAR = 1.5
 """Distance of the line's points that are used first, lane widths."""
+ALIKE = 8.0
+"""Points of lines that count as one for the camera; chosen: those of one line in one image share their errors."""
 _TURNS = 16
 """Gauss-Newton steps; chosen: the last ones move nothing by more than a thousandth."""
 
@@ -80,7 +85,7 @@ class Solution:
         std_heading: (n,).
         agree: share of each frame's line points that are where the road has its lines, NaN without points, (n,).
         residuals: median distance of these points from their line, (n,).
-        cost: robust sum of squares.
+        cost: robust sum of squares of line points, of which `ALIKE` count as one, and of motions.
         steering: gain and delay; None if unknown.
     """
 
@@ -145,7 +150,7 @@ class Smoother:
         self._spread = np.concatenate([points.spread for points in evidence.lines])
         self._pieces = self._walk() if stations is None else stations
         self._nearest = self._pieces[self._frames] + (self._points[:, 0] / SPACING).astype(np.int64)
-        self._far = np.inf
+        self._far, self._longest = np.inf, track.length + 10.0
         self._steering: Steering | None = None
         self._seconds = np.diff(evidence.times)
         seen = [i for i, motion in enumerate(evidence.motions) if motion is not None and i > 0]
@@ -329,6 +334,8 @@ class Smoother:
             track.points + beside[:, None] * np.stack((-along[:, 1], along[:, 0]), axis=1), track.closed
         )
         # Even steps again: what was beside a bend has been stretched or squeezed.
+        if not (np.isfinite(self._track.points).all() and self._track.length < LONGER * self._longest):
+            raise RecordingError("lines and motion contradict each other: check --lane-width and the camera")
         ratio = self._track.stations / self._track.length
         self._track = self._track.resampled(SPACING)
         shares = [ratio[self._pieces], ratio[self._nearest]]
@@ -360,7 +367,7 @@ class Smoother:
             std_heading=std_heading,
             agree=agree,
             residuals=residuals,
-            cost=float((np.concatenate(rows.right) ** 2).sum()),
+            cost=float((rows.right[0] ** 2).sum() / ALIKE + sum((part**2).sum() for part in rows.right[1:4])),
             steering=self._follow(),
         )
 

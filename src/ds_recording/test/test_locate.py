@@ -1,0 +1,216 @@
+"""Against a circular road that is drawn here, pixel by pixel, from closed forms."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ds_driver.data.recordings import Reading
+from ds_recording.errors import RecordingError
+from ds_recording.floor_camera import FloorCamera
+from ds_recording.lines import line_pixels, points_on_floor
+from ds_recording.locate import Fit, located_of
+from ds_recording.located import COLUMNS, Located, read_located, write_located
+from ds_recording.motion import MotionFinder
+from ds_recording.page import write_page
+from ds_recording.recording import Views, longest_stretch, read_views
+
+Array = NDArray[np.float64]
+WIDTH, RADIUS = 0.25, 0.9
+"""Lane and radius of the road's centre line, m; driven counter-clockwise."""
+CAMERA = FloorCamera(
+    width_px=160, height_px=120, focal_px=90.0, centre_x_px=79.5, centre_y_px=59.5, height_m=0.12, pitch_rad=0.25,
+    forward_m=0.04,
+)  # fmt: skip
+FRAMES = 130
+TIMES: Array = 0.05 * np.arange(FRAMES, dtype=np.float64)
+SPEED = 0.35
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Truth: offset to the right, heading relative to the road, angle around the circle."""
+
+    lateral: Array
+    heading: Array
+    angle: Array
+
+    @property
+    def poses(self) -> Array:
+        radius = RADIUS + self.lateral
+        yaw = self.angle + math.pi / 2 + self.heading
+        return np.stack((radius * np.cos(self.angle), radius * np.sin(self.angle), yaw), axis=1)
+
+
+def drive() -> Drive:
+    lateral = 0.1 + 0.06 * np.sin(TIMES)
+    sideways = 0.06 * np.cos(TIMES)
+    angle = np.concatenate(([0.0], np.cumsum(SPEED * 0.05 / (RADIUS + lateral[:-1]))))
+    return Drive(lateral, -np.arctan2(sideways, SPEED), angle)
+
+
+TEXTURE = np.random.default_rng(5).normal(0.0, 1.0, (512, 512)).astype(np.float32)
+TEXTURE = cv2.GaussianBlur(TEXTURE, (0, 0), 2.0) * 60.0  # no finer than the pixels that show it
+
+
+def picture(pose: Array, *, lines: bool = True) -> NDArray[np.uint8]:
+    """What a pinhole without distortion sees of the floor, with four rays a pixel."""
+    image = np.zeros((240, 320, 3), np.float32)
+    columns, rows = np.meshgrid((np.arange(320) - 0.5) / 2, (np.arange(240) - 0.5) / 2)
+    right, down = (columns - CAMERA.centre_x_px) / CAMERA.focal_px, (rows - CAMERA.centre_y_px) / CAMERA.focal_px
+    descent = math.sin(0.25) + down * math.cos(0.25)
+    reach = 0.12 / np.maximum(descent, 1e-3)
+    ahead, left = reach * (math.cos(0.25) - down * math.sin(0.25)) + 0.04, -reach * right
+    x = pose[0] + ahead * np.cos(pose[2]) - left * np.sin(pose[2])
+    y = pose[1] + ahead * np.sin(pose[2]) + left * np.cos(pose[2])
+    offset, along = np.hypot(x, y) - RADIUS, np.arctan2(y, x) * RADIUS
+    grain = TEXTURE[(np.floor(x * 200) % 512).astype(int), (np.floor(y * 200) % 512).astype(int)]
+    image[:] = (80 + grain)[..., None]
+    if lines:
+        image[(np.abs(offset) < 0.012) & (along % 0.2 < 0.12)] = (225, 185, 40)
+        image[np.abs(np.abs(offset) - WIDTH) < 0.012] = (235, 235, 235)
+    image[descent < 0.02] = (120, 150, 200)
+    small = cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA)
+    return np.asarray(small.clip(0, 255), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[NDArray[np.uint8]]:
+    return [picture(pose) for pose in drive().poses]
+
+
+def write_tub(folder: Path, images: list[NDArray[np.uint8]], times: Array, steering: Array) -> Path:
+    (folder / "images").mkdir(parents=True)
+    rows = []
+    for index, image in enumerate(images):
+        cv2.imwrite(str(folder / "images" / f"{index}.jpg"), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
+        rows.append(
+            {"_index": index, "_timestamp_ms": round(1e6 + 1000 * float(times[index])), "user/mode": "user",
+             "cam/image_array": f"{index}.jpg", "user/angle": float(steering[index]), "user/throttle": 0.3}
+        )  # fmt: skip
+    lines = ["[]", "[]", "{}", "{}", json.dumps({"paths": ["c.catalog"], "deleted_indexes": []})]
+    (folder / "manifest.json").write_text("\n".join(lines))
+    (folder / "c.catalog").write_text("\n".join(map(json.dumps, rows)))
+    return folder
+
+
+Solved = tuple[Views, Located, Fit]
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory, pictures: list[NDArray[np.uint8]]) -> Solved:
+    kept = np.array([i for i in range(FRAMES) if i % 17 != 5])  # frames are missing
+    images = [cv2.GaussianBlur(pictures[i], (0, 0), 1.2) if i % 29 == 3 else pictures[i] for i in kept]
+    tub = write_tub(tmp_path_factory.mktemp("tub") / "tub", images, TIMES[kept], np.zeros(len(kept)))
+    views = read_views(tub, Reading(whole=True))
+    return views, *located_of(views, CAMERA, WIDTH)
+
+
+def test_the_car_is_where_it_was(solved: Solved) -> None:
+    found, truth = solved[1], drive()
+    times = found.column("time_s")
+    index = np.round(times / 0.05).astype(int)
+    assert len(index) > 0.95 * len(solved[0].images)
+    offset = (found.column("lateral_m") - truth.lateral[index]) / WIDTH
+    heading = found.column("heading_rad") - truth.heading[index]
+    assert np.percentile(np.abs(offset), 95) < 0.05
+    assert np.degrees(np.sqrt((heading**2).mean())) < 3.0
+    assert np.median(found.column("speed_mps")) == pytest.approx(SPEED, rel=0.06)
+    radii = np.hypot(*(found.track.points - _centre(found.track.points)).T)
+    assert np.median(radii) == pytest.approx(RADIUS, rel=0.06)
+
+
+def _centre(points: Array) -> Array:
+    """Centre of the circle through points, by linear least squares."""
+    rows = np.column_stack((2 * points, np.ones(len(points))))
+    return np.asarray(np.linalg.lstsq(rows, (points**2).sum(axis=1), rcond=None)[0][:2])
+
+
+def test_the_files_come_back_and_the_page_stands_alone(solved: Solved, tmp_path: Path) -> None:
+    views, found, fit = solved
+    write_located(tmp_path / "out", found)
+    again = read_located(tmp_path / "out")
+    np.testing.assert_allclose(again.table, found.table, rtol=1e-5, atol=1e-6)
+    assert (tmp_path / "out" / "located.csv").read_text().splitlines()[0] == ",".join(COLUMNS)
+    assert again.camera == found.camera and again.lane_width == WIDTH
+    about = json.loads((tmp_path / "out" / "recording.json").read_text())
+    assert about["refused"] is None and about["kind"] == "tub" and about["calibration"] == "given"
+    text = write_page(tmp_path / "page.html", views, found, fit).read_text()
+    assert text.count("data:image/png;base64,") == 3 and "http" not in text.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize("name", ["located.csv", "recording.json", "track.csv", "camera.yaml"])
+def test_a_damaged_result_is_refused_in_one_line(solved: Solved, tmp_path: Path, name: str) -> None:
+    write_located(tmp_path, solved[1])
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:25])
+    with pytest.raises(RecordingError) as error:
+        read_located(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def refused(tmp_path: Path, images: list[NDArray[np.uint8]]) -> str:
+    tub = write_tub(tmp_path / "tub", images, TIMES, np.zeros(FRAMES))
+    with pytest.raises(RecordingError) as error:
+        located_of(read_views(tub, Reading(whole=True)), CAMERA, WIDTH)
+    return str(error.value)
+
+
+def test_shuffled_images_are_refused(tmp_path: Path, pictures: list[NDArray[np.uint8]]) -> None:
+    order = np.random.default_rng(3).permutation(FRAMES)
+    assert "shuffled" in refused(tmp_path, [pictures[i] for i in order])
+
+
+def test_a_standing_car_is_refused(tmp_path: Path, pictures: list[NDArray[np.uint8]]) -> None:
+    assert "nothing moves" in refused(tmp_path, pictures[:1] * FRAMES)
+
+
+def test_a_floor_without_lines_is_refused(tmp_path: Path) -> None:
+    images = [picture(pose, lines=False) for pose in drive().poses]
+    assert "no lane lines" in refused(tmp_path, images)
+
+
+def test_times_that_make_no_sense_are_refused() -> None:
+    path = Path("tub")
+    even: Array = np.arange(0.0, 25.0, 0.05)
+    for seconds, wrong in (
+        (even * 0.06, "3 ms apart"),
+        (np.random.default_rng(0).permutation(even), "not in the order"),
+        (even[:40], "40 of 500"),
+        (even + np.floor(even / 2.5), "longest stretch"),
+    ):
+        with pytest.raises(RecordingError, match=wrong):
+            longest_stretch(path, np.asarray(seconds), 500)
+    assert longest_stretch(path, np.concatenate((even[:150], 100.0 + even[:300])), 450) == (150, 450)
+
+
+def test_points_of_lines_lie_on_the_lines(pictures: list[NDArray[np.uint8]]) -> None:
+    pose, offset = drive().poses[40], []
+    found = points_on_floor(line_pixels(pictures[40], 30), CAMERA.scaled(1 / WIDTH))
+    near = found.floor[:, 0] < 3.0
+    x = pose[0] + WIDTH * (found.floor[:, 0] * np.cos(pose[2]) - found.floor[:, 1] * np.sin(pose[2]))
+    y = pose[1] + WIDTH * (found.floor[:, 0] * np.sin(pose[2]) + found.floor[:, 1] * np.cos(pose[2]))
+    offset = (np.hypot(x, y) - RADIUS) / WIDTH
+    assert (near & found.white).sum() > 20 and (near & ~found.white).sum() > 10
+    away = np.where(found.white, np.abs(np.abs(offset) - 1.0), np.abs(offset))[near]
+    assert np.median(away) < 0.02 and np.percentile(away, 95) < 0.08
+
+
+def test_motion_between_two_pictures_is_that_of_the_car(pictures: list[NDArray[np.uint8]]) -> None:
+    poses = drive().poses
+    finder = MotionFinder(CAMERA.scaled(1 / WIDTH))
+    assert finder.see(pictures[10], 0.0) is None
+    for index in (11, 12, 13):
+        found = finder.see(pictures[index], 0.05)
+    assert found is not None
+    step = poses[13] - poses[12]
+    cos, sin = np.cos(poses[12, 2]), np.sin(poses[12, 2])
+    truth = np.array([cos * step[0] + sin * step[1], cos * step[1] - sin * step[0], step[2]])
+    np.testing.assert_allclose(found.step * (WIDTH, WIDTH, 1.0), truth, rtol=0.12, atol=0.001)
+    assert finder.see(np.zeros((120, 160, 3), np.uint8), 0.05) is None
