@@ -23,7 +23,7 @@ EVERY, AROUND = 4, 12
 NEAR, REACH = 4.0, 2.5
 """Distance at which a frame's lines are still used, and about the car for which a shape is tried; chosen."""
 HEADINGS = np.radians(np.arange(-52.0, 53.0, 4.0))
-CURVATURES = np.arange(-0.6, 0.65, 0.1)
+CURVATURES = np.arange(-1.0, 1.05, 0.1)
 BIN = 0.1
 """Steps of the grid; chosen: each about a line's width at `REACH`."""
 _OFFSETS = np.arange(-1.6, 1.65, BIN)

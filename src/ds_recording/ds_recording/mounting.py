@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Found = tuple[Array, Array, NDArray[np.bool_]]
 HORIZONS = (0.1, 0.2, 0.3, 0.4, 0.5)
 """Rows of the horizon that are tried, shares of the image's height."""
-HEIGHTS = (0.2, 0.3, 0.42, 0.6, 0.85)
+HEIGHTS = (0.22, 0.33, 0.5, 0.75, 1.1)
 """Heights that are tried, lane widths."""
 LEAST_IMAGES = 8
 LEAST_SHARE = 0.4

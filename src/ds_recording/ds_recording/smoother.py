@@ -46,6 +46,8 @@ BEND = 0.05
 radius of 2.5 lane widths within two lane widths."""
 LONGER = 1.5
 """Factor by which a line may grow before the search counts as lost."""
+_TRIES = 5
+"""Shorter and shorter steps that are tried."""
 NEAR = 1.5
 """Distance of the line's points that are used first, lane widths."""
 ALIKE = 8.0
@@ -122,12 +124,17 @@ class _Rows:
         self.right.append(-residuals * weights)
         self.count += len(residuals)
 
-    def solve(self, unknowns: int, damping: Array) -> tuple[Array, Callable[[Array], Array]]:
-        """Changes of the unknowns, and what multiplies by their covariance matrix."""
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(sum((part**2).sum() for part in self.right))
+
+    def solve(self, unknowns: int, damping: Array, shyness: float = 0.0) -> tuple[Array, Callable[[Array], Array]]:
+        """Changes of the unknowns, shortened by `shyness`, and what multiplies by their covariance matrix."""
         entries = (np.concatenate(self.rows), np.concatenate(self.columns))
         matrix = coo_matrix((np.concatenate(self.values), entries), shape=(self.count, unknowns)).tocsc()
         normal = csc_matrix(matrix.T @ matrix)
-        normal.setdiag(normal.diagonal() + damping)
+        normal.setdiag(normal.diagonal() * (1.0 + shyness) + damping)
         factors = splu(normal, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
         return factors.solve(matrix.T @ np.concatenate(self.right)), factors.solve
 
@@ -163,12 +170,23 @@ class Smoother:
 
     def solve(self, turns: int = _TURNS) -> Solution:
         """Run Gauss-Newton, with the gates closing, and return what was found."""
+        shyness = 1e-5
         for turn in range(turns):
             # From near to far: what is far away turns a road that is only guessed by too much.
             self._far = NEAR + 1.0 * turn
-            rows = self._rows(max(1.0, 6.0 * 0.6**turn))
-            change, _ = rows.solve(self._unknowns, self._damping)
-            self._apply(change)
+            gate = max(1.0, 6.0 * 0.6**turn)
+            rows = self._rows(gate)
+            now = rows.cost
+            for _ in range(_TRIES):
+                state = self._poses.copy(), self._track, self._pieces, self._nearest
+                change, _ = rows.solve(self._unknowns, self._damping, shyness)
+                self._apply(change)
+                if self._sound and self._rows(gate).cost < 1.2 * now:
+                    shyness *= 0.2
+                    break
+                # The step went astray: a shorter one, after Marquardt.
+                self._poses, self._track, self._pieces, self._nearest = state
+                shyness = max(10.0 * shyness, 1e-4)
             if turn in (4, 8):
                 self._steering = self._follow()
         return self._solution()
@@ -321,6 +339,10 @@ class Smoother:
         step, dt = self._body_steps()[0], self._seconds
         return follow_steering(self._evidence.times, self._evidence.steering, step[:, 0] / dt, step[:, 2] / dt)
 
+    @property
+    def _sound(self) -> bool:
+        return bool(np.isfinite(self._track.points).all() and self._track.length < LONGER * self._longest)
+
     def _apply(self, change: Array) -> None:
         count = self._count
         self._poses += change[: 3 * count].reshape(-1, 3)
@@ -334,8 +356,8 @@ class Smoother:
             track.points + beside[:, None] * np.stack((-along[:, 1], along[:, 0]), axis=1), track.closed
         )
         # Even steps again: what was beside a bend has been stretched or squeezed.
-        if not (np.isfinite(self._track.points).all() and self._track.length < LONGER * self._longest):
-            raise RecordingError("lines and motion contradict each other: check --lane-width and the camera")
+        if not self._sound:
+            return
         ratio = self._track.stations / self._track.length
         self._track = self._track.resampled(SPACING)
         shares = [ratio[self._pieces], ratio[self._nearest]]
