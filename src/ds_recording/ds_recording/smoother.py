@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from ds_recording.errors import RecordingError
 from ds_recording.first_guess import SPACING
 from ds_recording.lines import LinePoints
 from ds_recording.motion import Motion
