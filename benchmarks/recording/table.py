@@ -1,7 +1,7 @@
 """How well `ds recording locate` finds cars in simulated recordings whose truth is known, as a table.
 
-`python -m benchmarks.recording.table --out FOLDER` takes some five minutes on a core; `--estimate` also estimates the
-camera, which takes a few minutes for each recording. Offsets count in lane widths. Settings were fixed beforehand.
+`python -m benchmarks.recording.table --out FOLDER` takes some five minutes on a core. Offsets count in lane widths.
+Settings were fixed beforehand.
 """
 
 from __future__ import annotations
@@ -46,9 +46,8 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--out", type=Path, required=True, help="folder for recordings and results")
     parser.add_argument("--only", default="", help="part of the recordings' names")
-    parser.add_argument("--estimate", action="store_true", help="also estimate the camera")
     arguments = parser.parse_args()
-    print(f"{'recording':22s} {'camera':9s} " + " ".join(f"{column:>12s}" for column in COLUMNS) + "   seconds")
+    print(f"{'recording':22s} " + " ".join(f"{column:>12s}" for column in COLUMNS) + "   seconds")
     for name, plan in PLANS.items():
         if arguments.only not in name:
             continue
@@ -56,21 +55,17 @@ def main() -> None:
         if not (folder / "truth.csv").exists():
             shutil.rmtree(folder, ignore_errors=True)
             record(plan, folder)
-        for known in (True, False) if arguments.estimate and not plan.fault else (True,):
-            began = time.monotonic()
-            width = line_distance(spec_of(plan.simulator))
-            kind = "known" if known else "estimated"
-            try:
-                views = read_views(folder / "tub", Reading(whole=True))
-                camera = read_camera(folder / "camera.yaml") if known else None
-                found, _ = located_of(views, camera, width)
-            except RecordingError as error:
-                print(f"{name:22s} {kind:9s} refused: {error}", flush=True)
-                continue
-            write_located(folder / f"located_{kind}", found)
-            values = " ".join(f"{value:12.3f}" for value in compared(found, folder, width))
-            lens = "" if known else f"   focal {found.camera.focal_px:.1f} +- {found.camera.focal_std:.1f} px"
-            print(f"{name:22s} {kind:9s} {values} {time.monotonic() - began:9.0f}{lens}", flush=True)
+        began = time.monotonic()
+        width = line_distance(spec_of(plan.simulator))
+        try:
+            views = read_views(folder / "tub", Reading(whole=True))
+            found, _ = located_of(views, read_camera(folder / "camera.yaml"), width)
+        except RecordingError as error:
+            print(f"{name:22s} refused: {error}", flush=True)
+            continue
+        write_located(folder / "located", found)
+        values = " ".join(f"{value:12.3f}" for value in compared(found, folder, width))
+        print(f"{name:22s} {values} {time.monotonic() - began:9.0f}", flush=True)
 
 
 def compared(found: Located, folder: Path, width: float) -> list[float]:

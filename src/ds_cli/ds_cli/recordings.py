@@ -25,7 +25,7 @@ def locate_command(
         typer.Option(min=0.02, max=50.0, help="From the middle of the centre line to that of an edge line, m."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the result.")],
-    camera: Annotated[Path | None, typer.Option(help="YAML file of the camera; estimated if left out.")] = None,
+    camera: Annotated[Path, typer.Option(help="YAML file of the camera, as of `ds recording calibrate`.")],
     topic: Annotated[str | None, typer.Option(help="Topic of the images, for bags with several.")] = None,
     steering: Annotated[str | None, typer.Option(help="TOPIC:FIELD of the steering, for bags of others.")] = None,
     factor: Annotated[float, typer.Option(help="Converts that field to steering, -1 left to +1 right.")] = 1.0,
@@ -44,7 +44,7 @@ def locate_command(
 
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     try:
-        known = None if camera is None else read_camera(camera)
+        known = read_camera(camera)
         views = read_views(source, reading, say)
         found, fit = located_of(views, known, lane_width, progress=countdown())
         found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})

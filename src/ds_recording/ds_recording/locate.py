@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from ds_recording.closing import close_lap
 from ds_recording.errors import RecordingError
-from ds_recording.estimate import estimate_camera, mount
 from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Motion, MotionFinder
+from ds_recording.mounting import mount
 from ds_recording.recording import Views
 from ds_recording.smoother import Evidence, Smoother, Solution
 from ds_recording.track import Track
@@ -30,10 +30,6 @@ LEAST_MOTION = 0.6
 0.95 and more, of shuffled ones 0.3 and less."""
 LEAST_LINES, ENOUGH_POINTS = 0.5, 8
 """Share of images that must show lines, and points of lines that are enough."""
-LEAST_SEEN = 0.35
-"""The same with a camera that is only guessed; chosen: a real tub has 0.54, shuffled ones 0.2 and less."""
-SAMPLE = 300
-"""Images that are looked at before a camera is estimated."""
 STANDING = 0.004
 """Way between two images below which a car stands still, lane widths."""
 LEAST_AGREEING = 0.5
@@ -88,27 +84,7 @@ def gather(
     return Evidence(times=seconds, lines=lines, motions=motions, steering=views.steering[frames])
 
 
-def nominal_camera(size: tuple[int, int], lane_width: float) -> FloorCamera:
-    """A camera as cars have it, to see whether there is any common motion at all."""
-    focal = 0.6 * size[0]
-    return FloorCamera(
-        width_px=size[0], height_px=size[1], focal_px=focal, centre_x_px=(size[0] - 1) / 2,
-        centre_y_px=(size[1] - 1) / 2, height_m=0.4 * lane_width, pitch_rad=float(np.arctan(0.2 * size[1] / focal)),
-    )  # fmt: skip
-
-
-def contradiction(views: Views, lane_width: float, camera: FloorCamera, frames: slice) -> float:
-    """Robust sum of squares of a part of a recording, solved with a camera.
-
-    Raises:
-        RecordingError: nothing fits.
-    """
-    evidence = gather(views, camera, lane_width, frames=frames)
-    check_motion(evidence, LEAST_SEEN)
-    return solve(evidence, closing=False).solution.cost
-
-
-def check_motion(evidence: Evidence, least: float = LEAST_MOTION) -> None:
+def check_motion(evidence: Evidence) -> None:
     """Refuse images between which nothing moves together, or at all.
 
     Raises:
@@ -116,10 +92,10 @@ def check_motion(evidence: Evidence, least: float = LEAST_MOTION) -> None:
     """
     seen = [motion for motion in evidence.motions[1:] if motion is not None]
     moving = len(seen) / (len(evidence.times) - 1)
-    if moving < least:
+    if moving < LEAST_MOTION:
         raise RecordingError(
             f"between {1.0 - moving:.0%} of neighbouring images no common motion of the floor is seen, expected at "
-            f"most {1.0 - least:.0%}: they are shuffled, missing, or show no floor: record without dropping any"
+            f"most {1.0 - LEAST_MOTION:.0%}: they are shuffled, missing, or show no floor: record without dropping any"
         )
     still = float(np.mean([np.hypot(*motion.step[:2]) < STANDING for motion in seen]))
     if still > 0.9:
@@ -233,27 +209,21 @@ def in_metres(views: Views, fit: Fit, camera: FloorCamera, lane_width: float, ca
 
 
 def located_of(
-    views: Views, camera: FloorCamera | None, lane_width: float, progress: Progress = _silent
+    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent
 ) -> tuple[Located, Fit]:
     """Locate a stretch.
 
     Raises:
         RecordingError: it cannot carry a location; with the reason, and the share of images that failed.
     """
-    if camera is not None and (camera.width_px, camera.height_px) != views.size:
+    if (camera.width_px, camera.height_px) != views.size:
         raise RecordingError(
             f"the camera is for {camera.width_px} x {camera.height_px} px, the images have {views.size[0]} x "
             f"{views.size[1]}: give the camera of this recording"
         )
     started = time.monotonic()
     calibration = "given"
-    if camera is None:
-        check_motion(
-            gather(views, nominal_camera(views.size, lane_width), lane_width, frames=slice(SAMPLE)), LEAST_SEEN
-        )
-        calibration = "estimated"
-        camera = estimate_camera(views, lane_width, lambda *part: contradiction(views, lane_width, *part), progress)
-    elif not camera.mounted:
+    if not camera.mounted:
         calibration = "chessboard"
         camera = mount(views, camera, lane_width)
     evidence = gather(views, camera, lane_width, progress)

@@ -14,7 +14,8 @@ from scipy.sparse import lil_matrix
 from ds_recording.errors import RecordingError
 from ds_recording.first_guess import arc_offsets, candidate_shapes
 from ds_recording.floor_camera import FloorCamera
-from ds_recording.lines import FARTHEST, points_on_floor
+from ds_recording.lines import FARTHEST, line_pixels, points_on_floor
+from ds_recording.recording import Views
 
 Array = NDArray[np.float64]
 Found = tuple[Array, Array, NDArray[np.bool_]]
@@ -29,6 +30,28 @@ FAR = 4.0
 """Distance up to which points count, lane widths."""
 MOST = 60
 """Points of an image that count."""
+
+
+IMAGES = 24
+"""Images whose lines are used."""
+
+
+def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
+    """Find height and pitch of a camera whose lens is known.
+
+    Args:
+        views: recording with this camera.
+        camera: for images of the recorded size.
+        lane_width: m.
+
+    Raises:
+        RecordingError: the lines fit none.
+    """
+    rows, columns = views.images[0].shape[:2]
+    chosen = np.linspace(0, len(views.images) - 1, IMAGES + 2)[1:-1].round().astype(int).tolist()
+    lines = [line_pixels(views.images[index], rows // 3) for index in chosen]
+    found, _ = mounted(camera.resized(columns, rows).scaled(1.0 / lane_width), lines)
+    return replace(camera, height_m=(found.height_m or 1.0) * lane_width, pitch_rad=found.pitch_rad)
 
 
 def mounted(camera: FloorCamera, lines: Sequence[Found]) -> tuple[FloorCamera, float]:
@@ -47,8 +70,8 @@ def mounted(camera: FloorCamera, lines: Sequence[Found]) -> tuple[FloorCamera, f
     lines = [found for found in lines if (~found[2]).sum() >= 4 and found[2].sum() >= 4]
     if len(lines) < LEAST_IMAGES:
         raise RecordingError(
-            f"only {len(lines)} of the chosen images show yellow and white lines, expected {LEAST_IMAGES}: the camera "
-            "cannot be estimated: calibrate with a chessboard, and measure height and pitch"
+            f"only {len(lines)} of the chosen images show yellow and white lines, expected {LEAST_IMAGES}: measure "
+            "height and pitch of the camera, and write them into its file"
         )
     best: tuple[float, FloorCamera, list[Array]] | None = None
     total = sum(min(len(found[0]), MOST) for found in lines)
