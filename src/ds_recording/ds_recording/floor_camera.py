@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_recording.errors import RecordingError
+from ds_road.road import abbreviated
 from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 
 Array = NDArray[np.float64]
@@ -192,10 +193,14 @@ def read_camera(path: Path) -> FloorCamera:
                 values[name] = None
             continue
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise RecordingError(f"{path}: {name} is {value!r}, expected a number from {low:g} to {high:g}: correct it")
+            raise RecordingError(
+                f"{path}: {name} is {abbreviated(value)}, expected a number from {low:g} to {high:g}: correct it"
+            )
         values[name] = int(value) if name.endswith(("width_px", "height_px")) else float(value)
     lens = found.get("distortion", [0.0] * 5)
     fine = isinstance(lens, list) and len(lens) == 5 and all(isinstance(v, int | float) and abs(v) < 1e3 for v in lens)
     if not fine:
-        raise RecordingError(f"{path}: distortion is {lens!r}, expected five numbers k1, k2, p1, p2, k3: correct it")
+        raise RecordingError(
+            f"{path}: distortion is {abbreviated(lens)}, expected five numbers k1, k2, p1, p2, k3: correct it"
+        )
     return FloorCamera(**values, distortion=tuple(map(float, lens)))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
 from ds_recording.track import Track, read_track, write_track
+from ds_road.road import abbreviated
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ def read_located(folder: Path) -> Located:
             raise ValueError(f"{ABOUT} is no object")
         width = about.get("lane_width_m")
         if isinstance(width, bool) or not isinstance(width, int | float) or not 0.0 < width < 1e3:
-            raise ValueError(f"lane_width_m in {ABOUT} is {width!r}, expected metres")
+            raise ValueError(f"lane_width_m in {ABOUT} is {abbreviated(width)}, expected metres")
     except (OSError, ValueError, BoundedYamlError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(f"{folder}: {reason}: give a folder that `ds recording locate` wrote") from None

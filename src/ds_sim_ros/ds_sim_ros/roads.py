@@ -54,6 +54,8 @@ def read_track(path: Path, lane_width: float) -> Road:
             (road,) = read_roads(path)
             return road
         lines = read_bounded(path, LARGEST).decode().split()
+        if not lines:
+            raise ValueError("it is empty")
         return Road.from_road_points(np.loadtxt(lines, delimiter=",", ndmin=2), lane_width=lane_width)
     except OSError as error:
         raise RosSettingsError(f"{path}: cannot be read ({error.strerror}): check the path") from None

@@ -63,6 +63,9 @@ class RecordingSimulator(RoadSimulator):
         parameters: parameters of the car; nominal values if omitted.
         settings: what the user added.
 
+    Attributes:
+        drive: the recording.
+
     Raises:
         UnknownSimulatorError: no recording is given.
     """
@@ -76,7 +79,7 @@ class RecordingSimulator(RoadSimulator):
         if drive is None:
             raise UnknownSimulatorError("simulator 'recording' needs a located recording: recording@FOLDER")
         settings, parameters = settings or RecordingSettings(), parameters or DonkeyParameters()
-        self._drive, self._photos = drive, PhotoScene(drive)
+        self.drive, self._photos = drive, PhotoScene(drive)
         spec = SimulatorSpec(
             name="recording",
             physics="the twin's 1:16 car, on the track of a recording",
@@ -126,5 +129,5 @@ class RecordingSimulator(RoadSimulator):
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Load a section of the recorded track; see `Simulator.load`."""
-        check_is_section(road, self._drive)
+        check_is_section(road, self.drive)
         return super().load(road, seed=seed, conditions=conditions)

@@ -1,0 +1,85 @@
+"""Kinds of received files: located recordings and descriptions of ROS 2 simulators, as the siblings read them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from tests.fuzz.damage import damaged_file, damaged_one_of
+from tests.fuzz.harness import Kind
+from tests.fuzz.kinds_bags import _write_tub
+
+from ds_recording.errors import RecordingError
+from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
+from ds_recording.located import COLUMNS, Located, write_located
+from ds_recording.sibling.sections import sections
+from ds_recording.sibling.simulator import RecordingSimulator
+from ds_recording.track import Track
+from ds_sim.session import Session
+from ds_sim.simulator import Command
+from ds_sim_ros.settings import RosSettingsError
+from ds_sim_ros.simulator import RosSimulator
+from ds_twin_donkey.logs import LogError, read_log
+
+_CAMERA = FloorCamera(
+    width_px=80, height_px=40, focal_px=37.5, centre_x_px=39.5, centre_y_px=19.5, height_m=0.12, pitch_rad=0.2
+)
+
+
+def _write_located(folder: Path) -> Path:
+    made = folder / "located"
+    made.mkdir()
+    tub = _write_tub(made)
+    along = 0.35 * np.arange(5.0)
+    table = np.zeros((5, len(COLUMNS)))
+    for name, values in (
+        ("frame", np.arange(5.0)),
+        ("time_s", 0.05 * np.arange(5)),
+        ("x_m", along),
+        ("along_m", along),
+    ):
+        table[:, COLUMNS.index(name)] = values
+    track = Track(np.column_stack((np.linspace(-1.0, 5.0, 25), np.zeros(25))))
+    about = {"source": tub.name, "lane_width_m": 0.25, "closed": False}
+    write_located(made, Located(table=table, track=track, lane_width=0.25, camera=_CAMERA, about=about))
+    (made / "simulator.yaml").write_text("crop_top: 40\n")
+    return made
+
+
+def _drive(folder: Path) -> None:
+    """Make the sibling, and drive some frames of a section."""
+    simulator = RecordingSimulator.from_file(folder)
+    drive = simulator.drive
+    session = Session(simulator)
+    session.start(sections(drive, 20.0, 1000.0)[0], 1)
+    for _ in range(3):
+        if session.driving:
+            session.advance(Command(0.1, 0.5))
+
+
+def _write_camera(folder: Path) -> Path:
+    write_camera(folder / "camera.yaml", _CAMERA)
+    return folder / "camera.yaml"
+
+
+def _write_description(folder: Path) -> Path:
+    made = folder / "described"
+    made.mkdir()
+    text = (Path(__file__).parents[2] / "examples/ros_simulator.yaml").read_text()
+    (made / "track.csv").write_text("0,0\n10,0\n20,1\n30,3\n")
+    (made / "sim.yaml").write_text(text.replace("{service: /load_road}", "{centre_line: track.csv}"))
+    return made
+
+
+KINDS = [
+    Kind(
+        name="ros-description",
+        write=_write_description,
+        damage=damaged_one_of,
+        read=lambda folder: RosSimulator.from_file(folder / "sim.yaml"),
+        errors=(RosSettingsError,),
+    ),
+    Kind(name="located", write=_write_located, damage=damaged_one_of, read=_drive, errors=(RecordingError,)),
+    Kind(name="located-log", write=_write_located, damage=damaged_one_of, read=read_log, errors=(LogError,)),
+    Kind(name="floor-camera", write=_write_camera, damage=damaged_file, read=read_camera, errors=(RecordingError,)),
+]
