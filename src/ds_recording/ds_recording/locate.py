@@ -59,9 +59,7 @@ def _silent(_done: int, _total: int, _line: str) -> None:
     return None
 
 
-def gather(
-    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent, frames: slice = slice(None)
-) -> Evidence:
+def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent) -> Evidence:
     """Find lines and motions of a stretch's images.
 
     Args:
@@ -69,9 +67,8 @@ def gather(
         camera: mounted, for images of the recorded size.
         lane_width: m.
         progress: called with images done, all images, and what is done.
-        frames: part of the stretch.
     """
-    images, seconds = views.images[frames], views.seconds[frames]
+    images, seconds = views.images, views.seconds
     seen = camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width)
     finder = MotionFinder(seen)
     lines: list[LinePoints] = []
@@ -81,7 +78,7 @@ def gather(
         lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1), seen))
         if index % 500 == 499:
             progress(index + 1, len(images), "images looked at")
-    return Evidence(times=seconds, lines=lines, motions=motions, steering=views.steering[frames])
+    return Evidence(times=seconds, lines=lines, motions=motions, steering=views.steering)
 
 
 def check_motion(evidence: Evidence) -> None:
@@ -120,7 +117,7 @@ def check_evidence(evidence: Evidence) -> None:
         raise RecordingError(f"only {yellow:.0%} of the images show a yellow centre line, expected 25%: none is found")
 
 
-def solve(evidence: Evidence, *, closing: bool = True) -> Fit:
+def solve(evidence: Evidence) -> Fit:
     """Guess the road, smooth the run, and join the ends of a lap where there is one.
 
     Raises:
@@ -139,7 +136,7 @@ def solve(evidence: Evidence, *, closing: bool = True) -> Fit:
             "check --lane-width and the camera"
         )
     solution = Smoother(evidence, poses, track).solve()
-    lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading) if closing else None
+    lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading)
     if lap is not None:
         closed = Smoother(evidence, lap.poses, lap.track, lap.pieces).solve(CLOSED_TURNS)
         if np.nanmean(closed.agree) > np.nanmean(solution.agree) - WORSE_CLOSED:

@@ -50,11 +50,11 @@ def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
     rows, columns = views.images[0].shape[:2]
     chosen = np.linspace(0, len(views.images) - 1, IMAGES + 2)[1:-1].round().astype(int).tolist()
     lines = [line_pixels(views.images[index], rows // 3) for index in chosen]
-    found, _ = mounted(camera.resized(columns, rows).scaled(1.0 / lane_width), lines)
+    found = mounted(camera.resized(columns, rows).scaled(1.0 / lane_width), lines)
     return replace(camera, height_m=(found.height_m or 1.0) * lane_width, pitch_rad=found.pitch_rad)
 
 
-def mounted(camera: FloorCamera, lines: Sequence[Found]) -> tuple[FloorCamera, float]:
+def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
     """Estimate height and pitch; what is known already stays.
 
     Args:
@@ -62,7 +62,7 @@ def mounted(camera: FloorCamera, lines: Sequence[Found]) -> tuple[FloorCamera, f
         lines: of some images, from `ds_recording.lines.line_pixels`.
 
     Returns:
-        The camera with height and pitch, and the robust mean of squared line errors, in pixels.
+        The camera with height and pitch.
 
     Raises:
         RecordingError: the lines fit no mounting.
@@ -99,7 +99,7 @@ def mounted(camera: FloorCamera, lines: Sequence[Found]) -> tuple[FloorCamera, f
 
 def _refined(
     camera: FloorCamera, lines: Sequence[Found], shapes: Array, known: tuple[float | None, float | None]
-) -> tuple[FloorCamera, float]:
+) -> FloorCamera:
     """Least squares over height, pitch and the shape of the road in every image."""
     counts = [min(len(found[0]), MOST) for found in lines]
     chosen = [np.linspace(0, len(found[0]) - 1, n).astype(int) for found, n in zip(lines, counts, strict=True)]
@@ -137,5 +137,4 @@ def _refined(
         pattern[len(pixels) + i * len(lines) + every, 3 + i + 3 * every] = 1
     start = np.concatenate(([math.log(camera.height_m or 1.0), camera.pitch_rad or 0.0], shapes.ravel()))
     solved = least_squares(errors, start, jac_sparsity=pattern, loss="cauchy", f_scale=1.5, max_nfev=40, x_scale=0.1)
-    left = errors(solved.x)[: len(pixels)]
-    return at(solved.x), float(np.log1p((left / 1.5) ** 2).mean())
+    return at(solved.x)

@@ -84,19 +84,10 @@ def _steering(steering: dict[str, float] | None) -> str:
     )
 
 
-def beside(track: Track, offset: float) -> Array:
-    """Points at a distance to the right of a line, one for each of its own, (n, 2)."""
-    points = track.points
-    ahead = np.gradient(np.vstack((points[-1:], points, points[:1])), axis=0)[1:-1] if track.closed else None
-    ahead = np.gradient(points, axis=0) if ahead is None else ahead
-    ahead = ahead / np.hypot(*ahead.T)[:, None]
-    return np.asarray(points + offset * np.stack((ahead[:, 1], -ahead[:, 0]), axis=1))
-
-
 def _from_above(figure: Figure, located: Located, fit: Fit) -> None:
     axes = figure.subplots()
     for offset, colour in ((-1.0, "#888888"), (0.0, "#c09000"), (1.0, "#888888")):
-        line = beside(located.track, offset * located.lane_width)
+        line = located.track.beside(offset * located.lane_width).points
         line = np.vstack((line, line[:1])) if located.track.closed else line
         axes.plot(*line.T, color=colour, linewidth=1)
     axes.plot(located.column("x_m"), located.column("y_m"), ".", color=COLOURS[0], markersize=2)
@@ -125,27 +116,27 @@ def _over_time(figure: Figure, located: Located, fit: Fit) -> None:
 def contact_sheet(views: Views, camera: FloorCamera, lane_width: float, fit: Fit) -> NDArray[np.uint8]:
     """Pictures at even times with the fitted lines, (rows, columns, 3) uint8 RGB."""
     chosen = np.linspace(0, len(views.images) - 1, PICTURES + 2)[1:-1].round().astype(int)
-    drawn = [drawn_in(views.images[i], int(i), camera, lane_width, fit) for i in chosen]
+    track = fit.solution.track.resampled(0.1)
+    drawn = [drawn_in(views.images[i], int(i), camera, lane_width, fit, track) for i in chosen]
     rows = [np.hstack(drawn[i : i + ACROSS]) for i in range(0, PICTURES, ACROSS)]
     return np.ascontiguousarray(np.vstack(rows))
 
 
 def drawn_in(
-    image: NDArray[np.uint8], frame: int, camera: FloorCamera, lane_width: float, fit: Fit
+    image: NDArray[np.uint8], frame: int, camera: FloorCamera, lane_width: float, fit: Fit, track: Track
 ) -> NDArray[np.uint8]:
-    """One picture with the fitted lines, `WIDTH` / `ACROSS` columns wide."""
+    """One picture with the fitted lines, `WIDTH` / `ACROSS` columns wide; `track` has steps of 0.1 lane widths."""
     width = WIDTH // ACROSS
     height = round(image.shape[0] * width / image.shape[1])
     large = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_CUBIC), np.uint8)
     seen = camera.resized(width, height).scaled(1.0 / lane_width)
     x, y, yaw = fit.solution.poses[frame]
-    track = fit.solution.track.resampled(0.1)
     start = int(np.searchsorted(track.stations, fit.solution.along[frame] % max(track.length, 1e-9)))
     index = start + np.arange(-10, round(1.3 * SHOWN[1] / 0.1))
     index = index % len(track.points) if track.closed else index[(index >= 0) & (index < len(track.points))]
     good = bool(fit.located[frame])
     for offset, colour in ((0.0, (255, 210, 0)), (-1.0, (255, 255, 255)), (1.0, (255, 255, 255))):
-        to = beside(track, offset)[index] - (x, y)
+        to = track.beside(offset).points[index] - (x, y)
         cos, sin = np.cos(yaw), np.sin(yaw)
         floor = np.stack((cos * to[:, 0] + sin * to[:, 1], cos * to[:, 1] - sin * to[:, 0]), axis=1)
         pixels, valid = seen.project(floor)

@@ -49,8 +49,6 @@ _TRIES = 5
 """Shorter and shorter steps that are tried."""
 NEAR = 1.5
 """Distance of the line's points that are used first, lane widths."""
-ALIKE = 8.0
-"""Points of lines that count as one for the camera; chosen: those of one line in one image share their errors."""
 _TURNS = 16
 """Gauss-Newton steps; chosen: the last ones move nothing by more than a thousandth."""
 
@@ -86,7 +84,6 @@ class Solution:
         std_heading: (n,).
         agree: share of each frame's line points that are where the road has its lines, NaN without points, (n,).
         residuals: median distance of these points from their line, (n,).
-        cost: robust sum of squares of line points, of which `ALIKE` count as one, and of motions.
         steering: gain and delay; None if unknown.
     """
 
@@ -99,7 +96,6 @@ class Solution:
     std_heading: Array
     agree: Array
     residuals: Array
-    cost: float
     steering: Steering | None
 
 
@@ -388,7 +384,6 @@ class Smoother:
             std_heading=std_heading,
             agree=agree,
             residuals=residuals,
-            cost=float((rows.right[0] ** 2).sum() / ALIKE + sum((part**2).sum() for part in rows.right[1:4])),
             steering=self._follow(),
         )
 

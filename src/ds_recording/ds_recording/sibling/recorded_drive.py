@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -143,13 +143,4 @@ def driven_side(located: Located) -> float:
 
 def driven_lane(located: Located) -> Track:
     """Centre line of the lane that was driven, m on the floor."""
-    return shifted(located.track, driven_side(located))
-
-
-def shifted(track: Track, right: float) -> Track:
-    """The line at a distance to the right of another, in its units."""
-    points = track.points
-    first, last = (points[-1], points[0]) if track.closed else (2 * points[0] - points[1], 2 * points[-1] - points[-2])
-    ahead = np.vstack((points[1:], last)) - np.vstack((first, points[:-1]))
-    ahead = ahead / np.hypot(ahead[:, 0], ahead[:, 1])[:, None]
-    return replace(track, points=points + right * np.column_stack((ahead[:, 1], -ahead[:, 0])))
+    return located.track.beside(driven_side(located))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ds_recording.errors import RecordingError
-from ds_recording.sibling.recorded_drive import RecordedDrive, near_photographs, shifted
+from ds_recording.sibling.recorded_drive import RecordedDrive, near_photographs
 from ds_recording.track import Track
 from ds_road import Road, RoadError
 
@@ -32,7 +32,7 @@ def sections(drive: RecordedDrive, length: float, every: float) -> list[Road]:
     for start in range(0, max(last, 0), max(round(every), 1)):
         part = (start + np.arange(count)) % len(lane.points)
         points = lane.points[part]
-        centre = shifted(Track(points), -drive.lane_width / 2)
+        centre = Track(points).beside(-drive.lane_width / 2)
         road = Road.from_road_points(centre.points.round(4), lane_width=drive.lane_width)
         if shown[part].all() and road.validity.valid:
             roads.append(road)
