@@ -26,6 +26,13 @@ from ds_sim.simulator import (
 )
 
 
+def start_of(road: Road) -> tuple[float, float, float]:
+    """Pose of a vehicle at the start of the driven lane: x, y (m) and yaw (rad) in the road frame."""
+    lane = road.lane_centre
+    ahead = lane[1] - lane[0]
+    return float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0])
+
+
 class RoadSimulator:
     """Implements `ds_sim.simulator.Simulator`, `DrawsRows` and `TakesStills` for any vehicle model.
 
@@ -72,14 +79,10 @@ class RoadSimulator:
         if not road.validity.valid:
             raise RoadError(f"road {road.road_id} is not valid: {road.validity.reason}")
         vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
-        lane = road.lane_centre
-        ahead = lane[1] - lane[0]
         if isinstance(self.vehicle, AdjustableVehicle):
             self.vehicle.adjust(friction=conditions.friction, payload=conditions.payload)
-        self.vehicle.reset(
-            float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(vehicle_seed)
-        )
-        tracker = LaneTracker(lane)
+        self.vehicle.reset(*start_of(road), np.random.default_rng(vehicle_seed))
+        tracker = LaneTracker(road.lane_centre)
         sensor_rng = np.random.default_rng(sensor_seed)
         if conditions_of(self.scene) & conditions.changed.keys():
             self.scene.load(road, sensor_rng, conditions)

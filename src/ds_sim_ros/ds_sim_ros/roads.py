@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +10,13 @@ from ds_driver.whole_files import write_json, write_whole
 from ds_road import Road, RoadError, read_roads
 from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.oracle import LaneTracker
+from ds_sim.road_simulator import start_of
 from ds_sim_ros.settings import RosSettingsError
 
 LARGEST = 2**20
 """Bytes of a track; chosen: a road has at most 1000 points."""
 TOLERANCE = 0.1
 """Distance, m, by which a road may differ from the fixed track; chosen: a fortieth of a lane."""
-
-
-def start_of(road: Road) -> tuple[float, float, float]:
-    """Pose of a vehicle at the start of the driven lane: x, y (m) and yaw (rad) in the road frame."""
-    lane = road.lane_centre
-    ahead = lane[1] - lane[0]
-    return float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0])
 
 
 def write_road(road: Road, path: Path) -> None:

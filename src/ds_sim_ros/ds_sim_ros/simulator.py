@@ -17,10 +17,10 @@ from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import check_rows
 from ds_sim.registry import UnknownSimulatorError
-from ds_sim.road_simulator import RoadSimulator
+from ds_sim.road_simulator import RoadSimulator, start_of
 from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, SimulatorError, SimulatorSpec, VehicleState
 from ds_sim_ros.readings import OdometryReader, image_of
-from ds_sim_ros.roads import check_is_track, read_track, start_of
+from ds_sim_ros.roads import check_is_track, read_track
 from ds_sim_ros.settings import CameraSettings, RosSettings, read_settings
 from ds_sim_ros.speed_law import SpeedLaw
 
