@@ -16,8 +16,11 @@ SHORTEST_LAP, OVERLAP = 10.0, 3.0
 """Shortest lap, and road that must have been driven twice; chosen: a circle as tight as cars turn, and a bend."""
 LARGEST_TURN, LARGEST_GAP = 0.6, 0.12
 """Largest error of the turn of a lap (rad), and of its ends' distance (laps), before they are joined."""
-ALIKE = 0.35
-"""Largest squared difference of the curvature of two laps, shares of its variance."""
+ALIKE = 0.55
+"""Largest standard deviation of the difference of direction between two laps, rad; chosen: half a lap of an oval, or a
+road that only looks like one, has more, or another turn."""
+LONGER = 1.25
+"""Laps up to so many times the shortest are compared; chosen: two rounds are not a lap."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,20 +56,22 @@ def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Clo
     """
     spacing = float(track.lengths.mean())
     first, last = int(along.min() / spacing) + 1, int(along.max() / spacing)
-    points, curvature = track.points[first : last + 1], track.curvature[first : last + 1]
-    bend = np.convolve(np.pad(curvature, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    points = track.points[first : last + 1]
     directions = np.unwrap(np.arctan2(track.tangents[:, 1], track.tangents[:, 0]))[first : last + 1]
-    variance = max(float(bend.var()), 1e-6)
     best: tuple[float, int, float, float] | None = None
+    shortest: int | None = None
     for lap in range(round(SHORTEST_LAP / spacing), len(points) - round(OVERLAP / spacing)):
-        alike = float(((bend[lap:] - bend[:-lap]) ** 2).mean()) / variance
-        turned = float((directions[lap:] - directions[:-lap]).mean())
+        if shortest is not None and lap > LONGER * shortest:
+            break
+        apart = directions[lap:] - directions[:-lap]
+        alike, turned = float(apart.std()), float(apart.mean())
         # Once around, or none in a figure of eight.
         turn = turned - 2.0 * math.pi * round(turned / (2.0 * math.pi))
         gap = float(np.hypot(*(points[lap] - points[0]))) / (lap * spacing)
         if alike > ALIKE or abs(turn) > LARGEST_TURN or gap > LARGEST_GAP:
             continue
-        score = 10.0 * alike + (turn / LARGEST_TURN) ** 2 + (gap / LARGEST_GAP) ** 2
+        shortest = shortest or lap
+        score = 50.0 * (alike / ALIKE) ** 2 + (turn / LARGEST_TURN) ** 2 + (gap / LARGEST_GAP) ** 2
         if best is None or score < best[0]:
             best = score, lap, gap, turn
     if best is None:

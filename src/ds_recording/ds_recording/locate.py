@@ -15,6 +15,7 @@ from ds_recording.closing import close_lap
 from ds_recording.errors import RecordingError
 from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
+from ds_recording.hints import Hint, HintFinder
 from ds_recording.lines import LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Motion, MotionFinder
@@ -70,15 +71,17 @@ def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progr
     """
     images, seconds = views.images, views.seconds
     seen = camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width)
-    finder = MotionFinder(seen)
+    finder, before = MotionFinder(seen), HintFinder(seen)
+    hints: list[Hint] = []
     lines: list[LinePoints] = []
     motions: list[Motion | None] = []
     for index, image in enumerate(images):
-        motions.append(finder.see(image, float(seconds[index] - seconds[index - 1]) if index else 0.0))
+        hints.append(before.see(image))
+        motions.append(finder.see(image, float(seconds[index] - seconds[index - 1]) if index else 0.0, hints[-1]))
         lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1), seen))
         if index % 500 == 499:
             progress(index + 1, len(images), "images looked at")
-    return Evidence(times=seconds, lines=lines, motions=motions, steering=views.steering)
+    return Evidence(times=seconds, lines=lines, motions=motions, hints=hints, steering=views.steering)
 
 
 def check_motion(evidence: Evidence) -> None:
@@ -88,7 +91,14 @@ def check_motion(evidence: Evidence) -> None:
         RecordingError: with the reason and the share of images that failed.
     """
     seen = [motion for motion in evidence.motions[1:] if motion is not None]
-    moving = len(seen) / (len(evidence.times) - 1)
+    moving = float(
+        np.mean(
+            [
+                m is not None or np.isfinite(h.std[2])
+                for m, h in zip(evidence.motions[1:], evidence.hints[1:], strict=True)
+            ]
+        )
+    )
     if moving < LEAST_MOTION:
         raise RecordingError(
             f"between {1.0 - moving:.0%} of neighbouring images no common motion of the floor is seen, expected at "
@@ -126,7 +136,7 @@ def solve(evidence: Evidence) -> Fit:
     steps, last = [], np.zeros(3)
     for index, seconds in enumerate(np.diff(evidence.times), start=1):
         motion = evidence.motions[index]
-        last = last if motion is None else motion.step / seconds
+        last = (evidence.hints[index].of(last * seconds) if motion is None else motion.step) / seconds
         steps.append(last * seconds)
     poses = chained(np.array(steps))
     track = guess_track(evidence.lines, poses)

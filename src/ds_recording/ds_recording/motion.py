@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_recording.floor_camera import FloorCamera
+from ds_recording.hints import NOTHING, Hint
 
 Array = NDArray[np.float64]
 CORNERS = 150
@@ -30,6 +31,9 @@ LEAST_POINTS, LEAST_SHARE = 8, 0.35
 """Corners that must agree with one motion, and their share; chosen: fewer agree by chance."""
 SPEEDS, DOUBT = (0.0, 0.7, 1.4, 2.8), 25
 """Speeds that are tried where none is known (lane widths/s), and images after which one is doubted."""
+CONTRADICTS = 3.0
+"""Standard deviations from what else is known beyond which a motion is a wrong one: lines along which a car drives look
+as if it stood still."""
 GATE = 2.5
 """Residual beyond which a corner counts as an outlier, standard deviations."""
 
@@ -66,12 +70,13 @@ class MotionFinder:
         self._step = np.zeros(3)
         self._lost, self._images = True, 0
 
-    def see(self, image: NDArray[np.uint8], seconds: float) -> Motion | None:
+    def see(self, image: NDArray[np.uint8], seconds: float, hint: Hint = NOTHING) -> Motion | None:
         """Motion since the last image, (rows, columns, 3) uint8 RGB; None for the first, or if it is not seen.
 
         Args:
             image: the next image.
             seconds: time since the last one.
+            hint: what is known otherwise about the motion.
         """
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
         before, self._previous = self._previous, grey
@@ -79,10 +84,11 @@ class MotionFinder:
             return None
         # Far corners hardly move, so a search from too slow a guess finds a standstill: now and then all are tried.
         guesses = [self._step * min(seconds, 0.3)]
-        if self._lost or self._images % DOUBT == 0:
+        if not np.isfinite(hint.std[0]) and (self._lost or self._images % DOUBT == 0):
             guesses += [np.array([speed * min(seconds, 0.3), 0.0, 0.0]) for speed in SPEEDS]
         self._images += 1
-        tried = [found for guess in guesses if (found := self._between(before, grey, guess)) is not None]
+        guesses = [hint.of(guess) for guess in guesses]
+        tried = [found for guess in guesses if (found := self._between(before, grey, guess, hint)) is not None]
         found = max(tried, key=lambda motion: motion.corners, default=None)
         # Lost, or just found: the next image is searched anew.
         self._lost = found is None or (self._lost and self._images % 4 != 0)
@@ -90,7 +96,7 @@ class MotionFinder:
             self._step = found.step / seconds
         return found
 
-    def _between(self, before: NDArray[np.uint8], after: NDArray[np.uint8], guess: Array) -> Motion | None:
+    def _between(self, before: NDArray[np.uint8], after: NDArray[np.uint8], guess: Array, hint: Hint) -> Motion | None:
         corners = cv2.goodFeaturesToTrack(before, CORNERS, 0.005, 3, mask=self._mask, blockSize=5)
         if corners is None or len(corners) < LEAST_POINTS:
             return None
@@ -110,13 +116,13 @@ class MotionFinder:
             kept = (there.ravel() > 0) & (again.ravel() > 0) & (np.hypot(*(back - start).T) < 0.7)
             if kept.sum() < LEAST_POINTS:
                 return None
-            found = self._fit(floor[kept], end[kept].astype(float), precision[kept], guess)
+            found = self._fit(floor[kept], end[kept].astype(float), precision[kept], guess, hint)
             if found is None:
                 return None
             guess = found.step
         return found
 
-    def _fit(self, floor: Array, seen: Array, precision: Array, guess: Array) -> Motion | None:
+    def _fit(self, floor: Array, seen: Array, precision: Array, guess: Array, hint: Hint) -> Motion | None:
         """Robust Gauss-Newton over three numbers, in pixels of the second image."""
         step = guess.copy()
         weights = np.ones(len(floor))
@@ -133,8 +139,9 @@ class MotionFinder:
             # Annealed Geman-McClure: from all points to those within the gate.
             scale = GATE * max(1.0, 16.0 * 0.5**turn)
             weights = np.where(valid, 1.0 / (1.0 + (size / scale) ** 2) ** 2, 0.0)
-            normal = np.einsum("n,nki,nkj->ij", weights, slopes, slopes) + 1e-9 * np.eye(3)
-            change = np.linalg.solve(normal, np.einsum("n,nki,nk->i", weights, slopes, off))
+            normal = np.einsum("n,nki,nkj->ij", weights, slopes, slopes) + np.diag(1e-9 + hint.information)
+            pull = np.einsum("n,nki,nk->i", weights, slopes, off) + hint.information * (hint.step - step)
+            change = np.linalg.solve(normal, pull)
             step = step + change
             if turn > 4 and np.abs(change).max() < 1e-5:
                 break
@@ -143,6 +150,7 @@ class MotionFinder:
             agree.sum() < LEAST_POINTS
             or agree.mean() < LEAST_SHARE
             or abs(step[2]) > 0.6
+            or (np.abs(step - hint.step) > CONTRADICTS * hint.std).any()
             or not np.isfinite(step).all()
         ):
             return None

@@ -20,6 +20,7 @@ from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from ds_recording.first_guess import SPACING
+from ds_recording.hints import Hint
 from ds_recording.lines import LinePoints
 from ds_recording.motion import Motion
 from ds_recording.steering import Steering, follow_steering
@@ -60,13 +61,15 @@ class Evidence:
     Attributes:
         times: s, (n,), increasing.
         lines: of each frame.
-        motions: of each frame, from the one before; None where it was not seen.
+        motions: of each frame, from the one before, hints included; None where it was not seen.
+        hints: about each frame's motion.
         steering: of each frame, -1 left to +1 right; NaN where unknown, (n,).
     """
 
     times: Array
     lines: list[LinePoints]
     motions: list[Motion | None]
+    hints: list[Hint]
     steering: Array
 
 
@@ -155,11 +158,12 @@ class Smoother:
         self._far, self._longest = np.inf, track.length + 10.0
         self._steering: Steering | None = None
         self._seconds = np.diff(evidence.times)
-        seen = [i for i, motion in enumerate(evidence.motions) if motion is not None and i > 0]
+        pairs = list(zip(evidence.motions, evidence.hints, strict=True))
+        seen = [i for i, (motion, hint) in enumerate(pairs) if i and (motion or np.isfinite(hint.std).any())]
         self._seen = np.array(seen, dtype=np.int64)
-        motions = [m for i in seen if (m := evidence.motions[i]) is not None]
-        self._steps = np.array([motion.step for motion in motions]).reshape(-1, 3)
-        spread = np.array([motion.covariance for motion in motions]).reshape(-1, 3, 3) * MOTION_FACTOR**2
+        known = [(motion.step, motion.covariance) if motion else (hint.step, hint.covariance) for motion, hint in pairs]
+        self._steps = np.array([known[i][0] for i in seen]).reshape(-1, 3)
+        spread = np.array([known[i][1] for i in seen]).reshape(-1, 3, 3) * MOTION_FACTOR**2
         spread = spread + np.diag(np.square(MOTION_FLOOR))
         self._whitening = np.linalg.inv(np.linalg.cholesky(spread))
 

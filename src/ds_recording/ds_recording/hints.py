@@ -1,0 +1,211 @@
+"""What something else than the floor says about the motion between two images: what is above the horizon, a sensor.
+
+The floor of many a room is bare where the car is, and a hard turn blurs it. Whatever is far away moves sideways by the
+turn alone: a point at distance r, seen at an angle a beside the way, moves by a share `sin(a) / r` of the way besides,
+to opposite sides on the left and on the right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_recording.floor_camera import FloorCamera
+
+Array = NDArray[np.float64]
+WIDTH_SHARE = 0.85
+"""Share of the camera's field of view that is compared; chosen: at its edges lenses are known least."""
+LARGEST_TURN = 0.25
+"""Largest turn between two images, rad; chosen: 5 rad/s at 20 Hz, more than a car turns."""
+LOWEST = 0.02
+"""Lowest angle above the horizon, rad; chosen: a body that rolls and pitches."""
+LEAST_ROWS, LEAST_COLUMNS = 6, 24
+"""Rows above the horizon that must be seen, and columns of the part that is looked for."""
+LEAST_SCORE = 0.6
+"""Correlation of two images; chosen: of one room or floor it is 0.8 and more, and noise has none."""
+LEAST_CONTRAST = 1.5
+"""Deviation of brightness from pixel to pixel, grey levels; chosen: above a camera's noise on a plain sky."""
+NEAREST, FARTHEST, BESIDE, CELL = 0.4, 3.4, 1.2, 0.03
+"""The floor that is compared, and its cells, lane widths; chosen: beyond, a pixel is longer than a car's way."""
+LONGEST, SIDEWAYS = 0.75, 3
+"""Longest way between two images, lane widths, and cells that it may go sideways."""
+BRIGHTEST = 20.0
+"""Change of brightness beyond which it counts no more, grey levels."""
+DISTINCT = 0.97
+"""Share of the best correlation that no other way may reach."""
+WAY_STD = 0.03
+"""Standard deviation of a way, lane widths; chosen: one cell."""
+LEAST_STD = 0.004
+"""Standard deviation of a turn at best, rad; chosen: a third of a pixel of 160."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hint:
+    """A motion of the car, each part with its standard deviation, infinite where nothing is known.
+
+    Attributes:
+        step: ahead, left, turned to the left: lane widths, lane widths, rad, (3,).
+        std: (3,).
+    """
+
+    step: Array
+    std: Array
+
+    @property
+    def information(self) -> Array:
+        """Inverse variances, (3,); 0 where nothing is known."""
+        return np.asarray(1.0 / np.square(self.std))
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3), large where nothing is known."""
+        return np.diag(np.square(np.minimum(self.std, 1e3)))
+
+    def of(self, guess: Array) -> Array:
+        """A guess, (3,), with what is known put in."""
+        return np.where(np.isfinite(self.std), self.step, guess)
+
+
+NOTHING = Hint(np.zeros(3), np.full(3, math.inf))
+
+
+class HintFinder:
+    """Says from images what is known about the motion between them before single corners are followed.
+
+    Args:
+        camera: mounted, for the images' size, with lane widths as the unit of length.
+    """
+
+    def __init__(self, camera: FloorCamera) -> None:
+        self._turns, self._ways = _Turns(camera), _Ways(camera)
+
+    def see(self, image: NDArray[np.uint8]) -> Hint:
+        """Motion since the last image, (rows, columns, 3) uint8 RGB; nothing for the first, or if nothing is seen."""
+        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+        turn = self._turns.see(grey)
+        way = self._ways.see(grey, turn)
+        return joined(turn, way)
+
+
+def joined(*hints: Hint) -> Hint:
+    """Several hints about one motion, weighted by their variances."""
+    information = np.array([hint.information for hint in hints])
+    total = information.sum(axis=0)
+    known = total > 0.0
+    step = (information * [hint.step for hint in hints]).sum(axis=0) / np.where(known, total, 1.0)
+    return Hint(step, np.where(known, 1.0 / np.sqrt(np.where(known, total, 1.0)), math.inf))
+
+
+class _Turns:
+    """Compares what is above the horizon with the image before, moved sideways.
+
+    Args:
+        camera: mounted, for the images' size.
+    """
+
+    def __init__(self, camera: FloorCamera) -> None:
+        self._step = 1.0 / camera.focal_px
+        self._most = math.ceil(LARGEST_TURN / self._step)
+        pitch = camera.pitch_rad or 0.0
+        edges, _ = camera.rays(np.array([[0.0, camera.horizon_row], [camera.width_px - 1.0, camera.horizon_row]]))
+        depth = math.cos(pitch) - edges[:, 1] * math.sin(pitch)
+        widest = WIDTH_SHARE * float(np.abs(np.arctan2(edges[:, 0], depth)).min())
+        angles, heights = np.meshgrid(np.arange(widest, -widest, -self._step), np.arange(LOWEST, 0.6, self._step))
+        ahead, right, up = np.cos(heights) * np.cos(angles), -np.cos(heights) * np.sin(angles), np.sin(heights)
+        depth = np.maximum(ahead * math.cos(pitch) - up * math.sin(pitch), 1e-3)
+        down = -(up * math.cos(pitch) + ahead * math.sin(pitch)) / depth
+        columns, rows, known = camera.pixels(right / depth, down)
+        inside = (
+            known & (columns >= 0) & (columns <= camera.width_px - 1) & (rows >= 0) & (rows <= camera.height_px - 1)
+        )
+        seen = inside.all(axis=1)
+        self._map = columns[seen].astype(np.float32), rows[seen].astype(np.float32)
+        self._usable = seen.sum() >= LEAST_ROWS and angles.shape[1] >= LEAST_COLUMNS + 2 * self._most
+        self._previous: NDArray[np.float32] | None = None
+
+    def see(self, grey: NDArray[np.uint8]) -> Hint:
+        """Turn since the last image, (rows, columns)."""
+        if not self._usable:
+            return NOTHING
+        strip = self._strip(grey)
+        before, self._previous = self._previous, strip
+        if before is None or min(before.std(), strip.std()) < LEAST_CONTRAST:
+            return NOTHING
+        middle = before.shape[1] // 2
+        score, turn = self._turn(before, strip)
+        # What is near moves to opposite sides on the left and on the right.
+        sides = [self._turn(part, other) for part, other in (
+            (before[:, : middle + self._most], strip[:, : middle + self._most]),
+            (before[:, middle - self._most :], strip[:, middle - self._most :]),
+        )]  # fmt: skip
+        if score < LEAST_SCORE:
+            return NOTHING
+        std = math.hypot(LEAST_STD, 0.5 * (sides[0][1] - sides[1][1]))
+        return Hint(np.array([0.0, 0.0, turn]), np.array([math.inf, math.inf, std]))
+
+    def _strip(self, grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Changes of brightness from column to column, over angles to the right and above the horizon."""
+        seen = cv2.GaussianBlur(cv2.remap(grey, *self._map, cv2.INTER_LINEAR).astype(np.float32), (3, 3), 0.8)
+        return np.asarray(cv2.Sobel(seen, cv2.CV_32F, 1, 0, ksize=3, scale=0.25))
+
+    def _turn(self, before: NDArray[np.float32], after: NDArray[np.float32]) -> tuple[float, float]:
+        """Best correlation of the middle of a strip with the next one, and the turn to the left, rad."""
+        part = np.ascontiguousarray(before[:, self._most : before.shape[1] - self._most])
+        scores = cv2.matchTemplate(np.ascontiguousarray(after), part, cv2.TM_CCOEFF_NORMED)[0].astype(float)
+        best = int(scores.argmax())
+        return float(scores[best]), (_peak(scores, best) - self._most) * self._step
+
+
+class _Ways:
+    """Compares the floor seen from above with the image before, moved ahead; the turn has to be known.
+
+    Only changes of brightness along the way count: a line along it looks the same everywhere.
+    """
+
+    def __init__(self, camera: FloorCamera) -> None:
+        self._camera = camera
+        ahead = np.arange(FARTHEST, NEAREST, -CELL)
+        left = np.arange(BESIDE, -BESIDE - 1e-9, -CELL)
+        self._shape = len(ahead), len(left)
+        self._grid = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._previous: NDArray[np.uint8] | None = None
+
+    def see(self, grey: NDArray[np.uint8], turn: Hint) -> Hint:
+        """Way since the last image, (rows, columns); nothing without a turn."""
+        before, self._previous = self._previous, grey
+        if before is None or not np.isfinite(turn.std[2]):
+            return NOTHING
+        most = round(LONGEST / CELL)
+        part = np.ascontiguousarray(self._from_above(before, 0.0)[:-most, SIDEWAYS:-SIDEWAYS])
+        then = self._from_above(grey, float(turn.step[2]))
+        scores = cv2.matchTemplate(then, part, cv2.TM_CCORR_NORMED).max(axis=1).astype(float)
+        best = int(scores.argmax())
+        others = np.delete(scores, np.s_[max(best - 3, 0) : best + 4])
+        if not scores[best] > LEAST_SCORE or others.max() > DISTINCT * scores[best] or not part.any():
+            return NOTHING
+        return Hint(np.array([_peak(scores, best) * CELL, 0.0, 0.0]), np.array([WAY_STD, math.inf, math.inf]))
+
+    def _from_above(self, grey: NDArray[np.uint8], turn: float) -> NDArray[np.float32]:
+        """Changes of brightness along the way, (far to near, left to right), in axes turned back by `turn`."""
+        cos, sin = math.cos(turn), math.sin(turn)
+        x, y = self._grid.T
+        pixels, seen = self._camera.project(np.stack((cos * x + sin * y, cos * y - sin * x), axis=1))
+        last = np.array([self._camera.width_px - 2, self._camera.height_px - 2])
+        seen &= ((pixels >= 1) & (pixels <= last)).all(axis=1)
+        where = np.where(seen[:, None], pixels, -10.0).astype(np.float32).reshape(*self._shape, 2)
+        found = cv2.GaussianBlur(cv2.remap(grey, where, None, cv2.INTER_LINEAR).astype(np.float32), (5, 5), 1.2)
+        change = cv2.Sobel(found, cv2.CV_32F, 0, 1, ksize=3, scale=0.25).clip(-BRIGHTEST, BRIGHTEST)
+        inside = cv2.erode(seen.reshape(self._shape).astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0)
+        return np.asarray(change * inside, np.float32)
+
+
+def _peak(scores: Array, best: int) -> float:
+    """Place of a maximum between its neighbours."""
+    if not 0 < best < len(scores) - 1:
+        return float(best)
+    left, peak, right = scores[best - 1 : best + 2]
+    return float(best + 0.5 * (left - right) / min(left - 2.0 * peak + right, -1e-9))
