@@ -63,7 +63,9 @@ class Pause:
         from ds_sim.session import RunRecord
         from ds_sim.simulator import Outcome
 
-        rng = np.random.default_rng([zlib.crc32(request.simulator.encode()), zlib.crc32(str(request.road.road_id).encode())])
+        rng = np.random.default_rng(
+            [zlib.crc32(request.simulator.encode()), zlib.crc32(str(request.road.road_id).encode())]
+        )
         time.sleep(self._seconds * float(rng.lognormal(-(SPREAD**2) / 2, SPREAD)))
         worst = float(math.exp(4.0 * request.road.curvature - 0.5 + rng.normal(0.0, 0.3)))
         outcome = Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED
@@ -84,7 +86,7 @@ def dask_setup(worker: Any) -> None:
     from ds_orchestrator.engines import dask_worker
 
     seconds = float(os.environ[PAUSE])
-    dask_worker.WorkerProcess = lambda *_, **__: Pause(seconds)  # type: ignore[assignment, misc]
+    dask_worker.WorkerProcess = lambda *_, **__: Pause(seconds)  # type: ignore[assignment, attr-defined, misc]
 
 
 class Meter:
@@ -106,11 +108,14 @@ class Meter:
         """Print one line."""
         wall = time.monotonic() - self._began
         used = ", ".join(
-            f"{name} {process.memory_info().rss / 2**20:.0f} MB, {1000 * sum(process.cpu_times()[:2]) / self._done:.1f} ms"
+            f"{name} {process.memory_info().rss / 2**20:.0f} MB, {sum(process.cpu_times()[:2]) / self._done:.4f} s"
             for name, process in self._processes.items()
         )
         share = self._done * self._seconds / (self._workers * wall)
-        print(f"{self._done} drives, {self._done / wall:.1f} a second, {share:.0%} of the workers' time; {used}", flush=True)
+        print(
+            f"{self._done} drives, {self._done / wall:.1f} a second, {share:.0%} of the workers' time; {used}",
+            flush=True,
+        )
 
 
 def run(drives: int, workers: int, seconds: float, folder: Path) -> None:
@@ -130,6 +135,7 @@ def run(drives: int, workers: int, seconds: float, folder: Path) -> None:
     config = parse_config(raw, "benchmark")
     (folder / "bags").mkdir()
     with ExitStack() as stack:
+
         def start(*command: str) -> psutil.Popen:
             process = psutil.Popen([sys.executable, "-m", "distributed.cli." + command[0], *command[1:]],
                                    env=os.environ | {PAUSE: str(seconds)}, stdout=subprocess.DEVNULL,
@@ -142,8 +148,9 @@ def run(drives: int, workers: int, seconds: float, folder: Path) -> None:
         scheduler = start("dask_scheduler", "--host", "127.0.0.1", "--port", "8799", "--no-dashboard")
         for _ in range(math.ceil(workers / THREADS)):
             start(
-                "dask_worker", address, "--host", "127.0.0.1", "--nthreads", str(min(workers, THREADS)), "--no-dashboard",
-                "--no-nanny", "--memory-limit", "0", "--local-directory", str(folder / "dask"), "--preload", __file__,
+                "dask_worker", address, "--host", "127.0.0.1", "--nthreads", str(min(workers, THREADS)),
+                "--no-dashboard", "--no-nanny", "--memory-limit", "0", "--local-directory", str(folder / "dask"),
+                "--preload", __file__,
             )  # fmt: skip
         time.sleep(10)
         settings = config.drive_settings(cluster=ClusterOptions(scheduler=address))

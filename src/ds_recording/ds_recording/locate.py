@@ -91,14 +91,8 @@ def check_motion(evidence: Evidence) -> None:
         RecordingError: with the reason and the share of images that failed.
     """
     seen = [motion for motion in evidence.motions[1:] if motion is not None]
-    moving = float(
-        np.mean(
-            [
-                m is not None or np.isfinite(h.std[2])
-                for m, h in zip(evidence.motions[1:], evidence.hints[1:], strict=True)
-            ]
-        )
-    )
+    known = [m is not None or h.std[0] < np.inf for m, h in zip(evidence.motions[1:], evidence.hints[1:], strict=True)]
+    moving = float(np.mean(known))
     if moving < LEAST_MOTION:
         raise RecordingError(
             f"between {1.0 - moving:.0%} of neighbouring images no common motion of the floor is seen, expected at "
