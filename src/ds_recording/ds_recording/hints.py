@@ -1,4 +1,4 @@
-"""What something else than the floor says about the motion between two images: what is above the horizon, a sensor.
+"""What whole parts of two images say about the motion between them, before single corners of the floor are followed.
 
 The floor of many a room is bare where the car is, and a hard turn blurs it. Whatever is far away moves sideways by the
 turn alone: a point at distance r, seen at an angle a beside the way, moves by a share `sin(a) / r` of the way besides,
@@ -86,18 +86,7 @@ class HintFinder:
     def see(self, image: NDArray[np.uint8]) -> Hint:
         """Motion since the last image, (rows, columns, 3) uint8 RGB; nothing for the first, or if nothing is seen."""
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
-        turn = self._turns.see(grey)
-        way = self._ways.see(grey, turn)
-        return joined(turn, way)
-
-
-def joined(*hints: Hint) -> Hint:
-    """Several hints about one motion, weighted by their variances."""
-    information = np.array([hint.information for hint in hints])
-    total = information.sum(axis=0)
-    known = total > 0.0
-    step = (information * [hint.step for hint in hints]).sum(axis=0) / np.where(known, total, 1.0)
-    return Hint(step, np.where(known, 1.0 / np.sqrt(np.where(known, total, 1.0)), math.inf))
+        return self._ways.see(grey, self._turns.see(grey))
 
 
 class _Turns:
@@ -114,7 +103,8 @@ class _Turns:
         edges, _ = camera.rays(np.array([[0.0, camera.horizon_row], [camera.width_px - 1.0, camera.horizon_row]]))
         depth = math.cos(pitch) - edges[:, 1] * math.sin(pitch)
         widest = WIDTH_SHARE * float(np.abs(np.arctan2(edges[:, 0], depth)).min())
-        angles, heights = np.meshgrid(np.arange(widest, -widest, -self._step), np.arange(LOWEST, 0.6, self._step))
+        highest = min(0.6, LOWEST + camera.height_px * self._step)
+        angles, heights = np.meshgrid(np.arange(widest, -widest, -self._step), np.arange(LOWEST, highest, self._step))
         ahead, right, up = np.cos(heights) * np.cos(angles), -np.cos(heights) * np.sin(angles), np.sin(heights)
         depth = np.maximum(ahead * math.cos(pitch) - up * math.sin(pitch), 1e-3)
         down = -(up * math.cos(pitch) + ahead * math.sin(pitch)) / depth
@@ -175,10 +165,10 @@ class _Ways:
         self._previous: NDArray[np.uint8] | None = None
 
     def see(self, grey: NDArray[np.uint8], turn: Hint) -> Hint:
-        """Way since the last image, (rows, columns); nothing without a turn."""
+        """Turn and way since the last image, (rows, columns); the turn alone where no way is seen."""
         before, self._previous = self._previous, grey
         if before is None or not np.isfinite(turn.std[2]):
-            return NOTHING
+            return turn
         most = round(LONGEST / CELL)
         part = np.ascontiguousarray(self._from_above(before, 0.0)[:-most, SIDEWAYS:-SIDEWAYS])
         then = self._from_above(grey, float(turn.step[2]))
@@ -186,8 +176,10 @@ class _Ways:
         best = int(scores.argmax())
         others = np.delete(scores, np.s_[max(best - 3, 0) : best + 4])
         if not scores[best] > LEAST_SCORE or others.max() > DISTINCT * scores[best] or not part.any():
-            return NOTHING
-        return Hint(np.array([_peak(scores, best) * CELL, 0.0, 0.0]), np.array([WAY_STD, math.inf, math.inf]))
+            return turn
+        return Hint(
+            np.array([_peak(scores, best) * CELL, 0.0, turn.step[2]]), np.array([WAY_STD, math.inf, turn.std[2]])
+        )
 
     def _from_above(self, grey: NDArray[np.uint8], turn: float) -> NDArray[np.float32]:
         """Changes of brightness along the way, (far to near, left to right), in axes turned back by `turn`."""

@@ -191,7 +191,6 @@ def in_metres(views: Views, fit: Fit, camera: FloorCamera, lane_width: float, ca
         "closed": track.closed,
         "lane_width_m": lane_width,
         "calibration": calibration,
-        "refused": None,
         "versions": {name: version(name) for name in LIBRARIES},
         "stretch": {"first": int(views.frames[0]), "last": int(views.frames[-1]), "located": float(fit.located.mean())},
         "steering": None if steering is None else {

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_recording.floor_camera import FloorCamera
-from ds_recording.hints import Hint, HintFinder, joined
+from ds_recording.hints import HintFinder
 
 Array = NDArray[np.float64]
 CAMERA = FloorCamera(
@@ -66,13 +66,3 @@ def test_a_camera_that_looks_down_says_nothing() -> None:
     finder = HintFinder(steep)
     for x in (0.0, 0.1):
         assert np.isinf(finder.see(picture(np.array([x, 0.0, 0.0]))).std).all()
-
-
-def test_hints_are_weighted_by_their_variances() -> None:
-    turn = Hint(np.array([0.0, 0.0, 0.1]), np.array([math.inf, math.inf, 0.01]))
-    other = Hint(np.array([0.5, 0.0, 0.2]), np.array([0.1, math.inf, 0.02]))
-    both = joined(turn, other)
-    np.testing.assert_allclose(both.step, [0.5, 0.0, 0.12])
-    np.testing.assert_allclose(both.std[[0, 2]], [0.1, 0.01 / math.sqrt(1.25)])
-    assert math.isinf(both.std[1])
-    np.testing.assert_allclose(both.of(np.array([9.0, 9.0, 9.0])), [0.5, 9.0, 0.12])
