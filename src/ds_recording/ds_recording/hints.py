@@ -162,6 +162,7 @@ class _Ways:
         left = np.arange(BESIDE, -BESIDE - 1e-9, -CELL)
         self._shape = len(ahead), len(left)
         self._grid = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._unturned = self._where(0.0)
         self._previous: NDArray[np.uint8] | None = None
 
     def see(self, grey: NDArray[np.uint8], turn: Hint) -> Hint:
@@ -170,8 +171,8 @@ class _Ways:
         if before is None or not np.isfinite(turn.std[2]):
             return turn
         most = round(LONGEST / CELL)
-        part = np.ascontiguousarray(self._from_above(before, 0.0)[:-most, SIDEWAYS:-SIDEWAYS])
-        then = self._from_above(grey, float(turn.step[2]))
+        part = np.ascontiguousarray(_changes(before, *self._unturned)[:-most, SIDEWAYS:-SIDEWAYS])
+        then = _changes(grey, *self._where(float(turn.step[2])))
         scores = cv2.matchTemplate(then, part, cv2.TM_CCORR_NORMED).max(axis=1).astype(float)
         best = int(scores.argmax())
         others = np.delete(scores, np.s_[max(best - 3, 0) : best + 4])
@@ -181,18 +182,23 @@ class _Ways:
             np.array([_peak(scores, best) * CELL, 0.0, turn.step[2]]), np.array([WAY_STD, math.inf, turn.std[2]])
         )
 
-    def _from_above(self, grey: NDArray[np.uint8], turn: float) -> NDArray[np.float32]:
-        """Changes of brightness along the way, (far to near, left to right), in axes turned back by `turn`."""
+    def _where(self, turn: float) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Pixels of cells, (far to near, left to right), in axes turned back by `turn`, and which are well inside."""
         cos, sin = math.cos(turn), math.sin(turn)
         x, y = self._grid.T
         pixels, seen = self._camera.project(np.stack((cos * x + sin * y, cos * y - sin * x), axis=1))
         last = np.array([self._camera.width_px - 2, self._camera.height_px - 2])
         seen &= ((pixels >= 1) & (pixels <= last)).all(axis=1)
         where = np.where(seen[:, None], pixels, -10.0).astype(np.float32).reshape(*self._shape, 2)
-        found = cv2.GaussianBlur(cv2.remap(grey, where, None, cv2.INTER_LINEAR).astype(np.float32), (5, 5), 1.2)
-        change = cv2.Sobel(found, cv2.CV_32F, 0, 1, ksize=3, scale=0.25).clip(-BRIGHTEST, BRIGHTEST)
         inside = cv2.erode(seen.reshape(self._shape).astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0)
-        return np.asarray(change * inside, np.float32)
+        return where, np.asarray(inside, np.uint8)
+
+
+def _changes(grey: NDArray[np.uint8], where: NDArray[np.float32], inside: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Changes of brightness along the way, of the floor seen from above."""
+    found = cv2.GaussianBlur(cv2.remap(grey, where, None, cv2.INTER_LINEAR).astype(np.float32), (5, 5), 1.2)
+    change = cv2.Sobel(found, cv2.CV_32F, 0, 1, ksize=3, scale=0.25).clip(-BRIGHTEST, BRIGHTEST)
+    return np.asarray(change * inside, np.float32)
 
 
 def _peak(scores: Array, best: int) -> float:
