@@ -9,6 +9,8 @@ trap 'kill "$linters" 2>/dev/null || true; rm -f "$findings"' EXIT
 tools/lint.sh >"$findings" 2>&1 &
 linters=$!
 . .venv/env.sh
+# Where an image sets it, each of the hundreds of processes of the tests compiles its modules again.
+unset PYTHONDONTWRITEBYTECODE
 # Files stay whole, as their tests share graphs; conftest.py puts the longest files first. A worker that dies ends the
 # tests and names the one that it was running: with replaced workers, pytest-xdist's loadfile waits forever.
 status=0
