@@ -22,11 +22,11 @@ from unittest import mock
 
 import cv2
 import numpy as np
+from benchmarks.image_statistics import image_statistics, percentiles
 from numpy.typing import NDArray
 
 from ds_road import Road, generate
 from ds_sim.camera.ground import paint_ground
-from ds_sim.camera.image_statistics import image_statistics, percentiles
 from ds_sim.camera.renderer import Camera, Sensor
 from ds_sim.registry import STANDARD, spec_of
 from ds_sim.simulator import VehicleState

@@ -117,9 +117,9 @@ sys.meta_path.insert(0, Forbid())
 import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.closed_loop.simulation
 import ds_orchestrator.campaign.runner, ds_studies.whole_campaign
 import ds_report.html_report, ds_report.build, ds_cli.application
-from ds_sim.registry import NEED_FILE, SIMULATORS, make_simulator
-import ds_sim_ros.simulator, ds_recording.sibling.simulator
-for name in SIMULATORS.keys() - NEED_FILE: make_simulator(name)
+from ds_sim.registry import STANDARD, make_simulator
+import ds_sim_ros.simulator, ds_sim_torcs.simulator, ds_recording.sibling.simulator
+for name in STANDARD: make_simulator(name)
 app = ds_cli.application.make_app()
 for verb in app.list_commands(None): app.get_command(None, verb)
 """

@@ -351,8 +351,6 @@ class Setup:
                 *(self.environment / "bin/colcon", "--log-base", "log", "build", "--base-paths", "src"),
                 *("--symlink-install", "--event-handlers", "console_direct+", "--packages-select", *changed),
                 *("--cmake-args", "-GNinja", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"),
-                # Each generated file parses the same headers: compiled as one file, a library takes half the time.
-                *("-DCMAKE_UNITY_BUILD=ON", "-DCMAKE_UNITY_BUILD_BATCH_SIZE=0"),
             ]
             advice = "the compiler's message is in the log"
             self.console.run(command, environment=environment, folder=self.workspace, advice=advice)

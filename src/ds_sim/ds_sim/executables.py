@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from functools import partial
 from importlib import import_module
 from types import FrameType
 
@@ -28,9 +29,12 @@ def start(module: str, *arguments: str) -> None:
     import_module(module).main(*arguments)
 
 
-def simulator() -> None:
-    """Host the simulator that the parameter `simulator` names."""
-    start("ds_sim.ros.simulator_node")
+simulator = partial(start, "ds_sim.ros.simulator_node")
+"""Hosts the simulator that the parameter `simulator` names."""
+bullet, panda, softbody, donkey, torcs, ros = (
+    partial(simulator, name) for name in ("bullet", "panda", "softbody", "donkey", "torcs", "ros")
+)
+"""Host this simulator unless the parameter names another one; `ros` needs one that names a file, `ros@FILE`."""
 
 
 def _leave_to_thread(_number: int, _frame: FrameType | None) -> None:

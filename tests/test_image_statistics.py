@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from ds_sim.camera.image_statistics import image_statistics
+from benchmarks.image_statistics import image_statistics
 
 
 def test_white_noise_has_its_known_contrast_and_sharpness() -> None:
