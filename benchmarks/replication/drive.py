@@ -2,17 +2,21 @@
 
 `nice -n 19 python -m benchmarks.replication.drive FOLDER` from the root of the repository, at any time and as often as
 needed: it resumes from the tables in `docs/data/replication`, where outcomes are kept as they grow, or from FOLDER.
+`--backend openvino` goes on where the processor has no bfloat16; the network's card then says from which execution on.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
+import tempfile
 import threading
 import time
 from contextlib import closing
 from pathlib import Path
 
+import pyarrow.parquet as pq
 from benchmarks.replication.networks import BACKEND
 
 from ds_analysis.common.parquet import write_tables
@@ -31,11 +35,23 @@ KEEP_EVERY = 200
 """Executions between two tables; chosen: some minutes."""
 
 
-def config_of(network: str) -> CampaignConfig:
-    """The paper's campaign for one network, without bags, on one core."""
+def config_of(network: str, backend: str, workers: int) -> CampaignConfig:
+    """The paper's campaign for one network, without bags."""
     paper = read_config(Path("src/ds_bringup/config/paper.yaml"))
-    driver = f"{WEIGHTS / network}.safetensors@{BACKEND}"
-    return paper.model_copy(update={"driver": driver, "engine": "local", "workers": 1, "record": "none"})
+    driver = f"{WEIGHTS / network}.safetensors@{backend}"
+    return paper.model_copy(update={"driver": driver, "engine": "local", "workers": workers, "record": "none"})
+
+
+def restore(table: Path, folder: Path, backend: str) -> None:
+    """Make the campaign's folder from its table, to be continued with a backend other than it was begun with."""
+    found = pq.read_table(table)
+    notes = found.schema.metadata
+    config = json.loads(notes[b"config"])
+    config["driver"] = f"{config['driver'].rpartition('@')[0]}@{backend}"
+    notes[b"config"] = json.dumps(config).encode()
+    with tempfile.TemporaryDirectory() as there:
+        pq.write_table(found.replace_schema_metadata(notes), Path(there) / table.name)
+        restore_campaign(Path(there) / table.name, folder)
 
 
 class Keeper(Listener):
@@ -73,6 +89,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="campaign folders, one per network")
     parser.add_argument("--networks", nargs="+", choices=NETWORKS, default=NETWORKS)
+    parser.add_argument("--backend", default=BACKEND)
+    parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
     for network in arguments.networks:
         folder, table = arguments.folder / network, TABLES / f"{network}.parquet"
@@ -80,9 +98,10 @@ def main() -> None:
             print(f"{network}: no weights in {WEIGHTS} yet")
             continue
         if table.exists() and not (folder / "campaign.sqlite").exists():
-            restore_campaign(table, folder)
+            restore(table, folder, arguments.backend)
         keeper = Keeper(network, folder)
-        outcome = run_campaign(config_of(network), folder, keeper, say=print)
+        config = config_of(network, arguments.backend, arguments.workers)
+        outcome = run_campaign(config, folder, keeper, say=print)
         if outcome.executions_in_error:
             print(f"{network}: {outcome.executions_in_error} executions ended in errors; the same command tries again")
         keeper.keep()
