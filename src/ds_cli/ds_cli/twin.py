@@ -71,7 +71,10 @@ def twin_fit_command(
     out: Annotated[Path, typer.Option(help="Parameter file to write; fit.png goes beside it.")] = Path(
         "parameters.yaml"
     ),
-    start: Annotated[Path | None, typer.Option(help="Parameter file to start from; nominal if left out.")] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(help="What to start from: parameters, myconfig.py, or a RoboRacer car's YAML or URDF."),
+    ] = None,
     window: Annotated[float, typer.Option(min=1.0, max=30.0, help="Length of a fitted window, s.")] = 10.0,
     evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of the model per round at most.")] = 40,
     as_json: JsonFlag = False,
@@ -80,13 +83,17 @@ def twin_fit_command(
 
     `--sim donkey@FILE` then drives with them.
     """
+    from ds_twin_donkey.car_files import read_start
     from ds_twin_donkey.fit import FitSettings, fit
     from ds_twin_donkey.fit_picture import draw_fit
     from ds_twin_donkey.logs import read_log
-    from ds_twin_donkey.parameter_file import document_of, read_parameters, write_parameters
+    from ds_twin_donkey.parameter_file import document_of, write_parameters
 
     recorded = [read_log(path) for path in logs]
-    begin = read_parameters(start)[0] if start else None
+    known = read_start(start) if start else None
+    begin = known.parameters if known else None
+    if known and known.taken:
+        say(f"taken from {start}: {', '.join(known.taken)}")
     out.parent.mkdir(parents=True, exist_ok=True)
     drives = [drive for log in recorded for drive in log.drives]
     try:

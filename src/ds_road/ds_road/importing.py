@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import splev, splprep
 
 from ds_road.bounded_file import FileError, read_regular
+from ds_road.bounded_xml import parse_xml
 from ds_road.commonroad import constant_width, read_commonroad, without_repeats
 from ds_road.files import LARGEST_FILE, road_from_json, road_to_json
 from ds_road.geometry import BOX
@@ -194,8 +194,6 @@ def number(element: Element, name: str) -> float:
 SPARSE = 2.5
 """m; road points of SBFT tests that are farther apart are interpolated; chosen: twice the usual spacing."""
 
-MOST_ELEMENTS = 1_000_000
-"""Elements of an XML file; chosen: those of 16 MiB of points, read within seconds."""
 MOST_ROADS = 2_000
 """Roads of a file of another tool; chosen: as many as a regression suite has tests, read within seconds."""
 
@@ -218,23 +216,6 @@ class ImportedRoad:
         """JSON for `ds_road.read_roads`, with the name as `test_id`."""
         raw = road_to_json(self.road)
         return {**(raw if isinstance(raw, dict) else {"control_points": raw}), "test_id": self.name}
-
-
-class _BoundedTree(ElementTree.TreeBuilder):
-    """Builds the tree of an XML document, in any encoding, without a document type and of bounded size."""
-
-    _left = MOST_ELEMENTS
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        """Refuse a document type, before anything that it defines."""
-        raise RoadError("XML with a document type: remove it, as definitions in it could fill the memory")
-
-    def start(self, tag: str, attrs: dict[str, str]) -> Any:
-        """Open an element."""
-        self._left -= 1
-        if self._left < 0:
-            raise RoadError(f"more than {MOST_ELEMENTS} elements, the limit for a file of roads: divide it")
-        return super().start(tag, attrs)
 
 
 def import_roads(path: Path) -> list[ImportedRoad]:
@@ -272,11 +253,9 @@ def _read(path: Path) -> list[tuple[str, Road]]:
     if beginning[:1] != b"<":
         raise RoadError("neither XML nor JSON: expected OpenDRIVE, CommonRoad or SBFT's JSON")
     try:
-        root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_BoundedTree()))
-    except RoadError:
-        raise
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise RoadError(f"not XML ({error})") from None
+        root = parse_xml(content)
+    except FileError as error:
+        raise RoadError(str(error)) from None
     if root.tag == "OpenDRIVE":
         return read_opendrive(root, most=MOST_ROADS)
     if root.tag == "commonRoad":

@@ -1,0 +1,224 @@
+"""Start values of a fit from files that a car has already: Donkey Car's `myconfig.py`, and RoboRacer's YAML and URDF.
+
+No file is executed. What a file does not say keeps its nominal value.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_road.bounded_file import FileError
+from ds_road.bounded_xml import parse_xml
+from ds_road.road import abbreviated
+from ds_sim.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
+from ds_twin_donkey.parameter_file import ParameterFileError, read_parameters
+from ds_twin_donkey.parameters import DonkeyParameters
+
+EXPECTED = "a parameter file of `ds twin fit`, Donkey Car's myconfig.py, or a RoboRacer car's YAML or URDF"
+ROBORACER = {
+    "wheelbase": ("wheelbase", "l_wb"),
+    "to_front": ("lf", "l_f", "l_cg2front"),
+    "to_rear": ("lr", "l_r", "l_cg2rear"),
+    "mass": ("m", "mass"),
+    "yaw_inertia": ("I", "I_z", "moment_inertia"),
+    "centre_of_mass_height": ("h", "h_cg", "height_cg"),
+    "friction": ("mu", "friction_coeff"),
+    "max_steering_angle": ("s_max", "max_steering_angle"),
+    "servo_rate": ("sv_max", "max_steering_vel"),
+    "front_stiffness": ("C_Sf", "C_S_front"),
+    "rear_stiffness": ("C_Sr", "C_S_rear"),
+    "servo_gain": ("steering_angle_to_servo_gain",),
+    "servo_min": ("servo_min",),
+    "servo_max": ("servo_max",),
+}
+"""Meaning -> keys in f1tenth_gym's parameters, f1tenth_simulator's params.yaml, and f1tenth_system's vesc.yaml."""
+DONKEY = {"wheelbase": "WHEEL_BASE", "track": "AXLE_LENGTH", "max_steering_angle": "MAX_STEERING_ANGLE"}
+"""Parameter -> key of `myconfig.py` (templates complete and path_follow)."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Start of a fit.
+
+    Attributes:
+        parameters: of the car.
+        taken: what the file says, as `name value`; empty for a parameter file.
+    """
+
+    parameters: DonkeyParameters
+    taken: list[str] = field(default_factory=list)
+
+
+def read_start(path: Path) -> Start:
+    """Read where a fit starts; the file's content tells its kind.
+
+    Raises:
+        ParameterFileError: none of these files, or a value that no car has; one line.
+    """
+    notes: list[str] = []
+    try:
+        content = read_bounded(path, DEFAULT_LIMITS.size)
+        if path.suffix == ".py":
+            found = _of_myconfig(content.decode())
+        elif content.lstrip()[:1] == b"<":
+            found, notes = _of_urdf(parse_xml(content))
+        else:
+            raw = load_yaml(content)
+            if isinstance(raw, dict) and "parameters" in raw:
+                return Start(read_parameters(path)[0])
+            found = _of_yaml(raw)
+        if not found:
+            raise ValueError(f"nothing about the car's geometry: expected {EXPECTED}")
+        taken = [f"{name} {value:.4g}" for name, value in found.items()]
+        return Start(DonkeyParameters().changed(**found), taken + notes)
+    except OSError as error:
+        raise ParameterFileError(f"{path}: cannot be read ({error.strerror}): check the path") from None
+    except (ValueError, SyntaxError, FileError, BoundedYamlError) as error:
+        raise ParameterFileError(f"{path}: {' '.join(str(error).split()):.500}") from None
+
+
+def _number(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
+        raise ValueError(f"{name} is {abbreviated(value)}, expected a number: correct it")
+    return float(value)
+
+
+def _of_myconfig(text: str) -> dict[str, float]:
+    """Parameters of literal assignments; of several, as in Python, the last one counts."""
+    given: dict[str, Any] = {}
+    try:
+        lines = ast.parse(text).body
+    except (MemoryError, RecursionError):
+        raise ValueError("nested too deeply: expected literal assignments") from None
+    for line in lines:
+        if isinstance(line, ast.Assign) and len(line.targets) == 1 and isinstance(line.targets[0], ast.Name):
+            value = _literal(line.value)
+            # The pulse counts stand in a mapping of the drive train since version 4.4, at the top before.
+            given |= value if isinstance(value, dict) else {line.targets[0].id: value}
+    given = {name: value for name, value in given.items() if value is not None}
+    found = {name: _number(key, given[key]) for name, key in DONKEY.items() if key in given}
+    for name, full, zero, share in (
+        ("steering_pulse_steps", "STEERING_LEFT_PWM", "STEERING_RIGHT_PWM", 0.5),
+        ("throttle_pulse_steps", "THROTTLE_FORWARD_PWM", "THROTTLE_STOPPED_PWM", 1.0),
+    ):
+        if full in given and zero in given:
+            found[name] = round(share * abs(_number(full, given[full]) - _number(zero, given[zero])))
+    return found
+
+
+def _literal(value: ast.expr) -> Any:
+    """Value of a literal or of `math.radians(literal)`; None for anything else."""
+    if isinstance(value, ast.Call) and ast.unparse(value.func) == "math.radians" and len(value.args) == 1:
+        degrees = _literal(value.args[0])
+        return math.radians(degrees) if isinstance(degrees, int | float) else None
+    try:
+        return ast.literal_eval(value)
+    except (ValueError, TypeError, MemoryError, RecursionError):
+        return None
+
+
+def _items(raw: object) -> Iterator[tuple[str, Any]]:
+    """All keys with values, however deep: a node's parameters stand below `ros__parameters`."""
+    for key, value in raw.items() if isinstance(raw, Mapping) else ():
+        yield str(key), value
+        yield from _items(value)
+
+
+def _of_yaml(raw: object) -> dict[str, float]:
+    given = dict(_items(raw))
+    said = {
+        name: _number(key, given[key]) for name, keys in ROBORACER.items() for key in keys if key in given
+    }  # fmt: skip
+    front, rear = said.pop("to_front", 0.0), said.pop("to_rear", 0.0)
+    if front > 0.0 and rear > 0.0:
+        said |= {"wheelbase": front + rear, "front_share": rear / (front + rear)}
+    gain, low, high = (said.pop(name, 0.0) for name in ("servo_gain", "servo_min", "servo_max"))
+    if gain and high > low:
+        said["max_steering_angle"] = 0.5 * (high - low) / abs(gain)
+    for axle in ("front_stiffness", "rear_stiffness"):
+        if axle in said:  # of theirs, friction is a factor
+            said[axle] *= said.get("friction", 1.0)
+    return said
+
+
+def _of_urdf(root: Element) -> tuple[dict[str, float], list[str]]:
+    """Geometry from the places of the wheels' joints, and a note about the camera, whose pose is no parameter."""
+    if any(
+        "${" in value or "xacro" in element.tag for element in root.iter() for value in (*element.attrib.values(), "")
+    ):
+        raise ValueError("a xacro, expected a URDF: type `xacro FILE > car.urdf`")
+    joints = {child.get("link", ""): joint for joint in root.iter("joint") for child in joint.iter("child")}
+    places = {str(link.get("name")): _place(str(link.get("name")), joints) for link in root.iter("link")}
+    wheels = {name.lower(): place[:3, 3] for name, place in places.items() if "wheel" in name.lower()}
+    front = [place for name, place in wheels.items() if "front" in name]
+    rear = [place for name, place in wheels.items() if "rear" in name or "back" in name]
+    if not front or not rear:
+        raise ValueError("no front and rear wheels: expected links such as front_left_wheel and back_left_wheel")
+    middle = [np.mean(places, axis=0) for places in (front, rear)]
+    found = {"wheelbase": float(middle[0][0] - middle[1][0])}
+    track = float(np.ptp([place[1] for place in front]))
+    found |= {"track": track} if track > 0.0 else {}
+    masses = [_number("mass", float(mass.get("value", "nan"))) for mass in root.iter("mass")]
+    found |= {"mass": sum(masses)} if masses else {}
+    limits = [
+        min(abs(float(limit.get(side, "nan"))) for side in ("lower", "upper"))
+        for joint in root.iter("joint")
+        for limit in joint.iter("limit")
+        if joint.get("type") == "revolute" and any(w in str(joint.get("name")).lower() for w in ("steer", "hinge"))
+    ]
+    found |= {"max_steering_angle": min(limits)} if limits else {}
+    shapes = [
+        shape
+        for link in root.iter("link")
+        if "wheel" in str(link.get("name")).lower()
+        for shape in link.iter("cylinder")
+    ]
+    radii = [_number("radius", float(shape.get("radius", "nan"))) for shape in shapes]
+    camera = next((place for name, place in places.items() if "camera" in name.lower()), None)
+    if camera is None or not radii:
+        return found, []
+    seat = camera[:3, 3] - 0.5 * (middle[0] + middle[1])
+    pose = {
+        "height_m": seat[2] + radii[0],
+        "pitch_rad": -math.asin(max(-1.0, min(camera[2, 0], 1.0))),
+        "forward_m": seat[0],
+    }
+    return found, ["for camera.yaml: " + ", ".join(f"{name}: {value:.4g}" for name, value in pose.items())]
+
+
+def _place(link: str, joints: Mapping[str, Element]) -> NDArray[np.float64]:
+    """Pose of a link in the root's axes, (4, 4) (REP-103)."""
+    pose = np.eye(4)
+    for _ in range(len(joints) + 1):
+        joint = joints.get(link)
+        if joint is None:
+            return pose
+        origin, parent = joint.find("origin"), joint.find("parent")
+        pose = np.einsum("ij,jk->ik", _transform(origin), pose)
+        link = "" if parent is None else parent.get("link", "")
+    raise ValueError(f"the joints of {abbreviated(link)} form a circle")
+
+
+def _transform(origin: Element | None) -> NDArray[np.float64]:
+    transform = np.eye(4)
+    if origin is not None:
+        xyz, rpy = ([float(v) for v in origin.get(name, "0 0 0").split()] for name in ("xyz", "rpy"))
+        if len(xyz) != 3 or len(rpy) != 3 or not np.isfinite([xyz, rpy]).all():
+            raise ValueError(f"the origin {abbreviated(origin.attrib)}: expected three finite numbers in xyz and rpy")
+        (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+        transform[:3, :3] = [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+        transform[:3, 3] = xyz
+    return transform
