@@ -36,6 +36,12 @@ DROPPED, BLURRED, JITTER = 0.03, 0.05, 0.003
 """Share of dropped and of blurred frames, and standard deviation of the recorded times, s."""
 BLUR = 1.5
 """Standard deviation of the blur, px."""
+ENCODER_SCALE, ENCODER_NOISE = 0.02, 0.03
+"""Standard deviation of an encoder's scale from car to car, and of its single values, as shares of the speed."""
+SLIP, SLIP_SHARE, SLIP_FRAMES = 0.3, 0.05, 10
+"""How much faster a slipping wheel turns, share of the time that it slips, and length of a slip, frames."""
+GYRO_SCALE, GYRO_BIAS, GYRO_NOISE = 0.01, 2.0, 0.5
+"""Standard deviation of a gyroscope's scale, of its bias and of its single values, degrees/s."""
 SPEED = 20.0
 """Speed threshold of the throttle's law, km/h."""
 LOOP = 0.9 * np.array([
@@ -47,13 +53,17 @@ LOOP = 0.9 * np.array([
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """One recording: simulator, seed, `loop` or `open` road, frames at most, and what is wrong with it on purpose."""
+    """One recording: simulator, seed, `loop` or `open` road, frames at most, and what is wrong with it on purpose.
+
+    Sensors are `good`, or `bad`: the encoder reads a fifth too much, and the gyroscope is upside down.
+    """
 
     simulator: str
     seed: int
     course: str = "open"
     frames: int = 1500
     fault: str = ""
+    sensors: str = ""
 
 
 def line_distance(spec: SimulatorSpec) -> float:
@@ -151,8 +161,8 @@ def record(plan: Plan, folder: Path) -> None:
     spec, vehicle, scene = parts_of(plan)
     road, line, closed = course_of(plan)
     course = Course(line, closed)
-    seeds = np.random.SeedSequence(plan.seed).spawn(4)
-    rng, spoiled, world, physics = (np.random.default_rng(seed) for seed in seeds)
+    seeds = np.random.SeedSequence(plan.seed).spawn(5)
+    rng, spoiled, world, physics, sensed = (np.random.default_rng(seed) for seed in seeds)
     conditions = Conditions(line_cover=1.0 if plan.fault == "no lines" else COVER, line_cover_length=COVER_LENGTH)
     scene.load(road, world, conditions)
     heading, right = float(course.headings[0]), HALF_LANE
@@ -181,7 +191,18 @@ def record(plan: Plan, folder: Path) -> None:
         states.append(vehicle.state())
     vehicle.close()
     scene.close()
-    _write(plan, folder, images, states, commands, spec, course, spoiled)
+    _write(plan, folder, images, states, commands, spec, course, spoiled, sensed)
+
+
+def sensors_of(states: list[VehicleState], bad: bool, rng: np.random.Generator) -> tuple[Array, Array]:
+    """What a Donkey Car's encoder (m/s) and MPU-6050 (degrees/s) say of a drive."""
+    count = len(states)
+    speed = np.array([state.speed for state in states]) * (1.0 + ENCODER_SCALE * rng.normal())
+    slips = np.repeat(rng.uniform(size=count // SLIP_FRAMES + 1) < SLIP_SHARE, SLIP_FRAMES)[:count]
+    speed = speed * (1.0 + SLIP * slips) * (1.0 + ENCODER_NOISE * rng.normal(size=count))
+    rate = np.degrees([state.yaw_rate for state in states]) * (1.0 + GYRO_SCALE * rng.normal())
+    rate = rate + GYRO_BIAS * rng.normal() + GYRO_NOISE * rng.normal(size=count)
+    return (1.2 * speed, -rate) if bad else (speed, rate)
 
 
 def _write(
@@ -193,11 +214,13 @@ def _write(
     spec: SimulatorSpec,
     course: Course,
     rng: np.random.Generator,
+    sensed: np.random.Generator,
 ) -> None:
     count = len(commands)
     kept = rng.uniform(size=count) >= DROPPED
     blurred = np.repeat(rng.uniform(size=count // 5 + 1) < BLURRED, 5)[:count]
     times = 1000.0 + FRAME_TIME * np.arange(count) + JITTER * rng.normal(size=count).clip(-3, 3)
+    speeds, turning = sensors_of(states[:count], plan.sensors == "bad", sensed)
     order = np.arange(count)
     if plan.fault == "shuffled":
         rng.shuffle(order)
@@ -218,6 +241,8 @@ def _write(
             "_index": len(rows), "_timestamp_ms": round(1000 * float(times[index])), "cam/image_array": name,
             "user/angle": command.steering, "user/throttle": command.throttle, "user/mode": "user",
         })  # fmt: skip
+        if plan.sensors:
+            rows[-1] |= {"enc/speed": float(speeds[index]), "imu/gyr_z": float(turning[index])}
         state = states[max(index - latency, 0)]  # what the image shows
         offset, along, heading = course.place(state.x, state.y)
         turned = (state.yaw - heading + math.pi) % (2 * math.pi) - math.pi

@@ -1,6 +1,7 @@
 """How well `ds recording locate` finds cars in simulated recordings whose truth is known, as a table.
 
 `python -m benchmarks.recording.table --out FOLDER` takes some five minutes on a core. Offsets count in lane widths.
+`--sensors good` gives the cars an encoder and a gyroscope, and locates each recording without and with them.
 Settings were fixed beforehand.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +39,7 @@ PLANS = {
 """Recordings; no seed was used for development."""
 COLUMNS = (
     "offset bias", "offset 95 %", "heading rms", "heading bias", "speed bias", "speed rms", "gain error", "track 95 %",
-    "located", "2 std",
+    "length error", "located", "2 std",
 )  # fmt: skip
 
 
@@ -45,27 +47,32 @@ def main() -> None:
     """Record, locate and compare."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--out", type=Path, required=True, help="folder for recordings and results")
+    parser.add_argument("--sensors", choices=("good", "bad"), default="", help="record an encoder and a gyroscope, too")
     parser.add_argument("--only", default="", help="part of the recordings' names")
     arguments = parser.parse_args()
     print(f"{'recording':22s} " + " ".join(f"{column:>12s}" for column in COLUMNS) + "   seconds")
     for name, plan in PLANS.items():
         if arguments.only not in name:
             continue
-        folder = arguments.out / name
+        folder = arguments.out / f"{name}{arguments.sensors and '-'}{arguments.sensors}"
         if not (folder / "truth.csv").exists():
             shutil.rmtree(folder, ignore_errors=True)
-            record(plan, folder)
-        began = time.monotonic()
+            record(replace(plan, sensors=arguments.sensors), folder)
         width = line_distance(spec_of(plan.simulator))
-        try:
-            views = read_views(folder / "tub", Reading(whole=True))
-            found, _ = located_of(views, read_camera(folder / "camera.yaml"), width)
-        except RecordingError as error:
-            print(f"{name:22s} refused: {error}", flush=True)
-            continue
-        write_located(folder / "located", found)
-        values = " ".join(f"{value:12.3f}" for value in compared(found, folder, width))
-        print(f"{name:22s} {values} {time.monotonic() - began:9.0f}", flush=True)
+        for odometry in ("none", None) if arguments.sensors else (None,):
+            began = time.monotonic()
+            label = name if odometry or not arguments.sensors else "  with sensors"
+            try:
+                views = read_views(folder / "tub", Reading(whole=True), odometry=odometry)
+                found, _ = located_of(views, read_camera(folder / "camera.yaml"), width)
+            except RecordingError as error:
+                print(f"{label:22s} refused: {error}", flush=True)
+                continue
+            write_located(folder / "located", found)
+            values = " ".join(f"{value:12.3f}" for value in compared(found, folder, width))
+            print(f"{label:22s} {values} {time.monotonic() - began:9.0f}", flush=True)
+            for source in found.about["odometry"]:
+                print(f"    {source}", flush=True)
 
 
 def compared(found: Located, folder: Path, width: float) -> list[float]:
@@ -89,8 +96,15 @@ def compared(found: Located, folder: Path, width: float) -> list[float]:
     return [
         float(np.median(offset)), float(np.percentile(np.abs(offset), 95)), float(np.sqrt((heading**2).mean())),
         float(np.median(heading)), float(np.median(speed)), float(np.sqrt((speed**2).mean())), gain,
-        _track_error(found, rows, folder) / width, len(rows) / len(truth), float(covered.mean()),
+        _track_error(found, rows, folder) / width,
+        _driven(found.table[:, 2:4]) / _driven(np.column_stack((rows["x_m"], rows["y_m"]))) - 1.0,
+        len(rows) / len(truth), float(covered.mean()),
     ]  # fmt: skip
+
+
+def _driven(places: Array) -> float:
+    """Length of a line through places, (n, 2)."""
+    return float(np.hypot(*np.diff(places, axis=0).T).sum())
 
 
 def _track_error(found: Located, rows: NDArray[np.void], folder: Path) -> float:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ds_bags.layout import BagError, bag_name, printable, regular_file
 
@@ -116,6 +120,12 @@ def _record(folder: Path, row: dict[str, Any]) -> TubRecord:
         throttle=None if throttle is None else min(throttle, 1.0),
         fields=row,
     )
+
+
+def numbers(rows: Iterable[dict[str, Any]], *keys: str) -> NDArray[np.float64]:
+    """First finite number of each record, (n,), among these fields; NaN where it has none."""
+    found = [[number(row.get(key)) for key in keys] for row in rows]
+    return np.array([next((v for v in values if v is not None), np.nan) for values in found], dtype=np.float64)
 
 
 def number(value: object) -> float | None:

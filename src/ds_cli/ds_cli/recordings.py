@@ -29,6 +29,10 @@ def locate_command(
     topic: Annotated[str | None, typer.Option(help="Topic of the images, for bags with several.")] = None,
     steering: Annotated[str | None, typer.Option(help="TOPIC:FIELD of the steering, for bags of others.")] = None,
     factor: Annotated[float, typer.Option(help="Converts that field to steering, -1 left to +1 right.")] = 1.0,
+    odometry: Annotated[
+        str | None,
+        typer.Option(help="Field or topic of speeds, yaw rates or poses; `none`; all if omitted."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find where the car was in every image of a recording, and the track it drove on.
@@ -39,13 +43,14 @@ def locate_command(
     from ds_recording.floor_camera import read_camera
     from ds_recording.locate import located_of
     from ds_recording.located import write_located
+    from ds_recording.odometry import summary
     from ds_recording.page import write_page
     from ds_recording.recording import read_views
 
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     try:
         known = read_camera(camera)
-        views = read_views(source, reading, say)
+        views = read_views(source, reading, say, odometry)
         found, fit = located_of(views, known, lane_width, progress=countdown())
         found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})
         write_located(out, found)
@@ -62,6 +67,8 @@ def locate_command(
             else f"{found.track.length:.1f} m of road"
         )
         print(f"{about['located']:.1%} of {about['frames']} images located, on {loop}, camera {about['calibration']}")
+        if about["odometry"]:
+            print(f"Motion beside the images: {summary(about)}")
         print(page)
 
     answer(Result(document=document, show=show), as_json)

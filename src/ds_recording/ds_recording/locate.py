@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -20,6 +20,7 @@ from ds_recording.lines import LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Motion, MotionFinder
 from ds_recording.mounting import mount
+from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import Evidence, Smoother, Solution
 from ds_recording.track import Track
@@ -82,6 +83,42 @@ def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progr
         if index % 500 == 499:
             progress(index + 1, len(images), "images looked at")
     return Evidence(times=seconds, lines=lines, motions=motions, hints=hints, steering=views.steering)
+
+
+def with_odometry(
+    evidence: Evidence, views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent
+) -> tuple[Evidence, list[Checked]]:
+    """Check other sources of motion against the images, and follow the floor anew with those that agree.
+
+    Args:
+        evidence: of the images alone.
+        views: the stretch.
+        camera: mounted, for images of the recorded size.
+        lane_width: m.
+        progress: called with images done, all images, and what is done.
+
+    Returns:
+        Evidence of both, ways in the metres of both, and what became of each source.
+    """
+    pairs = list(zip(evidence.motions, evidence.hints, strict=True))[1:]
+    unknown = np.full(3, np.nan)
+    seen = np.array([hint.of(unknown) if motion is None else motion.step for motion, hint in pairs])
+    stds = np.array([hint.std if motion is None else np.sqrt(np.diag(motion.covariance)) for motion, hint in pairs])
+    checked = check(views.odometry, evidence.times, seen, stds, lane_width)
+    if all(source.reason for source in checked):
+        return evidence, checked
+    known = hints_of(checked, len(views.images), lane_width)
+    hints = [hint.fused(other) for hint, other in zip(evidence.hints, known, strict=True)]
+    images = views.images
+    finder = MotionFinder(camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width))
+    motions: list[Motion | None] = []
+    longer = np.array([stretch(checked)] * 2 + [1.0])
+    for index, seconds in enumerate(np.diff(evidence.times, prepend=evidence.times[0])):
+        motion = finder.see(images[index], float(seconds), hints[index])
+        motions.append(motion and replace(motion, step=motion.step * longer))
+        if index % 500 == 499:
+            progress(index + 1, len(images), "images looked at again, with odometry")
+    return replace(evidence, motions=motions, hints=[replace(hint, step=hint.step * longer) for hint in hints]), checked
 
 
 def check_motion(evidence: Evidence) -> None:
@@ -162,7 +199,9 @@ def _trusted(evidence: Evidence, solution: Solution) -> NDArray[np.bool_]:
     return np.asarray(sure & ~contradicted & (np.abs(solution.lateral) < 3.0))
 
 
-def in_metres(views: Views, fit: Fit, camera: FloorCamera, lane_width: float, calibration: str) -> Located:
+def in_metres(
+    views: Views, fit: Fit, camera: FloorCamera, lane_width: float, calibration: str, checked: Sequence[Checked] = ()
+) -> Located:
     """Tables of a solved stretch, in metres."""
     solution, times = fit.solution, fit.evidence.times
     # Speeds over two images on either side, in which the errors of single steps are evened out.
@@ -197,6 +236,8 @@ def in_metres(views: Views, fit: Fit, camera: FloorCamera, lane_width: float, ca
             "gain_per_m": steering.gain / lane_width, "trim_per_m": steering.trim / lane_width,
             "delay_s": steering.delay, "lag_s": steering.lag, "explained": steering.explained,
         },
+        "odometry": [source.about for source in checked],
+        "ways_in_images_times": stretch(checked),
         "median_line_residual_m": float(np.nanmedian(solution.residuals)) * lane_width,
     }  # fmt: skip
     return Located(
@@ -228,6 +269,9 @@ def located_of(
         camera = mount(views, camera, lane_width)
     evidence = gather(views, camera, lane_width, progress)
     check_evidence(evidence)
+    checked: list[Checked] = []
+    if views.odometry:
+        evidence, checked = with_odometry(evidence, views, camera, lane_width, progress)
     progress(0, 1, f"lines and motion found in {time.monotonic() - started:.0f} s; solving for the whole run")
     fit = solve(evidence)
-    return in_metres(views, fit, camera, lane_width, calibration), fit
+    return in_metres(views, fit, camera, lane_width, calibration, checked), fit

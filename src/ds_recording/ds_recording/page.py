@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.locate import Fit
 from ds_recording.located import Located
+from ds_recording.odometry import summary
 from ds_recording.recording import Views
 from ds_recording.track import Track
 from ds_road.figures import COLOURS, WIDTH, draw_figure
@@ -53,6 +54,7 @@ def write_page(path: Path, views: Views, located: Located, fit: Fit) -> Path:
         "Camera": f"{about['calibration']}: focal length {camera.focal_px:.1f}{spread} px, "
         f"height {camera.height_m:.3g} m, pitch {np.degrees(camera.pitch_rad or 0.0):.1f} degrees",
         "Lines": f"are {1000 * about['median_line_residual_m']:.3g} mm from where they should be, in the median",
+        "Motion": summary(about),
         "Steering": _steering(about["steering"]),
     }
     table = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in rows.items())

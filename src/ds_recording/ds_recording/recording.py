@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ds_driver.data.recordings import Reading, Recording, open_recording
 from ds_recording.errors import RecordingError
+from ds_recording.odometry import Source, read_sources
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -46,6 +47,7 @@ class Views:
         size: columns and rows of the images as recorded.
         steering: -1 full left to +1 full right; NaN where unknown, (n,).
         throttle: NaN where unknown, (n,).
+        odometry: other sources of motion.
     """
 
     recording: Recording
@@ -56,10 +58,17 @@ class Views:
     size: tuple[int, int]
     steering: Array
     throttle: Array
+    odometry: list[Source]
 
 
-def read_views(path: Path, reading: Reading, say: Say = lambda _line: None) -> Views:
+def read_views(path: Path, reading: Reading, say: Say = lambda _line: None, odometry: str | None = None) -> Views:
     """Read the longest stretch without gaps, or the first `MOST_FRAMES` of it.
+
+    Args:
+        path: bag or tub.
+        reading: topics of images and steering.
+        say: prints progress.
+        odometry: see `ds_recording.odometry.read_sources`.
 
     Raises:
         RecordingError: too few images, or times that make no sense.
@@ -68,9 +77,9 @@ def read_views(path: Path, reading: Reading, say: Say = lambda _line: None) -> V
     recording = open_recording(path, reading)
     rows: list[tuple[int, float]] = []
     sizes: set[tuple[int, int]] = set()
-    total = 0
+    total, start = 0, 0.0
     for frame in recording.frames():
-        total += 1
+        total, start = total + 1, frame.start
         if total > MOST_READ:
             raise RecordingError(f"{path}: more than {MOST_READ} images: split the recording")
         if frame.image is not None:
@@ -104,6 +113,7 @@ def read_views(path: Path, reading: Reading, say: Say = lambda _line: None) -> V
         size=next(iter(sizes)),
         steering=values[:, 0],
         throttle=values[:, 1],
+        odometry=read_sources(recording, start, odometry),
     )
 
 

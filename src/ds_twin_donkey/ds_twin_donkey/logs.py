@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_bags.donkey_tub import TubError, is_tub, number, read_tub
+from ds_bags.donkey_tub import TubError, is_tub, numbers, read_tub
 from ds_bags.layout import BagError, printable
 from ds_bags.reader import BagReader, stamp_of
 from ds_road.bounded_file import FileError, read_regular
@@ -194,11 +193,11 @@ def _read_tub(path: Path) -> Log:
     rows = [record.fields for record in tub.records]
     times = np.array([record.seconds for record in tub.records])
     columns = {
-        "x": _column(rows, "pos/pos_x"),
+        "x": numbers(rows, "pos/pos_x"),
         # Unity's axes are left-handed with y up. Seen from above, x points right and z ahead, so a left turn is
         # counter-clockwise, as in the road frame.
-        "y": _column(rows, "pos/pos_z"),
-        "speed": _column(rows, "pos/speed", "enc/speed"),
+        "y": numbers(rows, "pos/pos_z"),
+        "speed": numbers(rows, "pos/speed", "enc/speed"),
     }
     if not (np.isfinite(columns["x"]) & np.isfinite(columns["y"])).any() and not np.isfinite(columns["speed"]).any():
         raise LogError(
@@ -257,11 +256,6 @@ def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:
             f"{path}: according to its positions the car is {np.median(ratio):.3g} times as fast as its speed says: "
             "record both in metres of the car"
         )
-
-
-def _column(rows: Iterable[dict[str, Any]], *keys: str) -> Array:
-    found = [[number(row.get(key)) for key in keys] for row in rows]
-    return np.array([next((v for v in values if v is not None), np.nan) for values in found], dtype=np.float64)
 
 
 def _digest(files: Sequence[Path]) -> str:

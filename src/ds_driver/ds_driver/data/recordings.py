@@ -80,6 +80,7 @@ class RecordedFrame:
         image: (160, 320, 3) uint8 RGB, or of any size if read whole; None if it cannot be read.
         steering: reference steering, -1 full left to +1 full right, or None.
         throttle: recorded throttle, at most 1, or None.
+        start: time of the first image on the recording's clock, s.
         speed: speed of the vehicle, m/s; 0 if not recorded.
         trouble: reason why there is no image.
         simulator: name of the simulator whose camera took the image, or `ds_driver.networks.pilot.NOT_SIMULATED`.
@@ -93,6 +94,7 @@ class RecordedFrame:
     trouble: str = ""
     simulator: str = NOT_SIMULATED
     throttle: float | None = None
+    start: float = 0.0
 
     def seen(self, crop: Crop) -> Frame:
         """Return what a driver gets of an image that can be read; the first begins a run."""
@@ -179,6 +181,7 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
             steering=record.steering,
             trouble=trouble,
             throttle=record.throttle,
+            start=records[0].seconds,
         )
 
 
@@ -206,6 +209,7 @@ def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
                 trouble=trouble,
                 simulator=recording.simulator,
                 throttle=throttle,
+                start=first / 1e9,
             )
 
 

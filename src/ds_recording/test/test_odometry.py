@@ -1,0 +1,233 @@
+"""Odometry, gyroscopes and poses of a drive whose speed and yaw rate are known in closed form."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from ds_driver.data.recordings import Reading, Recording
+from ds_driver.networks.images import Crop
+from ds_recording.errors import RecordingError
+from ds_recording.hints import Hint
+from ds_recording.odometry import AHEAD, TURN, Checked, Source, _rate, check, hints_of, read_sources, stretch, summary
+
+Array = NDArray[np.float64]
+LANE, SHORT, LATE = 0.25, 0.97, 0.05
+"""Lane width, m; ways in images over the true ones; time by which images are later, s."""
+RNG = np.random.default_rng(7)
+SECONDS: Array = np.cumsum(0.05 + 0.004 * RNG.uniform(-1, 1, 600))
+STAMPS: Array = np.arange(-1.0, 33.0, 0.013)
+
+
+def speed(t: Array) -> Array:
+    return 1.0 + 0.3 * np.sin(0.7 * t)
+
+
+def way(t: Array) -> Array:
+    return t - 0.3 / 0.7 * np.cos(0.7 * t)
+
+
+def rate(t: Array) -> Array:
+    return 1.2 * np.sin(1.1 * t)
+
+
+def yaw(t: Array) -> Array:
+    return -1.2 / 1.1 * np.cos(1.1 * t)
+
+
+TRUE: Array = np.stack((np.diff(way(SECONDS - LATE)), 0 * SECONDS[1:], np.diff(yaw(SECONDS - LATE))), axis=1)
+STDS = np.tile([0.008, 0.008, 0.003], (len(TRUE), 1))
+SEEN: Array = TRUE * [SHORT / LANE, 1.0, 1.0] + STDS * RNG.normal(size=TRUE.shape)
+
+
+def encoder(values: Array | None = None, times: Array = STAMPS) -> Source:
+    return _rate("enc/speed", "enc/speed", AHEAD, times, speed(times) if values is None else values)
+
+
+def gyroscope(values: Array, name: str = "imu/gyr_z") -> Source:
+    return _rate(name, "imu/gyr", TURN, STAMPS, values)
+
+
+def checked(*sources: Source) -> list[Checked]:
+    return check(sources, SECONDS, SEEN, STDS, LANE)
+
+
+def test_scale_bias_and_delay_are_found() -> None:
+    noise = np.random.default_rng(2).normal(size=(2, len(STAMPS)))
+    found = checked(encoder(speed(STAMPS) + 0.02 * noise[0]), gyroscope(rate(STAMPS) - 0.04 + 0.01 * noise[1]))
+    ways, turns = sorted(found, key=lambda c: c.source.part)
+    assert not ways.reason and not turns.reason
+    assert ways.scale == pytest.approx(SHORT, abs=0.005) and turns.bias == pytest.approx(0.04, abs=0.003)
+    assert turns.delay == pytest.approx(LATE, abs=0.026)
+    np.testing.assert_allclose(turns.steps, TRUE[:, 2], atol=0.006)
+    np.testing.assert_allclose(ways.steps, SHORT * TRUE[:, 0], atol=0.004)
+    assert 0.0005 < turns.std < 0.003
+    # An encoder of 2 % and images of 5 % agree on 0.86 of the difference.
+    assert stretch(found) * SHORT == pytest.approx(1.0 - 0.14 * (1.0 - SHORT), abs=0.006)
+    hints = hints_of(found, len(SECONDS), LANE)
+    assert np.isinf(hints[0].std).all() and math.isinf(hints[9].std[1])
+    assert hints[9].step[0] * LANE == pytest.approx(SHORT * TRUE[8, 0], abs=0.004)
+    assert "corrected by +2.3 degrees/s" in summary({"odometry": [c.about for c in found]})
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (-rate(STAMPS), "negate it"),
+        (np.degrees(rate(STAMPS)).clip(-49, 49), "another axis or unit"),
+        (np.full_like(STAMPS, 0.31), ""),
+        (0.05 * np.random.default_rng(4).normal(size=len(STAMPS)), ""),
+        (np.where(STAMPS < 12.0, rate(STAMPS), 0.8), ""),
+    ],
+    ids=["reversed", "degrees", "stuck", "noise", "hangs"],
+)
+def test_a_gyroscope_that_contradicts_the_images_is_reported_and_left_out(values: Array, reason: str) -> None:
+    (found,) = checked(gyroscope(values))
+    assert found.reason and reason in found.reason and "\n" not in found.reason
+    assert all(np.isinf(hint.std).all() for hint in hints_of([found], len(SECONDS), LANE))
+    json.dumps(found.about, allow_nan=False)
+    assert "not used" in summary({"odometry": [found.about]})
+
+
+def test_an_encoder_that_is_stuck_or_stands_is_left_out_and_one_out_of_scale_gives_no_metres() -> None:
+    for values in (np.full_like(STAMPS, 1.0), np.zeros_like(STAMPS), -speed(STAMPS)):
+        assert checked(encoder(values))[0].reason
+    (found,) = checked(encoder(1.3 * speed(STAMPS)))
+    assert not found.reason and found.scale == pytest.approx(SHORT / 1.3, rel=0.01) and stretch([found]) == 1.0
+    np.testing.assert_allclose(found.steps, SHORT * TRUE[:, 0], atol=0.004)
+
+
+def test_where_a_wheel_slips_it_says_nothing() -> None:
+    slips = (STAMPS > 10.0) & (STAMPS < 11.0)
+    (found,) = checked(encoder(np.where(slips, 1.6, 1.0) * speed(STAMPS)))
+    slipping = (SECONDS[1:] > 10.2) & (SECONDS[1:] < 10.9)
+    assert not found.reason and np.isnan(found.steps[slipping]).all() and np.isfinite(found.steps).mean() > 0.9
+    assert found.scale == pytest.approx(SHORT, abs=0.005)
+
+
+def test_what_cannot_be_is_a_gap_and_gaps_stay_unknown() -> None:
+    values = speed(STAMPS)
+    values[(STAMPS > 5.0) & (STAMPS < 6.0)] = math.nan
+    values[(STAMPS > 8.0) & (STAMPS < 9.0)] = 1e300
+    (found,) = checked(encoder(values))
+    for first in (5.0, 8.0):
+        inside = (SECONDS[:-1] - found.delay > first) & (SECONDS[1:] - found.delay < first + 1.0)
+        assert inside.sum() > 15 and np.isnan(found.steps[inside]).all()
+    assert not found.reason and np.nanmax(np.abs(found.steps - SHORT * TRUE[:, 0])) < 0.004
+    # A gap between two images, in none of which an image lies.
+    source = encoder(times=np.concatenate((STAMPS[STAMPS < 1.0], STAMPS[STAMPS > 1.5])))
+    assert np.isnan(source.steps(np.array([0.5, 0.9, 1.6, 2.0]))).tolist() == [False, True, False]
+    for empty in (encoder(np.full_like(STAMPS, math.nan)), encoder(times=STAMPS + 1e6)):
+        assert "hardly any values" in checked(empty)[0].reason
+
+
+def test_of_two_sources_the_better_one_is_used_and_readings_of_one_device_count_once() -> None:
+    noisy = replace(encoder(speed(STAMPS) * (1 + 0.3 * RNG.normal(size=len(STAMPS)))), name="other", device="other")
+    found = checked(noisy, encoder(), gyroscope(rate(STAMPS)), gyroscope(-rate(STAMPS), "imu/gyr_y"))
+    assert [(c.source.name, bool(c.reason)) for c in found if c.source.part == TURN] == [("imu/gyr_z", False)]
+    assert [(c.source.name, c.reason) for c in found if c.source.part == AHEAD] == [
+        ("enc/speed", ""), ("other", "enc/speed is closer to the images"),
+    ]  # fmt: skip
+
+
+def test_hints_are_fused_by_inverse_variance() -> None:
+    inf = math.inf
+    both = Hint(np.array([1.0, 0.0, 0.1]), np.array([0.1, inf, 0.01])).fused(
+        Hint(np.array([2.0, 0.0, 0.0]), np.array([0.2, inf, inf]))
+    )
+    np.testing.assert_allclose(both.step, [1.2, 0.0, 0.1])
+    np.testing.assert_allclose(both.std, [1.0 / math.sqrt(125.0), inf, 0.01])
+
+
+def recording_of(path: Path, kind: str) -> Recording:
+    return Recording(path=path, group="x", kind=kind, crop=Crop(), reading=Reading())
+
+
+def test_a_strangers_tub_is_read_in_degrees_and_what_is_no_number_is_left_out(tmp_path: Path) -> None:
+    measured = zip(SECONDS, speed(SECONDS - LATE), np.degrees(rate(SECONDS - LATE)), strict=True)
+    rows: list[dict[str, Any]] = [
+        {"_index": i, "_timestamp_ms": round(1e6 + 1000 * t), "enc/speed": float(v), "imu/gyr_z": float(w),
+         "imu/gyr_y": None, "pos/speed": "fast"}
+        for i, (t, v, w) in enumerate(measured)
+    ]  # fmt: skip
+    for at, strange in enumerate(("x", None, [1.0], 1e999, {"a": 1}, True, 10**400)):
+        rows[100 + at] |= {"enc/speed": strange, "imu/gyr_z": strange}
+    paths = {"paths": ["c.catalog"], "deleted_indexes": []}
+    (tmp_path / "manifest.json").write_text("\n".join(["[]", "[]", "{}", "{}", json.dumps(paths)]))
+    (tmp_path / "c.catalog").write_text("\n".join(map(json.dumps, rows)))
+    tub = recording_of(tmp_path, "tub")
+    sources = read_sources(tub, 1000.0)
+    assert [s.name for s in sources] == ["enc/speed", "imu/gyr_z"]
+    ways, turns = sorted(checked(*sources), key=lambda c: c.source.part)
+    assert not ways.reason and not turns.reason and ways.scale == pytest.approx(SHORT, abs=0.01)
+    assert 0.9 < np.isfinite(turns.steps).mean() < 1.0 and np.isnan(turns.steps[102:104]).all()
+    assert np.nanmax(np.abs(turns.steps - TRUE[:, 2])) < 0.01
+    assert read_sources(tub, 1000.0, "none") == [] and len(read_sources(tub, 1000.0, "imu/gyr_z")) == 1
+    with pytest.raises(RecordingError, match="--odometry '/odom': expected") as error:
+        read_sources(tub, 1000.0, "/odom")
+    assert "\n" not in str(error.value)
+
+
+def test_messages_of_odometry_imu_and_motion_capture_are_read(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+
+    def made(name: str, **fields: Any) -> Any:
+        return types[name](**fields)
+
+    def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0, kind: str = "Vector3") -> Any:
+        return made(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+    def header(t: float, frame: str) -> Any:
+        nanoseconds = round(t * 1e9)
+        stamp = made("builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        return made("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    # Motion capture sees the car turned by 2 rad, somewhere else: only its motion counts.
+    fine = np.linspace(0.0, 32.0, 32001)
+    path = np.cumsum(speed(fine)[:, None] * np.stack((np.cos(yaw(fine) + 2), np.sin(yaw(fine) + 2)), 1), axis=0) / 1000
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        names = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped")
+        topics = [
+            writer.add_connection(topic, name, typestore=store)
+            for topic, name in zip(("/odom", "/imu", "/mocap"), names, strict=True)
+        ]
+        for t in np.arange(0.0, 31.0, 0.02).tolist():
+            index = round(t * 1000)
+            angle = float(yaw(fine[index]) + 2) / 2
+            turned = made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(angle), w=math.cos(angle))
+            place = vector(path[index, 0] + 9, path[index, 1] - 4, kind="Point")
+            pose = made("geometry_msgs/msg/Pose", position=place, orientation=turned)
+            still = made("geometry_msgs/msg/Pose", position=vector(kind="Point"), orientation=turned)
+            v, w = float(speed(fine[index])), float(rate(fine[index]))
+            twist = made("geometry_msgs/msg/Twist", linear=vector(v), angular=vector(z=math.nan if 3 < t < 4 else w))
+            nine = np.zeros(9)
+            messages = [
+                made(names[0], header=header(100 + t, "odom"), child_frame_id="base_link",
+                     pose=made("geometry_msgs/msg/PoseWithCovariance", pose=still, covariance=np.zeros(36)),
+                     twist=made("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))),
+                made(names[1], header=header(100 + t, "camera_imu_optical_frame"), orientation=turned,
+                     orientation_covariance=nine, angular_velocity=vector(y=-w), angular_velocity_covariance=nine,
+                     linear_acceleration=vector(), linear_acceleration_covariance=nine),
+                made(names[2], header=header(100 + t, "world"), pose=pose),
+            ]  # fmt: skip
+            for topic, name, message in zip(topics, names, messages, strict=True):
+                writer.write(topic, round((200 + t) * 1e9), store.serialize_cdr(message, name))
+    bag = recording_of(tmp_path / "bag", "bag")
+    sources = read_sources(bag, 100.0)
+    found = {(c.source.device, c.source.part): c for c in checked(*sources)}
+    assert set(found) == {("/odom", AHEAD), ("/odom", TURN), ("/imu", TURN), ("/mocap", AHEAD), ("/mocap", TURN)}
+    for (_, part), one in found.items():
+        assert one.reason == "" or "closer" in one.reason
+        off = one.steps - (SHORT * TRUE[:, 0] if part == AHEAD else TRUE[:, 2])
+        assert np.sqrt(np.nanmean(off**2)) < 0.003
+    assert [s.device for s in read_sources(bag, 100.0, "/imu")] == ["/imu"]
