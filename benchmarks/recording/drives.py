@@ -36,6 +36,8 @@ DROPPED, BLURRED, JITTER = 0.03, 0.05, 0.003
 """Share of dropped and of blurred frames, and standard deviation of the recorded times, s."""
 BLUR = 1.5
 """Standard deviation of the blur, px."""
+MOSTLY_BLURRED = 0.5, 5.0
+"""Both where images mostly lose the floor."""
 ENCODER_SCALE, ENCODER_NOISE = 0.02, 0.03
 """Standard deviation of an encoder's scale from car to car, and of its single values, as shares of the speed."""
 SLIP, SLIP_SHARE, SLIP_FRAMES = 0.3, 0.05, 10
@@ -218,7 +220,8 @@ def _write(
 ) -> None:
     count = len(commands)
     kept = rng.uniform(size=count) >= DROPPED
-    blurred = np.repeat(rng.uniform(size=count // 5 + 1) < BLURRED, 5)[:count]
+    share, blur = MOSTLY_BLURRED if plan.fault == "blurred" else (BLURRED, BLUR)
+    blurred = np.repeat(rng.uniform(size=count // 5 + 1) < share, 5)[:count]
     times = 1000.0 + FRAME_TIME * np.arange(count) + JITTER * rng.normal(size=count).clip(-3, 3)
     speeds, turning = sensors_of(states[:count], plan.sensors == "bad", sensed)
     order = np.arange(count)
@@ -233,7 +236,7 @@ def _write(
     for index in np.flatnonzero(kept).tolist():
         image = images[order[index]]
         if blurred[index]:
-            image = np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR), np.uint8)
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur), np.uint8)
         name = f"{len(rows)}_cam_image_array_.jpg"
         cv2.imwrite(str(folder / "tub" / "images" / name), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
         command = commands[index]

@@ -33,6 +33,9 @@ PLANS = {
     for simulator in ("donkey", "panda")
     for course, seed in (("open", 11), ("open", 12), ("open", 13), ("loop", 14))
 } | {
+    f"{simulator}-blurred-16": Plan(simulator=simulator, seed=16, frames=600, fault="blurred")
+    for simulator in ("donkey", "panda")
+} | {
     f"donkey-{fault.replace(' ', '-')}": Plan(simulator="donkey", seed=15, frames=500, fault=fault)
     for fault in ("shuffled", "static", "no lines")
 }  # fmt: skip

@@ -32,8 +32,6 @@ SPEEDS = ("enc/speed", "pos/speed")
 GYROSCOPES = (("imu/gyr_z", math.radians(1.0)), ("imu/gyr_y", -1.0))
 """Yaw rates of a tub, and the factor to rad/s to the left. Donkey Car's parts/imu.py (MPU-6050 and MPU-9250) writes
 degrees/s, about z upwards on a board that lies flat; parts/realsense435i.py rad/s, about y downwards."""
-PLACES = (("pos/pos_x", "pos/pos_z"),)
-"""Places on the floor in a tub, m: of Donkey Car's simulator; Donkey Car keeps no others."""
 ODOMETRY, IMU, POSE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped"
 LARGEST = {AHEAD: 50.0, TURN: 50.0}
 """Largest speed (m/s) and yaw rate (rad/s); chosen: beyond, it is no measurement of a car."""
@@ -43,6 +41,8 @@ MOST_SAMPLES = 5_000_000
 """Values of a source; chosen: three hours at 400 Hz."""
 GAP = 0.25
 """Longest time between two values, s; chosen: a sensor slower than this says nothing about a motion between images."""
+HANGS = 0.5
+"""Time for which a value may stay exactly the same, s; chosen: noise and a car change it, a hung sensor repeats it."""
 DELAYS = np.arange(-0.1, 0.2001, 0.025)
 """Times by which images may be later than a source, s; chosen: an exposure, a frame or two of delivery, smoothing."""
 TOGETHER = 0.5
@@ -60,6 +60,9 @@ EVEN = 0.03
 """Deviation, as a share of the way, that is little enough even where the speed hardly varies."""
 TURN_SCALE = (0.8, 1.25)
 """Turns in images over those of a gyroscope; chosen: its scale is right within 3 %, images are worse."""
+CLOSE, LEAST_CLOSE = 0.1, 0.25
+"""Ways within this share of the source's, at the scale that most have, and how many there must be where images lose the
+floor too often to follow it; chosen: of ways that have nothing to do with each other it is an eighth."""
 SCALE_STD, IMAGE_STD = 0.02, 0.05
 """Deviations of an encoder's metre, and of one in images; chosen: a tyre under load, and half of the 9 % by which
 corners were held back on a soft texture."""
@@ -160,6 +163,9 @@ def read_sources(recording: Recording, start: float, wanted: str | None = None) 
 def _rate(name: str, device: str, part: int, times: Array, rates: Array) -> Source:
     """Source of a rate, per second, by the trapezoid rule; what cannot be is a gap."""
     times, rates = _sound(times, rates, LARGEST[part])
+    run = np.cumsum(np.diff(rates, prepend=np.nan) != 0.0)  # the same value to the last bit
+    held = times[np.searchsorted(run, run, side="right") - 1] - times[np.searchsorted(run, run)]
+    times, rates = times[held < HANGS], rates[held < HANGS]
     total = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(times))))
     return Source(name=name, device=device, part=part, times=times, values=total[: len(times)])
 
@@ -175,18 +181,13 @@ def _sound(times: Array, values: Array, largest: float) -> tuple[Array, Array]:
 
 def _tub_sources(recording: Recording, start: float, wanted: str | None) -> Iterator[Source]:
     records = read_tub(recording.path).records
-    rows = [record.fields for record in records]
+    rows = [record.fields for record in records]  # poses are in none that Donkey Car writes on a car
     times = np.array([record.seconds for record in records]) - start
     readings = [(name, name, AHEAD, 1.0) for name in SPEEDS]
     readings += [(name, name.rpartition("_")[0], TURN, factor) for name, factor in GYROSCOPES]
     for name, device, part, factor in readings:
         if wanted in (None, name) and np.isfinite(values := factor * numbers(rows, name)).any():
             yield _rate(name, device, part, times, values)
-    for names in PLACES:
-        places = np.stack([numbers(rows, name) for name in names], axis=1)
-        if wanted in (None, *names) and np.isfinite(places).all(axis=1).any():
-            at, places = _sound(times, places, FARTHEST)
-            yield Source(name=names[0], device=names[0], part=AHEAD, times=at, values=places)
 
 
 def _bag_sources(recording: Recording, start: float, wanted: str | None) -> Iterator[Source]:
@@ -267,14 +268,13 @@ def check(sources: Sequence[Source], seconds: Array, seen: Array, stds: Array, l
         for s in sources
     ]
     best: dict[tuple[str, int], Checked] = {}
+    used: dict[int, str] = {}
     for checked in sorted(every, key=lambda c: (bool(c.reason), c.left)):
-        best.setdefault((checked.source.device, checked.source.part), checked)
-    found: list[Checked] = []
-    for checked in best.values():
-        others = [f for f in found if f.source.part == checked.source.part and not f.reason]
-        late = others and not checked.reason
-        found.append(replace(checked, reason=f"{others[0].source.name} is closer to the images") if late else checked)
-    return found
+        part, name = checked.source.part, checked.source.name
+        if not checked.reason and used.setdefault(part, name) != name:
+            checked = replace(checked, reason=f"{used[part]} is closer to the images")
+        best.setdefault((checked.source.device, part), checked)
+    return list(best.values())
 
 
 def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: float) -> Checked:
@@ -282,7 +282,7 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
     both = np.isfinite(steps) & np.isfinite(seen)
     nothing = np.full(len(steps), np.nan)
     if both.sum() < LEAST_STEPS:
-        return Checked(source=source, steps=nothing, reason="it has hardly any values at the times of the images")
+        return Checked(source=source, steps=nothing, reason="it hangs, or has hardly any values while there are images")
     count = max(round(TOGETHER / float(np.median(dt))), 1)
 
     def together(values: Array) -> Array:
@@ -311,18 +311,31 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
     # What images leave of it, but at least half: they may be worse than they say.
     std = math.sqrt(max(residual**2 - float(np.median(stds[both])) ** 2, 0.25 * residual**2))
     reason = ""
-    if turn and scale < 0.0:
-        reason = "it turns to the left where the images turn to the right: turn it around, or negate it"
+    if scale <= 0.0:
+        reason = f"it {'turns' if turn else 'drives'} the other way than the images: turn it around, or negate it"
     elif turn and not TURN_SCALE[0] < scale < TURN_SCALE[1]:
         reason = f"the images turn {scale:.3g} times as much: another axis or unit"
-    elif not turn and scale <= 0.0:
-        reason = "it drives backwards where the images drive ahead"
+    elif not turn and not left <= MOST_LEFT and len(close := _close(steps / scale, seen)) > LEAST_CLOSE * both.sum():
+        # Images that lose the floor show too short a way, so most of them may be wrong where the encoder is right.
+        steps = steps / scale * (scale := float(np.median(close)))
+        agree, std = np.full(len(steps), True), float(np.std(close)) * float(np.median(np.abs(y)))
     elif not left <= MOST_LEFT:
         reason = f"it leaves {left:.0%} of what varies in the images unexplained"
     elif agree[both].mean() < LEAST_AGREEING:
         reason = f"it contradicts the images for {1.0 - agree[both].mean():.0%} of the time"
     return Checked(source=source, scale=scale, bias=bias, delay=float(delay), residual=residual, std=std,
                    left=left, steps=np.where(agree, steps, np.nan), reason=reason)  # fmt: skip
+
+
+def _close(steps: Array, seen: Array) -> Array:
+    """Ways in images over those of an encoder in metres, around the most frequent of these ratios."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.sort((seen / steps)[np.abs(seen / steps - 1.0) < _tolerance() + CLOSE])
+    if not len(ratios):
+        return ratios
+    within = np.searchsorted(ratios, ratios + CLOSE) - np.searchsorted(ratios, ratios - CLOSE)
+    middle = float(np.median(ratios[within == within.max()]))
+    return ratios[np.abs(ratios - middle) < CLOSE] if abs(middle - 1.0) < _tolerance() else ratios[:0]
 
 
 def _deviation(errors: Array) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -16,11 +16,13 @@ from ds_driver.data.recordings import Reading
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import line_pixels, points_on_floor
-from ds_recording.locate import Fit, located_of
+from ds_recording.locate import Fit, located_of, with_odometry
 from ds_recording.located import COLUMNS, Located, read_located, write_located
 from ds_recording.motion import MotionFinder
+from ds_recording.odometry import AHEAD, TURN, Source
 from ds_recording.page import write_page
 from ds_recording.recording import Views, longest_stretch, read_views
+from ds_recording.smoother import Evidence
 
 Array = NDArray[np.float64]
 WIDTH, RADIUS = 0.25, 0.9
@@ -125,6 +127,27 @@ def test_the_car_is_where_it_was(solved: Solved) -> None:
     assert np.median(found.column("speed_mps")) == pytest.approx(SPEED, rel=0.06)
     radii = np.hypot(*(found.track.points - _centre(found.track.points)).T)
     assert np.median(radii) == pytest.approx(RADIUS, rel=0.06)
+
+
+def test_with_an_encoder_and_a_gyroscope_ways_are_the_true_ones(solved: Solved) -> None:
+    """Corners are held back by some percent; a gyroscope that turns the other way changes nothing."""
+    views, _, fit = solved
+    stamps: Array = np.arange(0.0, TIMES[-1], 0.01)
+    poses, frames = drive().poses, np.round(views.seconds / 0.05).astype(int)
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+    ways = Source(name="wheels", device="wheels", part=AHEAD, times=TIMES, values=way)
+    turns = Source(name="gyro", device="gyro", part=TURN, times=stamps, values=np.interp(stamps, TIMES, poses[:, 2]))
+    both, checked = with_odometry(fit.evidence, replace(views, odometry=[ways, turns]), CAMERA, WIDTH)
+    assert [c.reason for c in checked] == ["", ""]
+    true = np.diff(way[frames])
+
+    def error(evidence: Evidence) -> float:
+        return float(np.mean([m.step[0] for m in evidence.motions[1:] if m]) * WIDTH / true.mean() - 1.0)
+
+    assert error(fit.evidence) < -0.015 and abs(error(both)) < 0.5 * abs(error(fit.evidence))
+    reversed_gyroscope = replace(views, odometry=[replace(turns, values=-turns.values)])
+    same, checked = with_odometry(fit.evidence, reversed_gyroscope, CAMERA, WIDTH)
+    assert same is fit.evidence and checked[0].reason
 
 
 def _centre(points: Array) -> Array:
