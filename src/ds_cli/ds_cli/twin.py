@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -67,7 +68,9 @@ class FitProgress:
 
 @twin_app.command("fit")
 def twin_fit_command(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Bags and Donkey Car tubs of recorded drives.")],
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Bags, Donkey Car tubs and located recordings of drives.")
+    ],
     out: Annotated[Path, typer.Option(help="Parameter file to write; fit.png goes beside it.")] = Path(
         "parameters.yaml"
     ),
@@ -75,7 +78,10 @@ def twin_fit_command(
         Path | None,
         typer.Option(help="What to start from: parameters, myconfig.py, or a RoboRacer car's YAML or URDF."),
     ] = None,
-    window: Annotated[float, typer.Option(min=1.0, max=30.0, help="Length of a fitted window, s.")] = 10.0,
+    window: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=30.0, help="Length of a fitted window, s; 10, or 2 for located recordings."),
+    ] = None,
     evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of the model per round at most.")] = 40,
     as_json: JsonFlag = False,
 ) -> None:
@@ -86,6 +92,7 @@ def twin_fit_command(
     from ds_twin_donkey.car_files import read_start
     from ds_twin_donkey.fit import FitSettings, fit
     from ds_twin_donkey.fit_picture import draw_fit
+    from ds_twin_donkey.located import LOCATED, fit_located
     from ds_twin_donkey.logs import read_log
     from ds_twin_donkey.parameter_file import document_of, write_parameters
 
@@ -96,8 +103,15 @@ def twin_fit_command(
         say(f"taken from {start}: {', '.join(known.taken)}")
     out.parent.mkdir(parents=True, exist_ok=True)
     drives = [drive for log in recorded for drive in log.drives]
+    located = all(log.kind == "located" for log in recorded)
+    settings = LOCATED if located else FitSettings()
+    settings = replace(settings, window_seconds=window or settings.window_seconds, max_evaluations=evaluations)
+    mounting = None
     try:
-        found = fit(drives, begin, FitSettings(window_seconds=window, max_evaluations=evaluations), FitProgress())
+        if located:
+            found, mounting = fit_located(drives, begin, settings, FitProgress())
+        else:
+            found = fit(drives, begin, settings, FitProgress())
     except KeyboardInterrupt:
         raise Interrupted from None
     for name, ratio in found.misfit.items():
@@ -107,6 +121,12 @@ def twin_fit_command(
                 "the model does not follow them, and the intervals are too narrow"
             )
     document = document_of(found, recorded)
+    if mounting is not None:
+        document["poses"] = {"forward_m": round(mounting.forward, 4), "yaw_rad": round(mounting.yaw, 4)}
+        say(
+            f"the poses are {mounting.forward:.3f} m ahead of the car's centre, turned left by {mounting.yaw:.3f} rad: "
+            "with a camera there, add that to forward_m in camera.yaml, and locate again"
+        )
     write_parameters(out, document)
     picture = out.parent / "fit.png"
     draw_fit(found, picture)

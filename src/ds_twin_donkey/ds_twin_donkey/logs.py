@@ -25,6 +25,8 @@ TABLE = "located.csv"
 """Name of the table in a folder that `ds recording locate` wrote."""
 _TABLE_COLUMNS = ("time_s", "steering", "throttle", "x_m", "y_m", "yaw_rad", "speed_mps", "yaw_rate_radps")
 """Columns of a table; of the last five it may have some only."""
+_LOCATED_ONLY = "std_lateral_m"
+"""Column that only a located recording has."""
 _LARGEST_TABLE = 2**26
 """Bytes of a table; chosen: half a million rows, seven hours."""
 MAX_GAP = 0.25
@@ -66,7 +68,7 @@ class Log:
 
     Attributes:
         name: name of the file or folder.
-        kind: `bag`, `tub` or `table`.
+        kind: `bag`, `tub`, `table`, or `located` for a table that `ds recording locate` wrote.
         sha256: SHA-256 over the files that were read, one after the other.
         drives: parts without gaps.
     """
@@ -242,7 +244,8 @@ def _read_table(path: Path) -> Log:
             f"{path}: time_s, or all of {', '.join(_TABLE_COLUMNS[3:])}, are no numbers: record the motion, too"
         )
     commands = np.column_stack((steering, throttle)).clip(-1.0, 1.0)
-    return Log(name=path.name, kind="table", sha256=_digest([path]), drives=drives_of(times, commands, measured))
+    kind = "located" if _LOCATED_ONLY in columns else "table"
+    return Log(name=path.name, kind=kind, sha256=_digest([path]), drives=drives_of(times, commands, measured))
 
 
 def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:

@@ -23,7 +23,8 @@ from ds_twin_donkey.excitation import (
 )
 from ds_twin_donkey.fit import FitSettings, fit
 from ds_twin_donkey.fit_picture import draw_fit
-from ds_twin_donkey.logs import Log, LogError, drives_of, read_log
+from ds_twin_donkey.located import Mounting, find_mounting, fit_located, rough_start
+from ds_twin_donkey.logs import Drive, Log, LogError, drives_of, read_log
 from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.residuals import Problem
@@ -243,6 +244,57 @@ def test_gaps_and_reverse_throttle_end_a_drive() -> None:
     commands[40:45, 1] = -0.5
     drives = drives_of(times, commands, np.ones((60, 5)))
     assert [len(d.commands) for d in drives] == [20, 20, 15]
+
+
+def located_drive(car: DonkeyParameters, mounting: Mounting, rng: np.random.Generator, frames: int) -> Drive:
+    """A drive whose poses are those of another point, noisy, and smoothed over five images."""
+    commands = np.column_stack((np.repeat(rng.uniform(-0.7, 0.7, frames // 5), 5), np.full(frames, 0.5)))
+    poses = mounting.to_pose(rollout(car, commands)[:-1, [0, 1, 2, 3, 5]])
+    poses = poses + rng.normal(size=poses.shape) * (0.01, 0.01, 0.03, 0.1, 0.2)
+    smooth = np.column_stack([np.convolve(column, np.ones(5) / 5, "valid") for column in poses.T])
+    return Drive(commands=commands[2:-2], measured=smooth, from_rest=False)
+
+
+@pytest.mark.parametrize(("lock", "delay", "full_duty"), [(0.42, 0.19, 0.19), (0.57, 0.06, 0.6)])
+def test_camera_and_start_are_found_from_smoothed_poses(lock: float, delay: float, full_duty: float) -> None:
+    """At 0.7 and 2 m/s; the second motor is three times as strong as the nominal one, beyond what a fit reaches."""
+    car = P.changed(max_steering_angle=lock, command_delay=delay, full_duty=full_duty)
+    true = Mounting(forward=0.08, yaw=-0.02)
+    drive = located_drive(car, true, np.random.default_rng(4), 600)
+    found = find_mounting([drive], P)
+    assert found.forward == pytest.approx(0.08, abs=0.02) and found.yaw == pytest.approx(-0.02, abs=0.005)
+    start = rough_start(found.centred([drive]), P)
+    assert start.full_duty == pytest.approx(full_duty, rel=0.3)
+    assert 0.7 < start.max_steering_angle / lock < 1.4 and 0.4 < start.command_delay / delay < 2.5
+
+
+@pytest.mark.long
+def test_a_located_recording_is_fitted_with_its_camera() -> None:
+    drive = located_drive(P.changed(max_steering_angle=0.45), Mounting(forward=0.08), np.random.default_rng(6), 200)
+    settings = FitSettings(window_seconds=2.0, max_evaluations=4, names=("max_steering_angle",))
+    fitted, mounting = fit_located([drive], settings=settings)
+    assert fitted.parameters.max_steering_angle == pytest.approx(0.45, rel=0.08)
+    assert mounting.forward == pytest.approx(0.08, abs=0.02)
+
+
+def test_a_located_recording_is_known_by_its_table_and_refused_if_short(tmp_path: Path) -> None:
+    drive = located_drive(P, Mounting(), np.random.default_rng(6), 20)
+    assert find_mounting([], P) == Mounting()
+    with pytest.raises(FitError, match="record longer ones"):
+        fit_located([drive])
+    path = tmp_path / "located.csv"
+    rows = [f"{0.05 * k},0.1,0.5,{0.1 * k},0.01" for k in range(4)]
+    for column, kind in (("std_lateral_m", "located"), ("note", "table")):
+        path.write_text("\n".join([f"time_s,steering,throttle,x_m,{column}", *rows]))
+        assert read_log(tmp_path).kind == kind
+
+
+def test_poses_are_moved_to_the_car_and_back() -> None:
+    """A point 0.1 m ahead of a car at the origin that looks along y, and looks 0.2 rad to the left of it."""
+    mounting, car = Mounting(forward=0.1, yaw=0.2), np.array([[0.0, 0.0, np.pi / 2, 1.0, 0.5]])
+    pose = mounting.to_pose(car)
+    assert pose[0] == pytest.approx([0.0, 0.1, np.pi / 2 + 0.2, 1.0, 0.5])
+    assert mounting.to_car(pose) == pytest.approx(car)
 
 
 def test_a_table_of_motion_is_a_log(tmp_path: Path) -> None:
