@@ -26,6 +26,7 @@ from ds_sim.conditions.model import Conditions
 from ds_sim.parts import Scene, Vehicle
 from ds_sim.registry import spec_of
 from ds_sim.simulator import FRAME_TIME, HALF_LANE, Command, SimulatorSpec, VehicleState
+from ds_twin_donkey.parameters import DonkeyParameters
 
 Array = NDArray[np.float64]
 WIDTH, HEIGHT = 160, 120
@@ -55,7 +56,7 @@ LOOP = 0.9 * np.array([
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """One recording: simulator, seed, `loop` or `open` road, frames at most, and what is wrong with it on purpose.
+    """One recording: simulator, seed, `loop` or `open` road, frames at most, what is wrong, sensors, and `donkey`'s car.
 
     Sensors are `good`, or `bad`: the encoder reads a fifth too much, and the gyroscope is upside down.
     """
@@ -66,6 +67,7 @@ class Plan:
     frames: int = 1500
     fault: str = ""
     sensors: str = ""
+    car: DonkeyParameters | None = None
 
 
 def line_distance(spec: SimulatorSpec) -> float:
@@ -108,7 +110,7 @@ def parts_of(plan: Plan) -> tuple[SimulatorSpec, Vehicle, Scene]:
     if plan.simulator == "donkey":
         from ds_twin_donkey.vehicle import DonkeyVehicle
 
-        vehicle = DonkeyVehicle()
+        vehicle = DonkeyVehicle(plan.car)
         scene = PaintedScene(camera_of(spec), spec.look)
     else:
         from ds_sim_panda.scene.panda_scene import PandaScene
