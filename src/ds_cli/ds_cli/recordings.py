@@ -33,11 +33,12 @@ def locate_command(
         str | None,
         typer.Option(help="Field or topic of speeds, yaw rates or poses; `none`; all if omitted."),
     ] = None,
+    centre: Annotated[str, typer.Option(help="Colour of the centre line: yellow, green or blue.")] = "yellow",
     as_json: JsonFlag = False,
 ) -> None:
     """Find where the car was in every image of a recording, and the track it drove on.
 
-    Looks for a yellow centre line between two white edge lines. A recording that cannot carry this is refused.
+    Looks for a coloured centre line between two white edge lines. A recording that cannot carry this is refused.
     """
     from ds_driver.data.recordings import Reading
     from ds_recording.floor_camera import read_camera
@@ -50,7 +51,7 @@ def locate_command(
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     try:
         known = read_camera(camera)
-        views = read_views(source, reading, say, odometry)
+        views = replace(read_views(source, reading, say, odometry), centre=centre)
         found, fit = located_of(views, known, lane_width, progress=countdown())
         found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})
         write_located(out, found)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.lane_view import find_lines
+from ds_driver.sim2real.lane_view import YELLOW, find_lines
 from ds_recording.floor_camera import FloorCamera
 
 Array = NDArray[np.float64]
@@ -21,6 +21,9 @@ FARTHEST = 7.0
 """Distance of the farthest points that are used, lane widths; chosen: beyond, a pixel is longer than a dash."""
 MOST = 45
 """Points of one colour that are kept; chosen: more are neighbours that tell the same."""
+CENTRES = {"yellow": YELLOW, "green": (-1.16, 0.81), "blue": (0.25, -1.39)}
+"""Colour of the centre line -> weights of a and b of CIE Lab; chosen: the hues of green and blue paint, 145 and 280
+degrees, as long as yellow's. Red and orange are found as yellow."""
 PIXEL = 0.7
 """Standard deviation of a point across its line, px; chosen: a mask's edge is known within a pixel on either side."""
 
@@ -31,7 +34,7 @@ class LinePoints:
 
     Attributes:
         floor: ahead and left of the car, (n, 2).
-        white: whether a point is white, of an edge, or yellow, of the middle, (n,).
+        white: whether a point is white, of an edge, or coloured, of the middle, (n,).
         spread: derivative of `floor` by column and row times `PIXEL`, (n, 2, 2).
         pixels: columns and rows, (n, 2).
     """
@@ -45,18 +48,21 @@ class LinePoints:
         return len(self.floor)
 
 
-def line_pixels(image: NDArray[np.uint8], first_row: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+def line_pixels(
+    image: NDArray[np.uint8], first_row: int, centre: str = "yellow"
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Find the middles of lines, where they are crossed squarely along a row or a column of the image.
 
     Args:
         image: (rows, columns, 3) uint8 RGB.
         first_row: of those that can show the floor.
+        centre: colour of the centre line, a key of `CENTRES`.
 
     Returns:
         Middles (n, 2) px, ends of the crossing (n, 2, 2) px, whether white (n,).
     """
-    lines = find_lines(image)
-    # Between a white and a yellow line the road itself looks like a ridge, but it is no brighter than elsewhere.
+    lines = find_lines(image, CENTRES[centre])
+    # Between a white and a coloured line the road itself looks like a ridge, but it is no brighter than elsewhere.
     palest = image.min(axis=2)
     bright = palest > np.quantile(palest[max(first_row, 0) :], 0.75) + BRIGHTER
     parts = []

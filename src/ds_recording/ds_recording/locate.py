@@ -16,7 +16,7 @@ from ds_recording.errors import RecordingError
 from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.hints import Hint, HintFinder
-from ds_recording.lines import LinePoints, line_pixels, points_on_floor
+from ds_recording.lines import CENTRES, LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Motion, MotionFinder
 from ds_recording.mounting import mount
@@ -24,6 +24,7 @@ from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import Evidence, Smoother, Solution
 from ds_recording.track import Track
+from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -79,7 +80,7 @@ def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progr
     for index, image in enumerate(images):
         hints.append(before.see(image))
         motions.append(finder.see(image, float(seconds[index] - seconds[index - 1]) if index else 0.0, hints[-1]))
-        lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1), seen))
+        lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1, views.centre), seen))
         if index % 500 == 499:
             progress(index + 1, len(images), "images looked at")
     return Evidence(times=seconds, lines=lines, motions=motions, hints=hints, steering=views.steering)
@@ -151,11 +152,13 @@ def check_evidence(evidence: Evidence) -> None:
     if lined < LEAST_LINES:
         raise RecordingError(
             f"{1.0 - lined:.0%} of the images show no lane lines, expected at most {1.0 - LEAST_LINES:.0%}: a yellow "
-            "centre line between two white ones is looked for below the horizon; check camera and lane width"
+            "centre line (or --centre) between white ones is looked for below the horizon; check camera and lane width"
         )
     yellow = float(np.mean([bool((~points.white).any()) for points in evidence.lines]))
     if yellow < 0.5 * LEAST_LINES:
-        raise RecordingError(f"only {yellow:.0%} of the images show a yellow centre line, expected 25%: none is found")
+        raise RecordingError(
+            f"only {yellow:.0%} of the images show the centre line, expected 25%: say its colour with --centre"
+        )
 
 
 def solve(evidence: Evidence) -> Fit:
@@ -173,7 +176,7 @@ def solve(evidence: Evidence) -> Fit:
     track = guess_track(evidence.lines, poses)
     if track is None:
         raise RecordingError(
-            "the lines of most images fit no road with a yellow centre line and white edges, one lane width apart: "
+            "the lines of most images fit no road with a coloured centre line and white edges, one lane width apart: "
             "check --lane-width and the camera"
         )
     solution = Smoother(evidence, poses, track).solve()
@@ -228,6 +231,7 @@ def in_metres(
         "frames": views.total,
         "located": float(fit.located.sum()) / views.total,
         "closed": track.closed,
+        "centre": views.centre,
         "lane_width_m": lane_width,
         "calibration": calibration,
         "versions": {name: version(name) for name in LIBRARIES},
@@ -264,6 +268,10 @@ def located_of(
         )
     started = time.monotonic()
     calibration = "given"
+    if views.centre not in CENTRES:
+        raise RecordingError(
+            f"centre line {abbreviated(views.centre)}, expected {', '.join(CENTRES)}: red and orange count as yellow"
+        )
     if not camera.mounted:
         calibration = "chessboard"
         camera = mount(views, camera, lane_width)

@@ -49,7 +49,7 @@ def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
     """
     rows, columns = views.images[0].shape[:2]
     chosen = np.linspace(0, len(views.images) - 1, IMAGES + 2)[1:-1].round().astype(int).tolist()
-    lines = [line_pixels(views.images[index], rows // 3) for index in chosen]
+    lines = [line_pixels(views.images[index], rows // 3, views.centre) for index in chosen]
     found = mounted(camera.resized(columns, rows).scaled(1.0 / lane_width), lines)
     return replace(camera, height_m=(found.height_m or 1.0) * lane_width, pitch_rad=found.pitch_rad)
 
@@ -70,7 +70,7 @@ def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
     lines = [found for found in lines if (~found[2]).sum() >= 4 and found[2].sum() >= 4]
     if len(lines) < LEAST_IMAGES:
         raise RecordingError(
-            f"only {len(lines)} of the chosen images show yellow and white lines, expected {LEAST_IMAGES}: measure "
+            f"only {len(lines)} of the chosen images show coloured and white lines, expected {LEAST_IMAGES}: measure "
             "height and pitch of the camera, and write them into its file"
         )
     best: tuple[float, FloorCamera, list[Array]] | None = None

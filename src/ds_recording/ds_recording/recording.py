@@ -48,6 +48,7 @@ class Views:
         steering: -1 full left to +1 full right; NaN where unknown, (n,).
         throttle: NaN where unknown, (n,).
         odometry: other sources of motion.
+        centre: colour of the centre line, a key of `ds_recording.lines.CENTRES`.
     """
 
     recording: Recording
@@ -59,6 +60,7 @@ class Views:
     steering: Array
     throttle: Array
     odometry: list[Source]
+    centre: str = "yellow"
 
 
 def read_views(path: Path, reading: Reading, say: Say = lambda _line: None, odometry: str | None = None) -> Views:

@@ -62,7 +62,10 @@ TEXTURE = np.random.default_rng(5).normal(0.0, 1.0, (512, 512)).astype(np.float3
 TEXTURE = cv2.GaussianBlur(TEXTURE, (0, 0), 2.0) * 60.0  # no finer than the pixels that show it
 
 
-def picture(pose: Array, *, lines: bool = True) -> NDArray[np.uint8]:
+PAINTS = {"yellow": (225, 185, 40), "green": (40, 150, 70), "blue": (40, 80, 190)}
+
+
+def picture(pose: Array, *, lines: bool = True, paint: tuple[int, int, int] = PAINTS["yellow"]) -> NDArray[np.uint8]:
     """What a pinhole without distortion sees of the floor, with four rays a pixel."""
     image = np.zeros((240, 320, 3), np.float32)
     columns, rows = np.meshgrid((np.arange(320) - 0.5) / 2, (np.arange(240) - 0.5) / 2)
@@ -76,7 +79,7 @@ def picture(pose: Array, *, lines: bool = True) -> NDArray[np.uint8]:
     grain = TEXTURE[(np.floor(x * 200) % 512).astype(int), (np.floor(y * 200) % 512).astype(int)]
     image[:] = (80 + grain)[..., None]
     if lines:
-        image[(np.abs(offset) < 0.012) & (along % 0.2 < 0.12)] = (225, 185, 40)
+        image[(np.abs(offset) < 0.012) & (along % 0.2 < 0.12)] = paint
         image[np.abs(np.abs(offset) - WIDTH) < 0.012] = (235, 235, 235)
     image[descent < 0.02] = (120, 150, 200)
     small = cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA)
@@ -185,6 +188,11 @@ def refused(tmp_path: Path, images: list[NDArray[np.uint8]]) -> str:
     return str(error.value)
 
 
+def test_a_colour_that_is_not_looked_for_is_refused(solved: Solved) -> None:
+    with pytest.raises(RecordingError, match="'pink', expected yellow, green, blue"):
+        located_of(replace(solved[0], centre="pink"), CAMERA, WIDTH)
+
+
 def test_shuffled_images_are_refused(tmp_path: Path, pictures: list[NDArray[np.uint8]]) -> None:
     order = np.random.default_rng(3).permutation(FRAMES)
     assert "shuffled" in refused(tmp_path, [pictures[i] for i in order])
@@ -213,9 +221,13 @@ def test_times_that_make_no_sense_are_refused() -> None:
     assert longest_stretch(path, np.concatenate((even[:150], 100.0 + even[:300])), 450) == (150, 450)
 
 
-def test_points_of_lines_lie_on_the_lines(pictures: list[NDArray[np.uint8]]) -> None:
+@pytest.mark.parametrize(("centre", "paint"), [*PAINTS.items(), ("yellow", (200, 60, 40))])
+def test_points_of_lines_lie_on_the_lines(centre: str, paint: tuple[int, int, int]) -> None:
     pose, offset = drive().poses[40], []
-    found = points_on_floor(line_pixels(pictures[40], 30), CAMERA.scaled(1 / WIDTH))
+    image = picture(pose, paint=paint)
+    found = points_on_floor(line_pixels(image, 30, centre), CAMERA.scaled(1 / WIDTH))
+    other = "blue" if centre == "yellow" else "yellow"
+    assert (~points_on_floor(line_pixels(image, 30, other), CAMERA.scaled(1 / WIDTH)).white).sum() < 4
     near = found.floor[:, 0] < 3.0
     x = pose[0] + WIDTH * (found.floor[:, 0] * np.cos(pose[2]) - found.floor[:, 1] * np.sin(pose[2]))
     y = pose[1] + WIDTH * (found.floor[:, 0] * np.sin(pose[2]) + found.floor[:, 1] * np.cos(pose[2]))

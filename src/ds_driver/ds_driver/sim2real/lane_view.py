@@ -19,6 +19,8 @@ WIDEST = 0.14
 MIN_YELLOW = 20.0
 """Least surplus of yellowness (a + b of CIE Lab) of a line over its surroundings; chosen on photographs: reflections
 and wood reach 15, worn tape 25."""
+YELLOW = (1.0, 1.0)
+"""Weights of a and b of CIE Lab in yellowness; red and orange have as much of it."""
 YELLOW_ITSELF = 18.0
 """Least yellowness of the line itself; chosen on photographs: beige on blue has a surplus, but hardly any itself."""
 MIN_WHITE = 20.0
@@ -62,13 +64,19 @@ class Lines:
     white: Mask
 
 
-def find_lines(image: NDArray[np.uint8]) -> Lines:
-    """Find the lines in an image, (rows, columns, 3) uint8 RGB."""
+def find_lines(image: NDArray[np.uint8], colour: tuple[float, float] = YELLOW) -> Lines:
+    """Find the lines in an image.
+
+    Args:
+        image: (rows, columns, 3) uint8 RGB.
+        colour: of the line to the left of the lane, as weights of a and b of CIE Lab.
+    """
     lab = cv2.cvtColor(image.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
     lightness, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
     side = max(3, round(WIDEST * image.shape[1])) | 1
     smallest = round(SMALLEST * (image.shape[1] / REFERENCE_COLUMNS) ** 2)
-    yellow = _without_specks((_ridges(a + b, side) > MIN_YELLOW) & (a + b > YELLOW_ITSELF), smallest)
+    yellowness = colour[0] * a + colour[1] * b
+    yellow = _without_specks((_ridges(yellowness, side) > MIN_YELLOW) & (yellowness > YELLOW_ITSELF), smallest)
     rim = round(HALO * image.shape[1]) | 1
     near_yellow = cv2.dilate(yellow.astype(np.uint8), np.ones((rim, rim), np.uint8)) > 0
     white = (_ridges(lightness - np.hypot(a, b), side) > MIN_WHITE) & ~near_yellow
