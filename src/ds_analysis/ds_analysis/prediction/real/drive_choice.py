@@ -17,7 +17,7 @@ from scipy.stats import beta
 
 from ds_analysis.common.outcome_table import OutcomeTable, State
 from ds_analysis.common.statistics import Array, Indices
-from ds_analysis.prediction.twin_prediction import TwinPrediction
+from ds_analysis.prediction.twin_prediction import TwinPrediction, of_any_kind
 
 DRAWS = 500
 """Draws behind the covariances of tests; chosen: a choice among thousands of tests takes a second."""
@@ -223,7 +223,8 @@ def worth_of(table: OutcomeTable, before: TwinPrediction, after: TwinPrediction)
         low, high = np.quantile(prediction.draws(rows=rows, outcomes=False).mean(axis=1), (_LOW, _HIGH))
         return float(high - low)
 
-    limit = replace(before, coefficients=before.population.limit)
+    known = replace(before.population, twin=before.population.limit)
+    limit = replace(before, coefficients=of_any_kind(known, before.coefficients.shares))
     widths = width(before), min(width(limit), width(before)), width(after)
     probabilities = before.probabilities()[rows]
     mean = float(probabilities.mean())
