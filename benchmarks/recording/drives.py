@@ -56,7 +56,7 @@ LOOP = 0.9 * np.array([
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """One recording: simulator, seed, `loop` or `open` road, frames at most, what is wrong, sensors, and `donkey`'s car.
+    """One recording: simulator, seed, `loop` or `open` road, frames at most, what is wrong, sensors, `donkey`'s car.
 
     Sensors are `good`, or `bad`: the encoder reads a fifth too much, and the gyroscope is upside down.
     """
