@@ -85,6 +85,12 @@ def processor_time(pid: int) -> float:
     return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
 
 
+def catches(pid: int, number: signal.Signals) -> bool:
+    """Whether a process has a handler for a signal (proc(5): `SigCgt`)."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return bool(int(status.partition("SigCgt:")[2].split()[0], 16) >> (number - 1) & 1)
+
+
 def runnable() -> float:
     """Count processes that run or wait for a core: the average of the last minute, or the current number if higher."""
     average, _, _, now, _ = Path("/proc/loadavg").read_text().split()
@@ -92,11 +98,16 @@ def runnable() -> float:
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("after", [0.1, 0.5, 1.2])
+@pytest.mark.parametrize("after", [0.0, 0.5, 1.2])
 def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal.Signals, after: float) -> None:
-    """While Python starts, while PyTorch is imported, while the network is loaded; in seconds of CPU time."""
+    """As soon as our first lines have run, while PyTorch is imported, while the network is loaded; in s of CPU time."""
     process = start("ds_driver/driver", domain)
-    used, since = 0.0, time.monotonic()
+    # Before, Python has its own handlers; how long it takes to start depends on the machine.
+    while not catches(process.pid, signal.SIGTERM):
+        assert process.poll() is None
+        time.sleep(0.002)
+    used, since = processor_time(process.pid), time.monotonic()
+    after += used
     # A fast machine is ready before; then the processor time stands still.
     while used < after and time.monotonic() < since + 1.0:
         time.sleep(0.005)

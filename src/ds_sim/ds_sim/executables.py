@@ -21,11 +21,12 @@ def start(module: str, *arguments: str) -> None:
     """
     readable, writable = os.pipe()
     os.set_blocking(writable, False)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _leave_to_thread)
     # Python calls a handler between two bytecodes only; C writes the wake-up byte at once.
     signal.set_wakeup_fd(writable, warn_on_full_buffer=False)
     threading.Thread(target=_exit_on_signal, args=(readable,), name="start", daemon=True).start()
+    # Last: a signal that is caught before its byte can be written would be lost.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _leave_to_thread)
     import_module(module).main(*arguments)
 
 
