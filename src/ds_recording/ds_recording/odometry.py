@@ -140,15 +140,15 @@ def read_sources(recording: Recording, start: float, wanted: str | None = None) 
     """Read what a recording says about motion beside its images.
 
     Args:
-        recording: bag or tub; what a simulator of this project reports as the truth is no sensor.
+        recording: bag or tub; odometry in a bag of this project is a simulator's truth, and taken only if it is named.
         start: time of the images' second zero on the recording's clock, s.
-        wanted: a tub's field or a bag's topic; `none` for nothing; all if None.
+        wanted: a tub's field or a bag's topic; `none` for nothing; all sensors if None.
 
     Raises:
         RecordingError: there is no such field or topic, or far too much of it.
         ds_bags.layout.BagError: a message is damaged.
     """
-    if wanted == "none":
+    if wanted == "none" or (wanted is None and recording.kind not in ("tub", "bag")):
         return []
     read = _tub_sources if recording.kind == "tub" else _bag_sources
     found = list(read(recording, start, wanted))

@@ -243,3 +243,6 @@ def test_messages_of_odometry_imu_and_motion_capture_are_read(tmp_path: Path) ->
         off = one.steps - (SHORT * TRUE[:, 0] if part == AHEAD else TRUE[:, 2])
         assert np.sqrt(np.nanmean(off**2)) < 0.003
     assert [s.device for s in read_sources(bag, 100.0, "/imu")] == ["/imu"]
+    # In a bag of this project it would be the simulator's truth, which is taken only if it is named.
+    ours = recording_of(tmp_path / "bag", "bag of ours")
+    assert not read_sources(ours, 100.0) and len(read_sources(ours, 100.0, "/imu")) == 1
