@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import math
+import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,7 +43,8 @@ ROBORACER = {
 }
 """Meaning -> keys in f1tenth_gym's parameters, f1tenth_simulator's params.yaml, and f1tenth_system's vesc.yaml."""
 DONKEY = {"wheelbase": "WHEEL_BASE", "track": "AXLE_LENGTH", "max_steering_angle": "MAX_STEERING_ANGLE"}
-"""Parameter -> key of `myconfig.py` (templates complete and path_follow)."""
+"""Parameter -> key of `myconfig.py`, in Donkey Car's template path_follow."""
+ARITHMETIC = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def _of_myconfig(text: str) -> dict[str, float]:
     for line in lines:
         if isinstance(line, ast.Assign) and len(line.targets) == 1 and isinstance(line.targets[0], ast.Name):
             value = _literal(line.value)
-            # The pulse counts stand in a mapping of the drive train since version 4.4, at the top before.
+            # The pulse counts stand in a mapping of the drive train, or at the top.
             given |= value if isinstance(value, dict) else {line.targets[0].id: value}
     given = {name: value for name, value in given.items() if value is not None}
     found = {name: _number(key, given[key]) for name, key in DONKEY.items() if key in given}
@@ -116,7 +118,14 @@ def _of_myconfig(text: str) -> dict[str, float]:
 
 
 def _literal(value: ast.expr) -> Any:
-    """Value of a literal or of `math.radians(literal)`; None for anything else."""
+    """Value of a literal, of arithmetic on numbers, or of `math.radians(number)`; None for anything else."""
+    if isinstance(value, ast.BinOp) and type(value.op) in ARITHMETIC:
+        try:
+            sides = [_literal(side) for side in (value.left, value.right)]
+            numbers = all(isinstance(side, int | float) for side in sides)
+            return ARITHMETIC[type(value.op)](*sides) if numbers else None
+        except (ArithmeticError, RecursionError):
+            return None
     if isinstance(value, ast.Call) and ast.unparse(value.func) == "math.radians" and len(value.args) == 1:
         degrees = _literal(value.args[0])
         return math.radians(degrees) if isinstance(degrees, int | float) else None
@@ -135,9 +144,7 @@ def _items(raw: object) -> Iterator[tuple[str, Any]]:
 
 def _of_yaml(raw: object) -> dict[str, float]:
     given = dict(_items(raw))
-    said = {
-        name: _number(key, given[key]) for name, keys in ROBORACER.items() for key in keys if key in given
-    }  # fmt: skip
+    said = {name: _number(key, given[key]) for name, keys in ROBORACER.items() for key in keys if key in given}
     front, rear = said.pop("to_front", 0.0), said.pop("to_rear", 0.0)
     if front > 0.0 and rear > 0.0:
         said |= {"wheelbase": front + rear, "front_share": rear / (front + rear)}
@@ -152,9 +159,7 @@ def _of_yaml(raw: object) -> dict[str, float]:
 
 def _of_urdf(root: Element) -> tuple[dict[str, float], list[str]]:
     """Geometry from the places of the wheels' joints, and a note about the camera, whose pose is no parameter."""
-    if any(
-        "${" in value or "xacro" in element.tag for element in root.iter() for value in (*element.attrib.values(), "")
-    ):
+    if any("xacro" in one.tag or "${" in "".join(one.attrib.values()) for one in root.iter()):
         raise ValueError("a xacro, expected a URDF: type `xacro FILE > car.urdf`")
     joints = {child.get("link", ""): joint for joint in root.iter("joint") for child in joint.iter("child")}
     places = {str(link.get("name")): _place(str(link.get("name")), joints) for link in root.iter("link")}

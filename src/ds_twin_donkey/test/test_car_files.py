@@ -85,6 +85,12 @@ def test_donkey_cars_configuration_is_read_and_never_executed(tmp_path: Path) ->
     assert not (tmp_path / "ran").exists()
 
 
+def test_a_configuration_may_calculate(tmp_path: Path) -> None:
+    lines = "MAX_STEERING_ANGLE = 3.14159 / 8\nWHEEL_BASE = 2 * (0.05 + 0.06) - 0.01\n"
+    found = read_start(written(tmp_path, "myconfig.py", lines)).parameters
+    assert (found.max_steering_angle, found.wheelbase) == pytest.approx((3.14159 / 8, 0.21))
+
+
 def test_roboracers_yaml_is_read_whether_of_the_car_or_of_the_simulator(tmp_path: Path) -> None:
     car = read_start(written(tmp_path, "vesc.yaml", VESC)).parameters
     assert car.wheelbase == 0.25
@@ -111,6 +117,8 @@ def test_a_urdf_gives_wheels_steering_and_the_pose_of_the_camera(tmp_path: Path)
         ("myconfig.py", "__import__('os').system('true')", "nothing about the car's geometry"),
         ("myconfig.py", "WHEEL_BASE = 'long'", "WHEEL_BASE is 'long', expected a number"),
         ("myconfig.py", "WHEEL_BASE = -1", "wheelbase is -1.0, expected a number"),
+        ("myconfig.py", "WHEEL_BASE = 1 / 0", "nothing about the car's geometry"),
+        ("myconfig.py", "WHEEL_BASE = " + "1 + " * 800 + "'a'", "nothing about the car's geometry"),
         ("myconfig.py", "WHEEL_BASE = (", "was never closed"),
         ("myconfig.py", "x = " + "-" * 100_000 + "1", "nested too deeply"),
         ("car.yaml", "{lf: .nan, lr: 0.1}", "lf is nan, expected a number"),
