@@ -51,7 +51,7 @@ def locate_command(
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     try:
         known = read_camera(camera)
-        views = replace(read_views(source, reading, say, odometry), centre=centre)
+        views = read_views(source, reading, say, odometry, centre)
         found, fit = located_of(views, known, lane_width, progress=countdown())
         found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})
         write_located(out, found)

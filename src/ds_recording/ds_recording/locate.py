@@ -16,7 +16,7 @@ from ds_recording.errors import RecordingError
 from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.hints import Hint, HintFinder
-from ds_recording.lines import CENTRES, LinePoints, line_pixels, points_on_floor
+from ds_recording.lines import LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Motion, MotionFinder
 from ds_recording.mounting import mount
@@ -24,7 +24,6 @@ from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import Evidence, Smoother, Solution
 from ds_recording.track import Track
-from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
@@ -268,10 +267,6 @@ def located_of(
         )
     started = time.monotonic()
     calibration = "given"
-    if views.centre not in CENTRES:
-        raise RecordingError(
-            f"centre line {abbreviated(views.centre)}, expected {', '.join(CENTRES)}: red and orange count as yellow"
-        )
     if not camera.mounted:
         calibration = "chessboard"
         camera = mount(views, camera, lane_width)

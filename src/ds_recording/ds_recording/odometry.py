@@ -66,6 +66,8 @@ floor too often to follow it; chosen: of ways that have nothing to do with each 
 SCALE_STD, IMAGE_STD = 0.02, 0.05
 """Deviations of an encoder's metre, and of one in images; chosen: a tyre under load, and half of the 9 % by which
 corners were held back on a soft texture."""
+SURPRISE = 2.0 * math.hypot(SCALE_STD, IMAGE_STD)
+"""Difference of an encoder's metre from that of images from which on it is a surprise: two deviations of both."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -305,7 +307,7 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
     agree = np.abs(off) <= CONTRADICTS * max(_deviation(off[both]), 1e-9)
     deviation = float(np.sqrt(np.mean(off[both & agree] ** 2)))
     left = deviation / max(float(y[agree[both]].std()), 1e-9)
-    if not turn and deviation < EVEN * float(np.median(np.abs(y))) and abs(scale - 1.0) < _tolerance():
+    if not turn and deviation < EVEN * float(np.median(np.abs(y))) and abs(scale - 1.0) < SURPRISE:
         left = min(left, MOST_LEFT)
     residual = _deviation(error[both & agree])
     # What images leave of it, but at least half: they may be worse than they say.
@@ -330,22 +332,17 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
 def _close(steps: Array, seen: Array) -> Array:
     """Ways in images over those of an encoder in metres, around the most frequent of these ratios."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.sort((seen / steps)[np.abs(seen / steps - 1.0) < _tolerance() + CLOSE])
+        ratios = np.sort((seen / steps)[np.abs(seen / steps - 1.0) < SURPRISE + CLOSE])
     if not len(ratios):
         return ratios
     within = np.searchsorted(ratios, ratios + CLOSE) - np.searchsorted(ratios, ratios - CLOSE)
     middle = float(np.median(ratios[within == within.max()]))
-    return ratios[np.abs(ratios - middle) < CLOSE] if abs(middle - 1.0) < _tolerance() else ratios[:0]
+    return ratios[np.abs(ratios - middle) < CLOSE] if abs(middle - 1.0) < SURPRISE else ratios[:0]
 
 
 def _deviation(errors: Array) -> float:
     """Robust standard deviation from zero."""
     return 1.4826 * float(np.median(np.abs(errors)))
-
-
-def _tolerance() -> float:
-    """Difference of an encoder's metre from that of images that is no surprise: two deviations of both."""
-    return 2.0 * math.hypot(SCALE_STD, IMAGE_STD)
 
 
 def hints_of(found: Sequence[Checked], frames: int, lane_width: float) -> list[Hint]:
@@ -365,7 +362,7 @@ def stretch(found: Sequence[Checked]) -> float:
     1 if none is used, or if they differ by more than is no surprise: then the encoder is not calibrated.
     """
     scales = [c.scale for c in found if not c.reason and c.source.part == AHEAD]
-    if not scales or abs(scales[0] - 1.0) > _tolerance():
+    if not scales or abs(scales[0] - 1.0) > SURPRISE:
         return 1.0
     share = IMAGE_STD**2 / (SCALE_STD**2 + IMAGE_STD**2)
     return (share + (1.0 - share) * scales[0]) / scales[0]

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from ds_driver.data.recordings import Reading, Recording, open_recording
 from ds_recording.errors import RecordingError
+from ds_recording.lines import CENTRES
 from ds_recording.odometry import Source, read_sources
+from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
@@ -60,10 +62,16 @@ class Views:
     steering: Array
     throttle: Array
     odometry: list[Source]
-    centre: str = "yellow"
+    centre: str
 
 
-def read_views(path: Path, reading: Reading, say: Say = lambda _line: None, odometry: str | None = None) -> Views:
+def read_views(
+    path: Path,
+    reading: Reading,
+    say: Say = lambda _line: None,
+    odometry: str | None = None,
+    centre: str = "yellow",
+) -> Views:
     """Read the longest stretch without gaps, or the first `MOST_FRAMES` of it.
 
     Args:
@@ -71,11 +79,16 @@ def read_views(path: Path, reading: Reading, say: Say = lambda _line: None, odom
         reading: topics of images and steering.
         say: prints progress.
         odometry: see `ds_recording.odometry.read_sources`.
+        centre: colour of the centre line.
 
     Raises:
-        RecordingError: too few images, or times that make no sense.
+        RecordingError: an unknown colour, too few images, or times that make no sense.
         ds_bags.layout.BagError: neither a bag nor a tub, or a damaged one.
     """
+    if centre not in CENTRES:
+        raise RecordingError(
+            f"centre line {abbreviated(centre)}, expected {', '.join(CENTRES)}: red and orange count as yellow"
+        )
     recording = open_recording(path, reading)
     rows: list[tuple[int, float]] = []
     sizes: set[tuple[int, int]] = set()
@@ -116,6 +129,7 @@ def read_views(path: Path, reading: Reading, say: Say = lambda _line: None, odom
         steering=values[:, 0],
         throttle=values[:, 1],
         odometry=read_sources(recording, start, odometry),
+        centre=centre,
     )
 
 

@@ -188,9 +188,9 @@ def refused(tmp_path: Path, images: list[NDArray[np.uint8]]) -> str:
     return str(error.value)
 
 
-def test_a_colour_that_is_not_looked_for_is_refused(solved: Solved) -> None:
+def test_a_colour_that_is_not_looked_for_is_refused_before_anything_is_read(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="'pink', expected yellow, green, blue"):
-        located_of(replace(solved[0], centre="pink"), CAMERA, WIDTH)
+        read_views(tmp_path / "missing", Reading(whole=True), centre="pink")
 
 
 def test_shuffled_images_are_refused(tmp_path: Path, pictures: list[NDArray[np.uint8]]) -> None:
