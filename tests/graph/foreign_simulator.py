@@ -10,9 +10,12 @@ import math
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
+from rclpy.subscription import Subscription
 from ros_simulator import Simulator, run
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
@@ -26,6 +29,28 @@ class FaultySimulator(Simulator):
     def __init__(self, *, realtime: bool) -> None:
         super().__init__(realtime=realtime)
         self.create_service(Trigger, "reload", self.on_reload)
+        self.waiting: Twist | None = None
+        if FAULT == "preempted":
+            self.preempt()
+
+    def preempt(self) -> None:
+        """Take a command after the next request: so does an executor that is preempted just after it looked for any."""
+        group = self.default_callback_group
+        ended = group.ending_execution
+
+        def ending_execution(entity: Any) -> None:
+            ended(entity)
+            if self.waiting is not None and not isinstance(entity, Subscription):
+                super(FaultySimulator, self).on_command(self.waiting)
+                self.waiting = None
+
+        group.ending_execution = ending_execution
+
+    def on_command(self, message: Twist) -> None:
+        if FAULT == "preempted":
+            self.waiting = message
+        else:
+            super().on_command(message)
 
     def on_reload(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         road = json.loads(ROAD.read_text())

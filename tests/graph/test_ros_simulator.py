@@ -243,6 +243,16 @@ def test_nonsense_is_one_line(alone: Start, tmp_path: Path, fault: str, line: st
     assert line in run.message and "\n" not in run.message
 
 
+def test_a_command_is_taken_before_its_step_whatever_the_executor_sees_first(alone: Start, tmp_path: Path) -> None:
+    digests = []
+    for fault in ("", "preempted"):
+        process, simulator = alone(program=[str(FAULTY)], FAULT=fault), make_simulator(described(tmp_path))
+        digests.append(digest(drive(simulator, BENDS, reference_driver(simulator.spec.autopilot), steps=60)))
+        simulator.close()
+        end(process)
+    assert digests[0] == digests[1]
+
+
 def test_a_road_is_written_before_it_is_reloaded(alone: Start, tmp_path: Path) -> None:
     alone(program=[str(FAULTY)], ROAD=str(tmp_path / "road.json"))
     simulator = make_simulator(described(tmp_path, road={"file": "road.json", "reload": "/reload"}, reset=None))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import fcntl
 import os
 import tempfile
@@ -13,6 +14,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from ds_interfaces.msg import DriveCommand
 from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -36,6 +38,8 @@ from ds_sim_ros.ros.services import POLL, Services
 from ds_sim_ros.settings import RosSettings
 
 TRIGGER = "std_srvs/srv/Trigger"
+RECEIVER_TIME = 2.0
+"""Limit for the name and the parameters of the node of a topic to be discovered, s; chosen: tenths are usual."""
 
 
 class Link:
@@ -57,6 +61,7 @@ class Link:
         init_ros(context=self._context, args=[], domain_id=domain)
         self._node = Node(f"digital_siblings_{os.getpid()}", context=self._context, start_parameter_services=False)
         self._thread = NodeThread(self._node)
+        atexit.register(self.close)  # a thread in ROS aborts an interpreter that ends under it
         try:
             self._connect()
         except BaseException:
@@ -65,13 +70,15 @@ class Link:
 
     def _connect(self) -> None:
         settings = self._settings
-        self._command = _CommandTopic(self._node, settings)
+        self._command = _CommandTopic(self._node, self._thread, settings)
         odometry, image = Inbox(), Inbox()
         self._wait_for(
             settings.command.topic, self._command.type_name, "command", self._node.get_subscriptions_info_by_topic
         )
         self._subscribe(settings.odometry, Odometry, odometry)
         self._subscribe(settings.image, Image, image)
+        if settings.time is not None:
+            self._command.find_receiver()
         self._services = Services(self._node, self._thread, settings.timeout)
         names = (settings.odometry, settings.image)
         self._clock = make_clock(odometry, image, names, settings.timeout, self._services, settings.time)
@@ -123,6 +130,7 @@ class Link:
 
     def close(self) -> None:
         """Leave the ROS graph."""
+        atexit.unregister(self.close)
         self._claim.release()
         if self._thread.end():
             self._node.destroy_node()
@@ -170,8 +178,9 @@ class Link:
 class _CommandTopic:
     """Publishes commands as the message that the simulator knows."""
 
-    def __init__(self, node: Node, settings: RosSettings) -> None:
-        self._node, command, vehicle = node, settings.command, settings.vehicle
+    def __init__(self, node: Node, thread: NodeThread, settings: RosSettings) -> None:
+        self._node, self._thread, command, vehicle = node, thread, settings.command, settings.vehicle
+        self._odometry, self._parameters = settings.odometry, None
         self._timeout = settings.timeout
         self._geometry = Geometry(vehicle.wheelbase, vehicle.max_steering_angle)
         self._kind = KINDS.get(command.type)
@@ -179,13 +188,35 @@ class _CommandTopic:
             self._type = DriveCommand if self._kind is None else message_type(self._kind)
         except ValueError as error:
             raise SimulatorError(f"command.type {command.type}: {error}") from None
-        # Reliable and acknowledged before each step, or a command might reach a simulator after its step.
+        # Reliable and acknowledged before each step, or a command might reach a simulator after its step; see also
+        # `find_receiver`.
         self._publisher = node.create_publisher(self._type, command.topic, 1)
         self.type_name, self._topic = _name_of(self._type), node.resolve_topic_name(command.topic)
 
+    def find_receiver(self) -> None:
+        """Find the parameters of the node that takes commands and publishes the odometry, if it has any.
+
+        A command that has arrived has not been taken yet: an executor that looks for messages, is preempted, and then
+        looks for requests finds the step first. It takes the command before the request after next, so each command is
+        followed by a question that changes nothing.
+        """
+        odometry, deadline = self._node.resolve_topic_name(self._odometry), time.monotonic() + RECEIVER_TIME
+        clients: dict[str, Any] = {}
+        while self._parameters is None and time.monotonic() < deadline:
+            takes = _nodes(self._node.get_subscriptions_info_by_topic(self._topic))
+            for name in takes & _nodes(self._node.get_publishers_info_by_topic(odometry)):
+                if name not in clients:
+                    clients[name] = self._node.create_client(GetParameters, f"{name}/get_parameters")
+                if clients[name].service_is_ready():
+                    self._parameters = clients[name]
+            self._thread.pause(POLL)
+
     def send(self, command: Command, speed: float) -> None:
         self.publish(command, speed)
-        if not self._publisher.wait_for_all_acked(Duration(seconds=self._timeout)):
+        taken = self._publisher.wait_for_all_acked(Duration(seconds=self._timeout))
+        if taken and self._parameters is not None:
+            taken = self._thread.ask(self._parameters, GetParameters.Request(), self._timeout) is not None
+        if not taken:
             raise SimulatorError(f"{self._topic}: no command was taken within {self._timeout:g} s: it hangs")
 
     def publish(self, command: Command, speed: float) -> None:
@@ -205,6 +236,11 @@ class _CommandTopic:
 
     def _now(self) -> Time:
         return self._node.get_clock().now().to_msg()
+
+
+def _nodes(ends: list[TopicEndpointInfo]) -> set[str]:
+    """Full names of the nodes of a topic, of those that are known already."""
+    return {f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in ends if one.node_namespace.startswith("/")}
 
 
 def _name_of(kind: Any) -> str:
