@@ -37,10 +37,10 @@ ROADS, SEED = 25, 424242
 """As on the cards of the shipped networks."""
 
 
-def success_of(weights: Path, folder: Path) -> float:
+def success_of(weights: Path, folder: Path, backend: str, workers: int) -> float:
     """Share of the roads, both ways, that a network completes on the twin; drives of a stopped call are kept."""
     roads = roads_both_ways(ROADS, SEED)
-    settings = DriveSettings(siblings=("donkey",), driver=f"{weights}@{BACKEND}", gates="none")
+    settings = DriveSettings(siblings=("donkey",), driver=f"{weights}@{backend}", gates="none", workers=workers)
     completed = 0
     for way, driven in (("forward", roads), ("reverse", [road.reversed() for road in roads])):
         found = drive_same_roads(settings, driven, SEED, folder / way, Progress(say=print))["donkey"]
@@ -56,6 +56,8 @@ def main() -> None:
     parser.add_argument("training", type=Path)
     parser.add_argument("--name", choices=SUCCESS, required=True)
     parser.add_argument("--out", type=Path, default=NETWORKS)
+    parser.add_argument("--backend", default=BACKEND)
+    parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
     name, architecture = arguments.name, arguments.name.removesuffix("_real")
     found: dict[str, float] = {}
@@ -66,7 +68,8 @@ def main() -> None:
             file = files[step] = file.with_name(f"{architecture}_{step}_8.safetensors")
             if not file.exists():
                 compress(arguments.training / f"{architecture}_{step}.safetensors", file)
-        found[step] = success_of(file.resolve(), arguments.training / "assessed" / step)
+        there = arguments.training / "assessed" / step
+        found[step] = success_of(file.resolve(), there, arguments.backend, arguments.workers)
         print(f"{name}: {found[step]:.2f} after {step} steps, {SUCCESS[name]} in the paper", flush=True)
     chosen = min(reversed(files), key=lambda step: abs(found[step] - SUCCESS[name]))
     arguments.out.mkdir(exist_ok=True)
@@ -79,7 +82,7 @@ def main() -> None:
         "success_on_the_twin": found[chosen],
         "paper": SUCCESS[name],
         "success_by_step": found,
-        "backend": BACKEND,
+        "backend": arguments.backend,
         "drives": {"roads": ROADS, "ways": 2, "seed": SEED},
         "sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
     }
