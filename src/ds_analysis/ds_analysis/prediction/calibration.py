@@ -57,23 +57,20 @@ def share_held(ranks: Sequence[float]) -> float | None:
     return float(((inside >= (1 - COVERAGE) / 2) & (inside <= (1 + COVERAGE) / 2)).mean())
 
 
-def forecast_cells(
-    table: OutcomeTable, prediction: TwinPrediction, *, fewest: int = 1, seed: int = SEED
-) -> list[CellForecast]:
+def forecast_cells(table: OutcomeTable, prediction: TwinPrediction, *, fewest: int = 1) -> list[CellForecast]:
     """Forecast the failure rate of the tests of every cell.
 
     Args:
         table: outcomes.
         prediction: of the table's tests.
         fewest: tests that a cell must have.
-        seed: seed of the drawn outcomes.
     """
     known = None if table.twin is None else table.known(table.twin)
     members: dict[tuple[int, ...], list[int]] = {}
     for k, cell in enumerate(table.cells):
         if cell is not None and table.on_siblings[k] and (known is None or known[k]):
             members.setdefault(cell, []).append(k)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     found = []
     for cell in sorted(cell for cell, rows in members.items() if len(rows) >= fewest):
         rows = np.array(members[cell])

@@ -122,14 +122,14 @@ def _split_generators(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def received_driver(driver: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> str:
+def received_driver(driver: object, *, confirmed: Collection[str] = ()) -> str:
     """Check and return a driver's name that was read from a received file, before anything is loaded.
 
     The autopilot, shipped networks, safetensors weights, and described ONNX or TensorFlow Lite files run no code of
     their own. A Python class runs its module, and a TorchScript file is a program that can write files: the user has
-    to confirm such a name with an option.
+    to confirm such a name with `--trust`.
 
-    The user gave `confirmed` names on the command line, with `option`, or in their own configuration.
+    The user gave `confirmed` names on the command line or in their own configuration.
 
     Raises:
         DriverError: the name is not text, would run unconfirmed code, or has no readable description.
@@ -153,5 +153,5 @@ def received_driver(driver: object, *, confirmed: Collection[str] = (), option: 
     shown = repr(driver) if len(driver) <= 100 else f"{driver[:100]!r}..."
     raise DriverError(
         f"driver {shown} is {what} and a received file must not run code: if you trust it, name it yourself with "
-        f"{option} {shown}"
+        f"--trust {shown}"
     )

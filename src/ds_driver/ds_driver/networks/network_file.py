@@ -40,8 +40,8 @@ LARGEST_FILE = 2**29
 
 
 @contextmanager
-def limited_memory(extra: int = NETWORK_MEMORY) -> Iterator[None]:
-    """Make allocations fail beyond the present address space plus `extra` bytes.
+def limited_memory() -> Iterator[None]:
+    """Make allocations fail beyond the present address space plus `NETWORK_MEMORY`.
 
     A graph of three nodes can ask for terabytes, and the runtimes set no limit. The limit applies to the whole process,
     other threads included; nested and concurrent uses keep the first limit.
@@ -52,7 +52,7 @@ def limited_memory(extra: int = NETWORK_MEMORY) -> Iterator[None]:
         if _inside == 1:
             _before = resource.getrlimit(resource.RLIMIT_AS)
             pages = int(Path("/proc/self/statm").read_text().split()[0])
-            wanted = pages * resource.getpagesize() + extra
+            wanted = pages * resource.getpagesize() + NETWORK_MEMORY
             limits = [limit for limit in (*_before, wanted) if limit != resource.RLIM_INFINITY]
             resource.setrlimit(resource.RLIMIT_AS, (min(limits), _before[1]))
     try:

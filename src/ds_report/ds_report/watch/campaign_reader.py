@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -55,15 +54,14 @@ class CampaignReader:
 
     Args:
         folder: campaign folder.
-        clock: s since 1970.
 
     Raises:
         ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or a damaged one.
         ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
     """
 
-    def __init__(self, folder: Path, clock: Callable[[], float] = time.time) -> None:
-        self.folder, self._clock = folder, clock
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
         with self._opened() as store:
             self._known = _Known(config=config_of(store))
 
@@ -97,7 +95,7 @@ class CampaignReader:
             )
         # The cells were computed with the trajectories, which are not kept.
         vars(data)["cells"] = dict(known.cells)
-        now = self._clock()
+        now = time.time()
         live = read_live(self.folder, now)
         driven = len(known.executions) + len(data.excluded)
         complete = known.config.elites_only or driven >= known.config.executions_at_most

@@ -86,18 +86,15 @@ def reversed_rays(spec: CameraSpec, samples: int) -> NDArray[np.float32]:
     return table
 
 
-def components(
-    rays: NDArray[np.float32], axis: Sequence[float], out: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
+def components(rays: NDArray[np.float32], axis: Sequence[float]) -> NDArray[np.float32]:
     """Components of rays along an axis, (...): scalar products without BLAS, which rounds by the type of processor.
 
     Args:
         rays: (3, ...).
         axis: three numbers, which are rounded to single precision.
-        out: memory for the result.
     """
     first, second, third = axis
-    out = np.multiply(rays[0], np.float32(first), out)
+    out = np.multiply(rays[0], np.float32(first))
     cv2.scaleAdd(rays[1], second, out, out)
     cv2.scaleAdd(rays[2], third, out, out)
     return out

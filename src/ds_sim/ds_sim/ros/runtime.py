@@ -183,7 +183,7 @@ def _spin_all(nodes: list[Node], stop: Stop) -> None:
         raise _failures.pop()
 
 
-def run_node(*make_nodes: Callable[[], Node], args: list[str] | None = None) -> int:
+def run_node(*make_nodes: Callable[[], Node]) -> int:
     """Make nodes and spin them; the exit status is 0, or 2 when a node could not be made, or ended, for bad input.
 
     SIGINT and SIGTERM end them within a second. A ValueError is printed in one line. Each node has a thread of its own,
@@ -191,13 +191,12 @@ def run_node(*make_nodes: Callable[[], Node], args: list[str] | None = None) -> 
 
     Args:
         make_nodes: make one node each, in this order.
-        args: command line; `sys.argv` if None.
     """
     stop = Stop()
     nodes: list[Node] = []
     try:
         # rclpy's own handlers would shut the context down while the node is being created.
-        init_ros(args=args)
+        init_ros()
         for make_node in make_nodes:
             nodes.append(make_node())
         stop.interrupts = False

@@ -65,13 +65,12 @@ class Certificate:
         )
 
 
-def certify(bets: Sequence[Bet], tests: int, *, alpha: float = ALPHA) -> Certificate:
+def certify(bets: Sequence[Bet], tests: int) -> Certificate:
     """Bound the number of failing tests among all.
 
     Args:
         bets: all drives so far, in their order.
         tests: number of tests that can be driven, those that were among them.
-        alpha: probability with which the bounds may be wrong at any time.
 
     Examples:
         >>> found = certify([Bet(failed=False, drawn=True)] * 60, tests=200)
@@ -90,7 +89,7 @@ def certify(bets: Sequence[Bet], tests: int, *, alpha: float = ALPHA) -> Certifi
             helped = plain - (bet.predicted - bet.mean_predicted)
             log_capital[0] += np.log1p(stakes[:, None] * plain)
             log_capital[1] += np.log1p(0.5 * stakes[:, None] * helped)  # which lies between -2 and 2
-            kept &= _mean_capital(log_capital) < 1.0 / alpha
+            kept &= _mean_capital(log_capital) < 1.0 / ALPHA
         failures, left = failures + bet.failed, left - 1
         kept &= (total >= failures) & (total <= failures + left)
     possible = np.flatnonzero(kept)
@@ -105,19 +104,18 @@ def _mean_capital(log_capital: Array) -> Array:
     return np.asarray(np.exp(top) * np.exp(log_capital - top).mean(axis=(0, 1)))
 
 
-def drives_until(rate: float, tests: int, *, alpha: float = ALPHA) -> int | None:
+def drives_until(rate: float, tests: int) -> int | None:
     """Count the drawn drives without a failure after which at most a share of the tests can fail; None if never.
 
     Args:
         rate: the share.
         tests: number of tests.
-        alpha: as in `certify`.
     """
     low, high = 1, tests
-    if certify([Bet(failed=False, drawn=True)] * tests, tests, alpha=alpha).high > rate * tests:
+    if certify([Bet(failed=False, drawn=True)] * tests, tests).high > rate * tests:
         return None
     while low < high:
         middle = (low + high) // 2
-        found = certify([Bet(failed=False, drawn=True)] * middle, tests, alpha=alpha)
+        found = certify([Bet(failed=False, drawn=True)] * middle, tests)
         low, high = (low, middle) if found.high <= rate * tests else (middle + 1, high)
     return low

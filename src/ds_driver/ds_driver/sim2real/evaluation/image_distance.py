@@ -48,9 +48,9 @@ def public_features(images: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 @torch.inference_mode()
-def driving_features(images: NDArray[np.uint8], network: str = "dave2") -> NDArray[np.float32]:
-    """Compute the first dense layer of a driving network, (n, features)."""
-    loaded: Any = load_network(network)
+def driving_features(images: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Compute the first dense layer of `dave2`, (n, features)."""
+    loaded: Any = load_network("dave2")
     layers = list(loaded.steering)
     first = next(i for i, layer in enumerate(layers) if isinstance(layer, nn.Linear))
     head = nn.Sequential(*layers[: first + 2])
