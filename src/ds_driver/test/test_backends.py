@@ -21,7 +21,7 @@ from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.onnx_export import to_onnx
-from ds_driver.networks.torch_networks import load_network, make_network, save_weights
+from ds_driver.networks.torch_networks import load_network, make_network, replayed, save_weights
 from ds_driver.networks.weights import load_weights, weights_sha256
 from ds_sim.installation import install_command
 from ds_sim.registry import STANDARD, spec_of
@@ -43,6 +43,16 @@ def weights(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
         list(network.parameters())[-2].mul_(0.2)  # keeps the steering within its range, so nothing is clipped
     save_weights(network, path, architecture=request.param)
     return request.param, path
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_replayed_kernels_give_the_bits_of_launched_ones(weights: tuple[str, Path]) -> None:
+    launched, gpu = load_network(str(weights[1])).cuda(), torch.device("cuda")
+    recorded = replayed(launched, gpu)
+    with torch.inference_mode():
+        for frame in FRAMES:
+            batch = torch.from_numpy(frame[None]).permute(0, 3, 1, 2).float().to(gpu)
+            assert torch.equal(recorded(batch), launched(batch))
 
 
 def test_every_backend_agrees_with_pytorch(weights: tuple[str, Path]) -> None:

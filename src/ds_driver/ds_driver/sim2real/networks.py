@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ds_driver.networks.backends import Runner
-from ds_driver.networks.torch_networks import torch_device, torch_runner
+from ds_driver.networks.torch_networks import replayed, torch_device, torch_runner
 from ds_driver.sim2real.generator import EPSILON, GeneratorShape, StoredGenerator
 
 INITIAL_DEVIATION = 0.02
@@ -125,7 +125,7 @@ def generator_runner(generator: StoredGenerator, device: str) -> Runner:
     where, network = torch_device(device), Generator(generator.shape)
     network.load_state_dict({name: torch.from_numpy(value) for name, value in generator.tensors.items()})
     network = network.eval().to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
-    return torch_runner(lambda images: to_images(network(to_batch(images))), where)
+    return torch_runner(replayed(lambda images: to_images(network(to_batch(images))), where), where)
 
 
 class ImagePool:
