@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 import time
 from collections.abc import Callable
@@ -32,6 +33,7 @@ class NodeThread:
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name=node.get_name(), daemon=True)
         self._thread.start()
+        atexit.register(self.end)  # a thread in ROS aborts an interpreter that ends under it
 
     @property
     def stopped(self) -> bool:
@@ -48,6 +50,7 @@ class NodeThread:
         Returns:
             False if a callback keeps the thread: then the node must not be destroyed under it.
         """
+        atexit.unregister(self.end)
         self.stop()
         self._ending.set()
         self._thread.join(END_TIME)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import fcntl
 import os
 import tempfile
@@ -14,7 +13,6 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from ds_interfaces.msg import DriveCommand
 from nav_msgs.msg import Odometry
-from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -38,6 +36,7 @@ from ds_sim_ros.ros.services import POLL, Services
 from ds_sim_ros.settings import RosSettings
 
 TRIGGER = "std_srvs/srv/Trigger"
+PARAMETERS = "rcl_interfaces/srv/GetParameters"
 RECEIVER_TIME = 2.0
 """Limit for the name and the parameters of the node of a topic to be discovered, s; chosen: tenths are usual."""
 
@@ -61,7 +60,6 @@ class Link:
         init_ros(context=self._context, args=[], domain_id=domain)
         self._node = Node(f"digital_siblings_{os.getpid()}", context=self._context, start_parameter_services=False)
         self._thread = NodeThread(self._node)
-        atexit.register(self.close)  # a thread in ROS aborts an interpreter that ends under it
         try:
             self._connect()
         except BaseException:
@@ -70,15 +68,14 @@ class Link:
 
     def _connect(self) -> None:
         settings = self._settings
-        self._command = _CommandTopic(self._node, self._thread, settings)
+        self._command = _CommandTopic(self._node, settings)
         odometry, image = Inbox(), Inbox()
         self._wait_for(
             settings.command.topic, self._command.type_name, "command", self._node.get_subscriptions_info_by_topic
         )
         self._subscribe(settings.odometry, Odometry, odometry)
         self._subscribe(settings.image, Image, image)
-        if settings.time is not None:
-            self._command.find_receiver()
+        self._receiver = "" if settings.time is None else self._find_receiver()
         self._services = Services(self._node, self._thread, settings.timeout)
         names = (settings.odometry, settings.image)
         self._clock = make_clock(odometry, image, names, settings.timeout, self._services, settings.time)
@@ -119,7 +116,7 @@ class Link:
         Raises:
             SimulatorError: the simulator does not do it within the limits.
         """
-        self._command.send(command, speed)
+        self._send(command, speed)
         return self._clock.advance()
 
     def release(self) -> None:
@@ -130,7 +127,6 @@ class Link:
 
     def close(self) -> None:
         """Leave the ROS graph."""
-        atexit.unregister(self.close)
         self._claim.release()
         if self._thread.end():
             self._node.destroy_node()
@@ -146,7 +142,7 @@ class Link:
 
     def _load(self, road: Road, seed: int) -> None:
         settings, way = self._settings, self._settings.road
-        self._command.send(Command(0.0, 0.0), 0.0)
+        self._send(Command(0.0, 0.0), 0.0)
         if way.service is not None:
             fields = {"road": road_to_message(road), "seed": seed}
             self._services.call(way.service, {"ds_interfaces/srv/LoadRoad": fields})
@@ -155,6 +151,32 @@ class Link:
             self._services.call(way.reload, {TRIGGER: {}})
         if settings.reset is not None:
             self._services.call(settings.reset, {TRIGGER: {}, "simulation_interfaces/srv/ResetSimulation": {}})
+
+    def _send(self, command: Command, speed: float) -> None:
+        """Send a command, and make sure that it is taken before the next request.
+
+        One that has arrived has not been taken yet: an executor that looks for messages, is preempted, and then looks
+        for requests finds the step first. It takes the command before the request after next, so a question that
+        changes nothing stands between.
+        """
+        self._command.send(command, speed)
+        if self._receiver:
+            self._services.call(self._receiver, {PARAMETERS: {}})
+
+    def _find_receiver(self) -> str:
+        """Service with the parameters of the node that takes commands and publishes the odometry; "" if none."""
+        command, odometry = (
+            self._node.resolve_topic_name(name) for name in (self._settings.command.topic, self._settings.odometry)
+        )
+        deadline = time.monotonic() + RECEIVER_TIME
+        while time.monotonic() < deadline:
+            takes = _nodes(self._node.get_subscriptions_info_by_topic(command))
+            moves = _nodes(self._node.get_publishers_info_by_topic(odometry))
+            services = {f"{name}/get_parameters" for name in takes & moves}
+            if found := services & {name for name, _ in self._node.get_service_names_and_types()}:
+                return min(found)
+            self._thread.pause(POLL)
+        return ""
 
     def _subscribe(self, topic: str, kind: Any, inbox: Inbox) -> None:
         self._wait_for(topic, _name_of(kind), kind.__name__.lower(), self._node.get_publishers_info_by_topic)
@@ -178,9 +200,8 @@ class Link:
 class _CommandTopic:
     """Publishes commands as the message that the simulator knows."""
 
-    def __init__(self, node: Node, thread: NodeThread, settings: RosSettings) -> None:
-        self._node, self._thread, command, vehicle = node, thread, settings.command, settings.vehicle
-        self._odometry, self._parameters = settings.odometry, None
+    def __init__(self, node: Node, settings: RosSettings) -> None:
+        self._node, command, vehicle = node, settings.command, settings.vehicle
         self._timeout = settings.timeout
         self._geometry = Geometry(vehicle.wheelbase, vehicle.max_steering_angle)
         self._kind = KINDS.get(command.type)
@@ -188,35 +209,13 @@ class _CommandTopic:
             self._type = DriveCommand if self._kind is None else message_type(self._kind)
         except ValueError as error:
             raise SimulatorError(f"command.type {command.type}: {error}") from None
-        # Reliable and acknowledged before each step, or a command might reach a simulator after its step; see also
-        # `find_receiver`.
+        # Reliable and acknowledged before each step, or a command might reach a simulator after its step.
         self._publisher = node.create_publisher(self._type, command.topic, 1)
         self.type_name, self._topic = _name_of(self._type), node.resolve_topic_name(command.topic)
 
-    def find_receiver(self) -> None:
-        """Find the parameters of the node that takes commands and publishes the odometry, if it has any.
-
-        A command that has arrived has not been taken yet: an executor that looks for messages, is preempted, and then
-        looks for requests finds the step first. It takes the command before the request after next, so each command is
-        followed by a question that changes nothing.
-        """
-        odometry, deadline = self._node.resolve_topic_name(self._odometry), time.monotonic() + RECEIVER_TIME
-        clients: dict[str, Any] = {}
-        while self._parameters is None and time.monotonic() < deadline:
-            takes = _nodes(self._node.get_subscriptions_info_by_topic(self._topic))
-            for name in takes & _nodes(self._node.get_publishers_info_by_topic(odometry)):
-                if name not in clients:
-                    clients[name] = self._node.create_client(GetParameters, f"{name}/get_parameters")
-                if clients[name].service_is_ready():
-                    self._parameters = clients[name]
-            self._thread.pause(POLL)
-
     def send(self, command: Command, speed: float) -> None:
         self.publish(command, speed)
-        taken = self._publisher.wait_for_all_acked(Duration(seconds=self._timeout))
-        if taken and self._parameters is not None:
-            taken = self._thread.ask(self._parameters, GetParameters.Request(), self._timeout) is not None
-        if not taken:
+        if not self._publisher.wait_for_all_acked(Duration(seconds=self._timeout)):
             raise SimulatorError(f"{self._topic}: no command was taken within {self._timeout:g} s: it hangs")
 
     def publish(self, command: Command, speed: float) -> None:

@@ -85,10 +85,12 @@ def interface(name: str) -> Any:
 
 
 def refusal(answer: Any) -> str:
-    """Why a service did not do what was asked, in one line; "" if it did."""
+    """Why a service did not do what was asked, in one line; "" if it did, or if its answer cannot say."""
     if hasattr(answer, "result"):
         done, text = answer.result.result == answer.result.RESULT_OK, answer.result.error_message
         text = text or f"result {answer.result.result}"
-    else:
+    elif hasattr(answer, "message"):
         done, text = getattr(answer, "success", False) or getattr(answer, "accepted", False), answer.message
+    else:
+        return ""
     return "" if done else " ".join(text.split()) or "no reason given"
