@@ -116,6 +116,30 @@ def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal
     assert seconds_to_end(process, number) < SECOND
 
 
+INTERRUPTED_IMPORT = """
+import signal, sys
+from ds_sim.ros.runtime import run_node
+def make_node():
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except KeyboardInterrupt as error:
+        raise ImportError("initialization failed") from error
+sys.exit(run_node(make_node))
+"""
+
+
+def test_a_node_ends_whose_import_was_interrupted(domain: int) -> None:
+    """An extension module makes an ImportError of the interrupt, as onnxruntime's does."""
+    ended = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_IMPORT],
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize(
     ("executable", "ready"),

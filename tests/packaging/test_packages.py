@@ -75,7 +75,7 @@ WITHOUT_IMPORT = {
     ),  # made by the names in ds_sim/registry.py
     "ds_sim_bullet": ("python3-pybullet-pip",),  # imported when the first vehicle is made
     "ds_driver": ("geometry_msgs",),  # imported by the name of the message that a user chooses
-    "ds_sim_ros": ("simulation_interfaces", "std_srvs"),  # imported by the name of a service's type
+    "ds_sim_ros": ("rcl_interfaces", "simulation_interfaces", "std_srvs"),  # imported by the name of a service's type
 }
 
 NO_KEY_WITHOUT_IMPORT = {"ds_sim_panda": {"panda3d"}}  # imported when the first scene is made

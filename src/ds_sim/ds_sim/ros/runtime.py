@@ -196,9 +196,15 @@ def run_node(*make_nodes: Callable[[], Node]) -> int:
     nodes: list[Node] = []
     try:
         # rclpy's own handlers would shut the context down while the node is being created.
-        init_ros()
-        for make_node in make_nodes:
-            nodes.append(make_node())
+        try:
+            init_ros()
+            for make_node in make_nodes:
+                nodes.append(make_node())
+        except Exception:
+            if not stop.requested:
+                raise
+            # An interrupted import of an extension module, say, ends in an ImportError.
+            raise KeyboardInterrupt from None
         stop.interrupts = False
         _spin_all(nodes, stop)
     except ValueError as error:
