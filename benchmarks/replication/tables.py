@@ -1,7 +1,7 @@
 """Computes every number on the page of the paper's campaign from the stored tables of outcomes, without driving.
 
 `python -m benchmarks.replication.tables [--out docs/data/replication.csv]`: the paper's claims, case by case, with an
-interval over the five runs, which are five independent searches; then counts, maps and alarms.
+interval over the five runs, which are five independent searches; then counts, maps and alarms. Draws the maps, too.
 """
 
 from __future__ import annotations
@@ -9,24 +9,31 @@ from __future__ import annotations
 import argparse
 import csv
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from benchmarks.replication.drive import NETWORKS, TABLES
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from scipy import stats
 
+from ds_analysis.common.heatmap import COLOURS
 from ds_analysis.common.restoration import restore_campaign
 from ds_analysis.paper.campaign_contents import maps_of
-from ds_analysis.paper.correlation import evaluate
+from ds_analysis.paper.correlation import check_robustness, evaluate
 from ds_analysis.paper.paper_tables import RQ2, RQ3, PaperRow, role_of
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
 from ds_orchestrator.maps.algebra import jeffreys_interval
-from ds_orchestrator.maps.feature_map import MapId
+from ds_orchestrator.maps.feature_map import MapId, compared_ids
+from ds_road.figures import WIDTH, draw_figure
+from ds_sim.camera.encodings import png
 
-TABLES = Path("docs/data/replication")
 ROLES = ("DS1", "DS2", "DSS")
 QUESTIONS = {"RQ2": ("probability", RQ2), "RQ3": ("quality_loss", RQ3)}
 RUNS = 5
@@ -101,7 +108,29 @@ def rows_of(network: str, data: CampaignData, runs: Sequence[CampaignData]) -> I
             for who in ours:
                 mean = over_runs([one[who] for one in by_run])
                 yield [network, question, measure, who, theirs[who], ours[who], *mean]
+    yield from ([network, *row] for row in _computed_otherwise(data, whole))
     yield from ([network, "counts", *row] for row in _counts(data, runs))
+
+
+def _computed_otherwise(data: CampaignData, main: dict[str, dict[str, Score]]) -> Iterator[list[object]]:
+    """The merged map minus the better sibling as the authors' package computes them, and with every operator."""
+    assert data.config.twin
+    found: dict[tuple[str, str, str], dict[str, float]] = {}
+    for check in check_robustness(maps_of(data), data.config.siblings, data.config.twin):
+        question = next(question for question, (value, _) in QUESTIONS.items() if value == check.value)
+        for measure, score in (("r", None if check.what.startswith("AUC") else check.r), ("auc", check.auc)):
+            if check.against == MapId.twin(data.config.twin) and score is not None:
+                role = role_of(check.map.simulator, data.config.siblings)
+                found.setdefault((question, measure, check.what), {})[role] = score
+    elites = scores_of(replace(data, config=data.config.model_copy(update={"migration": "elites"})))
+    for question, measure in product(QUESTIONS, Score._fields):
+        by_role = {role: getattr(elites[question][role], measure) for role in ROLES}
+        found[question, measure, "only the elites of each run (maxitwo)"] = by_role
+    for (question, measure, what), by_role in found.items():
+        if "DSS" in by_role:  # operators change the merged map only
+            better = max(by_role.get(role, getattr(main[question][role], measure)) for role in ("DS1", "DS2"))
+            ours = [by_role["DSS"] - better, np.nan, np.nan, np.nan]
+            yield [question, f"{measure}: {what}", "DSS minus the better", np.nan, *ours]
 
 
 def _counts(data: CampaignData, runs: Sequence[CampaignData]) -> Iterator[list[object]]:
@@ -133,11 +162,38 @@ def _counts(data: CampaignData, runs: Sequence[CampaignData]) -> Iterator[list[o
     yield ["cells", "false alarms", np.nan, len(alarms - fails), np.nan, np.nan, np.nan]
 
 
+def draw_maps(networks: Mapping[str, CampaignData]) -> NDArray[np.uint8]:
+    """Draw the failure probabilities of each network in a row: the siblings', the merged ones, the twin's."""
+    colours = [np.array(colour) / 255 for colour in COLOURS]
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(len(networks), 4, squeeze=False, sharex=True, sharey=True)
+        for (network, data), row in zip(networks.items(), panels, strict=True):
+            maps = maps_of(data)
+            for id_, axes in zip(compared_ids(maps), row, strict=True):
+                (turns, curvature), cells = zip(*maps[id_].cells, strict=True), maps[id_].cells.values()
+                grid = np.full((max(curvature) + 1, max(turns) + 1), np.nan)
+                grid[curvature, turns] = [cell.probability for cell in cells]
+                scale = LinearSegmentedColormap.from_list("maps", colours)
+                extent = (-0.5, max(turns) + 0.5, -0.005, max(curvature) / 100 + 0.005)
+                image = axes.imshow(grid, scale, vmin=0.0, vmax=1.0, origin="lower", aspect="auto", extent=extent)
+                axes.set(title=f"{network}: {maps[id_].title}", xlim=(0.5, None), ylim=(0.01, None))
+                axes.grid(visible=False)
+            row[0].set_ylabel("curvature, 1/m")
+        for axes in panels[-1]:
+            axes.set_xlabel("turns count")
+        figure.colorbar(image, ax=panels, label="failure probability", aspect=60, pad=0.01)
+
+    return draw_figure(WIDTH, 60 + 260 * len(networks), draw)
+
+
 def main() -> None:
-    """Write the table, and print each of its rows."""
+    """Write the table and the picture, and print each row."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("docs/data/replication.csv"))
+    parser.add_argument("--picture", type=Path, default=Path("docs/images/replication_maps.png"))
     arguments = parser.parse_args()
+    drawn = {}
     with arguments.out.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["network", "question", "measure", "who", "paper", "ours", "mean over runs", "low", "high"])
@@ -154,11 +210,13 @@ def main() -> None:
                 tests=tuple(test for test in data.tests if test.test_id in set(whole)),
                 executions=tuple(one for one in data.executions if one.test_id in set(whole)),
             )
+            drawn[table.stem] = kept
             for row in rows_of(table.stem, kept, runs):
                 cells = [f"{value:.3f}" if isinstance(value, float) and np.isfinite(value) else value for value in row]
                 cells = ["" if isinstance(value, float) else value for value in cells]
                 writer.writerow(cells)
                 print("  ", *cells)
+    arguments.picture.write_bytes(png(draw_maps(dict(sorted(drawn.items(), key=lambda one: NETWORKS.index(one[0]))))))
 
 
 if __name__ == "__main__":
