@@ -10,9 +10,9 @@ Each simulator of a table is the car in turn, predicted from the others. A predi
   outcomes of driven tests are filled in for every predictor.
 
 Drives are proposed as `ds real propose` does, or drawn at random (mean of `DRAWS` orders). Scores are Brier scores over
-all tests. *Controls* are the same tables with the car's outcomes moved to other tests: siblings that say nothing about
-it. Intervals are 95 % over cars and families, resampled together. Fixed before the tables were scored: tables, budgets,
-rules, predictors.
+all tests. `benchmarks/prediction/foreign` says what the columns of two of others' tables are. *Controls* are the same
+tables with the car's outcomes moved to other tests: siblings that say nothing about it. Intervals are 95 % over cars
+and families, resampled together. Fixed before the tables were scored: tables, budgets, rules, predictors.
 """
 
 from __future__ import annotations
@@ -69,6 +69,14 @@ class Ours:
     def predict(self, drives: Sequence[MarginDrive]) -> Array:
         """See `Predictor`."""
         return self.before.updated(drives).probabilities()
+
+
+class VerdictsOnly(Ours):
+    """`ds predict`, which sees of each drive only whether it failed."""
+
+    def predict(self, drives: Sequence[MarginDrive]) -> Array:
+        """See `Predictor`."""
+        return super().predict([replace(one, margin=None) for one in drives])
 
 
 class Fixed:
@@ -133,6 +141,7 @@ def predictors() -> dict[str, Predictor]:
     """Make all of them; a name stands in the tables."""
     return {
         MODEL: Ours(),
+        "ours, verdicts only": VerdictsOnly(),
         UNDRIVEN: Fixed(UNDRIVEN),
         SHIFTED: Learned(SHIFTED),
         RATE: Learned(RATE),
