@@ -95,6 +95,7 @@ Departure = Literal[
     "right, straight on",
     "left, straight on",
     "stays in the lane",
+    "not recorded",
 ]
 KINDS: tuple[Departure, ...] = get_args(Departure)
 
@@ -114,7 +115,8 @@ class Departures:
     Attributes:
         simulator: name of the simulator.
         failures: number of its failures.
-        counts: kind -> number; a failure without leaving the lane, such as being stuck, stays in it.
+        counts: kind -> number; a failure without leaving the lane, such as being stuck, stays in it; of one that was
+            restored from a table, the way out is not recorded.
     """
 
     simulator: str
@@ -123,10 +125,10 @@ class Departures:
 
     @property
     def sentence(self) -> str:
-        """The most frequent kind, or "" without failures."""
-        if not self.failures:
+        """The most frequent kind, or "" without failures of a known one."""
+        kind = max(KINDS[:-1], key=lambda name: self.counts[name])
+        if not self.counts[kind]:
             return ""
-        kind = max(KINDS, key=lambda name: self.counts[name])
         return f"{self.simulator} most often: {kind}, {self.counts[kind]} of {self.failures} failures."
 
 
@@ -154,8 +156,10 @@ def departure(road: Road, profile: Array, largest: float) -> Departure:
         profile: lateral positions every `GRID` m up to the end of the drive, m, right positive.
         largest: largest absolute lateral position, m, at most half a lane.
     """
-    if largest < road.lane_width / 2 or not len(profile):
+    if largest < road.lane_width / 2:
         return "stays in the lane"
+    if not len(profile):
+        return "not recorded"
     to_right = profile[-1] > 0.0
     place = max(len(profile) * GRID - LOOK_BACK, 0.0)
     curvature = float(lane_curvature(road.lane_centre, np.array([place]))[0])

@@ -60,7 +60,7 @@ def test_a_drive_that_is_steered_out_of_its_lane_leaves_it_there(
 
 def test_failures_in_the_lane_stay_in_it_and_the_table_counts_each_failure_once() -> None:
     assert departure(RIGHT_BEND, np.full(60, 1.0), 1.0) == "stays in the lane"
-    assert departure(RIGHT_BEND, np.empty(0), 2.0) == "stays in the lane"
+    assert departure(RIGHT_BEND, np.empty(0), 2.0) == "not recorded"
     out, kept = leave(RIGHT_BEND, 0.8, IN_BEND), leave(RIGHT_BEND, 0.0, IN_BEND)
     assert kept.outcome is Outcome.COMPLETED
     found = analyse(table_of_runs({"a": [out, kept], "b": [kept, kept]}), ["b"], repeats=1)
