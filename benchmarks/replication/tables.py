@@ -177,7 +177,8 @@ def draw_maps(networks: Mapping[str, CampaignData]) -> NDArray[np.uint8]:
                 scale = LinearSegmentedColormap.from_list("maps", colours)
                 extent = (-0.5, max(turns) + 0.5, -0.005, max(curvature) / 100 + 0.005)
                 image = axes.imshow(grid, scale, vmin=0.0, vmax=1.0, origin="lower", aspect="auto", extent=extent)
-                axes.set(title=f"{network}: {maps[id_].title}", xlim=(0.5, None), ylim=(0.01, None))
+                title = maps[id_].title.removeprefix("All tests on ").lower()
+                axes.set(title=f"{network}: {title}", xlim=(0.5, None), ylim=(0.01, None))
                 axes.grid(visible=False)
             row[0].set_ylabel("curvature, 1/m")
         for axes in panels[-1]:
