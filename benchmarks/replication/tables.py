@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import csv
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import product
@@ -54,9 +54,9 @@ def read(table: Path) -> CampaignData:
             return read_campaign(store)
 
 
-def of_run(data: CampaignData, run: int) -> CampaignData:
-    """The tests of one run of every sibling's search."""
-    tests = tuple(test for test in data.tests if test.run == run)
+def of_runs(data: CampaignData, runs: Collection[int]) -> CampaignData:
+    """The tests of some runs of every sibling's search."""
+    tests = tuple(test for test in data.tests if test.run in runs)
     ids = {test.test_id for test in tests}
     return replace(data, tests=tests, executions=tuple(one for one in data.executions if one.test_id in ids))
 
@@ -164,7 +164,7 @@ def _counts(data: CampaignData, runs: Sequence[CampaignData]) -> Iterator[list[o
 
 def draw_maps(networks: Mapping[str, CampaignData]) -> NDArray[np.uint8]:
     """Draw the failure probabilities of each network in a row: the siblings', the merged ones, the twin's."""
-    colours = [np.array(colour) / 255 for colour in COLOURS]
+    scale = LinearSegmentedColormap.from_list("maps", [np.array(colour) / 255 for colour in COLOURS])
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(len(networks), 4, squeeze=False, sharex=True, sharey=True)
@@ -174,7 +174,6 @@ def draw_maps(networks: Mapping[str, CampaignData]) -> NDArray[np.uint8]:
                 (turns, curvature), cells = zip(*maps[id_].cells, strict=True), maps[id_].cells.values()
                 grid = np.full((max(curvature) + 1, max(turns) + 1), np.nan)
                 grid[curvature, turns] = [cell.probability for cell in cells]
-                scale = LinearSegmentedColormap.from_list("maps", colours)
                 extent = (-0.5, max(turns) + 0.5, -0.005, max(curvature) / 100 + 0.005)
                 image = axes.imshow(grid, scale, vmin=0.0, vmax=1.0, origin="lower", aspect="auto", extent=extent)
                 title = maps[id_].title.removeprefix("All tests on ").lower()
@@ -200,24 +199,19 @@ def main() -> None:
         writer.writerow(["network", "question", "measure", "who", "paper", "ours", "mean over runs", "low", "high"])
         for table in sorted(TABLES.glob("*.parquet")):
             data = read(table)
-            runs = [one for one in (of_run(data, run) for run in range(RUNS)) if is_complete(one)]
+            every = {run: of_runs(data, {run}) for run in range(RUNS)}
+            runs = {run: one for run, one in every.items() if is_complete(one)}
             if not runs:
                 print(f"{table.stem}: no run was driven everywhere yet ({len(data.executions)} executions)")
                 continue
             print(f"{table.stem}: {len(runs)} of {RUNS} runs, {len(data.executions)} executions")
-            whole = [one.test_id for run in runs for one in run.tests]
-            kept = replace(
-                data,
-                tests=tuple(test for test in data.tests if test.test_id in set(whole)),
-                executions=tuple(one for one in data.executions if one.test_id in set(whole)),
-            )
-            drawn[table.stem] = kept
-            for row in rows_of(table.stem, kept, runs):
+            drawn[table.stem] = of_runs(data, runs)
+            for row in rows_of(table.stem, drawn[table.stem], list(runs.values())):
                 cells = [f"{value:.3f}" if isinstance(value, float) and np.isfinite(value) else value for value in row]
                 cells = ["" if isinstance(value, float) else value for value in cells]
                 writer.writerow(cells)
                 print("  ", *cells)
-    arguments.picture.write_bytes(png(draw_maps(dict(sorted(drawn.items(), key=lambda one: NETWORKS.index(one[0]))))))
+    arguments.picture.write_bytes(png(draw_maps({name: drawn[name] for name in NETWORKS if name in drawn})))
 
 
 if __name__ == "__main__":

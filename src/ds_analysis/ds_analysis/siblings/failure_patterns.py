@@ -126,7 +126,7 @@ class Departures:
     @property
     def sentence(self) -> str:
         """The most frequent kind, or "" without failures of a known one."""
-        kind = max(KINDS[:-1], key=lambda name: self.counts[name])
+        kind = max((name for name in KINDS if name != "not recorded"), key=lambda name: self.counts[name])
         if not self.counts[kind]:
             return ""
         return f"{self.simulator} most often: {kind}, {self.counts[kind]} of {self.failures} failures."
