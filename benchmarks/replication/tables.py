@@ -1,7 +1,8 @@
 """Computes every number on the page of the paper's campaign from the stored tables of outcomes, without driving.
 
 `python -m benchmarks.replication.tables [--out docs/data/replication.csv]`: the paper's claims, case by case, with an
-interval over the five runs, which are five independent searches; then counts, maps and alarms. Draws the maps, too.
+interval over the five runs, which are five independent searches; then counts, maps and alarms. Prints the tables of the
+page, and draws its pictures.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import csv
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -30,13 +32,27 @@ from ds_analysis.paper.correlation import check_robustness, evaluate
 from ds_analysis.paper.paper_tables import RQ2, RQ3, PaperRow, role_of
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
 from ds_orchestrator.maps.algebra import jeffreys_interval
-from ds_orchestrator.maps.feature_map import MapId, compared_ids
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
+from ds_road.figures import COLOURS as GROUPS
 from ds_road.figures import WIDTH, draw_figure
 from ds_sim.camera.encodings import png
 
-ROLES = ("DS1", "DS2", "DSS")
+NAMES = {"DS1": "bullet", "DS2": "softbody", "DSS": "merged"}
+ROLES = tuple(NAMES)
 QUESTIONS = {"RQ2": ("probability", RQ2), "RQ3": ("quality_loss", RQ3)}
 RUNS = 5
+UNDEFINED = (np.nan, np.nan, np.nan)
+Row = tuple[tuple[str, ...], tuple[float, ...]]
+"""Network, question, measure and who; then the paper's value, ours, the mean over runs and its interval."""
+BETTER, WORSE = "DSS minus the better", "DSS minus the worse"
+CLAIMS = (
+    ("RQ2", "r", BETTER),
+    ("RQ2", "auc", BETTER),
+    ("RQ3", "r", BETTER),
+    ("RQ3", "r", WORSE),
+    ("RQ3", "auc", BETTER),
+)
+"""Question, measure and comparison of what the paper claims of the merged map."""
 
 
 class Score(NamedTuple):
@@ -54,6 +70,19 @@ def read(table: Path) -> CampaignData:
             return read_campaign(store)
 
 
+@dataclass(frozen=True)
+class Driven:
+    """The runs of a network that were driven everywhere, together and each alone."""
+
+    data: CampaignData
+    runs: tuple[CampaignData, ...]
+
+    @cached_property
+    def maps(self) -> dict[MapId, FeatureMap]:
+        """Maps of all tests together."""
+        return maps_of(self.data)
+
+
 def of_runs(data: CampaignData, runs: Collection[int]) -> CampaignData:
     """The tests of some runs of every sibling's search."""
     tests = tuple(test for test in data.tests if test.run in runs)
@@ -67,10 +96,10 @@ def is_complete(data: CampaignData) -> bool:
     return len(data.verdicts) == expected
 
 
-def scores_of(data: CampaignData) -> dict[str, dict[str, Score]]:
+def scores_of(data: CampaignData, maps: Mapping[MapId, FeatureMap] | None = None) -> dict[str, dict[str, Score]]:
     """Question -> role -> score."""
     assert data.config.twin
-    found = evaluate(maps_of(data), data.config.siblings, data.config.twin)
+    found = evaluate(maps or maps_of(data), data.config.siblings, data.config.twin)
     return {
         question: {
             role_of(one.map.simulator, data.config.siblings): Score(
@@ -92,10 +121,10 @@ def over_runs(values: Sequence[float]) -> tuple[float, float, float]:
     return float(defined.mean()), float(defined.mean()) - half, float(defined.mean()) + half
 
 
-def rows_of(network: str, data: CampaignData, runs: Sequence[CampaignData]) -> Iterator[list[object]]:
+def rows_of(network: str, driven: Driven) -> Iterator[Row]:
     """Rows of the CSV: network, question, measure, who, paper, ours, mean over runs, its interval."""
     architecture, _, real = network.partition("_")
-    whole, each = scores_of(data), [scores_of(run) for run in runs]
+    whole, each = scores_of(driven.data, driven.maps), [scores_of(run) for run in driven.runs]
     for question, (_, published) in QUESTIONS.items():
         paper: dict[str, PaperRow] = published[architecture, "real" if real else "sim"]
         for measure in Score._fields:
@@ -103,20 +132,21 @@ def rows_of(network: str, data: CampaignData, runs: Sequence[CampaignData]) -> I
             ours = {role: float(getattr(whole[question][role], measure)) for role in ROLES}
             by_run = [{role: float(getattr(one[question][role], measure)) for role in ROLES} for one in each]
             for values in (theirs, ours, *by_run):
-                values["DSS minus the better"] = values["DSS"] - max(values["DS1"], values["DS2"])
-                values["DSS minus the worse"] = values["DSS"] - min(values["DS1"], values["DS2"])
+                values[BETTER] = values["DSS"] - max(values["DS1"], values["DS2"])
+                values[WORSE] = values["DSS"] - min(values["DS1"], values["DS2"])
             for who in ours:
                 mean = over_runs([one[who] for one in by_run])
-                yield [network, question, measure, who, theirs[who], ours[who], *mean]
-    yield from ([network, *row] for row in _computed_otherwise(data, whole))
-    yield from ([network, "counts", *row] for row in _counts(data, runs))
+                yield (network, question, measure, who), (theirs[who], ours[who], *mean)
+    for key, row in (*_computed_otherwise(driven, whole), *_counts(driven)):
+        yield (network, *key), row
 
 
-def _computed_otherwise(data: CampaignData, main: dict[str, dict[str, Score]]) -> Iterator[list[object]]:
+def _computed_otherwise(driven: Driven, main: dict[str, dict[str, Score]]) -> Iterator[Row]:
     """The merged map minus the better sibling as the authors' package computes them, and with every operator."""
+    data = driven.data
     assert data.config.twin
     found: dict[tuple[str, str, str], dict[str, float]] = {}
-    for check in check_robustness(maps_of(data), data.config.siblings, data.config.twin):
+    for check in check_robustness(driven.maps, data.config.siblings, data.config.twin):
         question = next(question for question, (value, _) in QUESTIONS.items() if value == check.value)
         for measure, score in (("r", None if check.what.startswith("AUC") else check.r), ("auc", check.auc)):
             if check.against == MapId.twin(data.config.twin) and score is not None:
@@ -129,20 +159,20 @@ def _computed_otherwise(data: CampaignData, main: dict[str, dict[str, Score]]) -
     for (question, measure, what), by_role in found.items():
         if "DSS" in by_role:  # operators change the merged map only
             better = max(by_role.get(role, getattr(main[question][role], measure)) for role in ("DS1", "DS2"))
-            ours = [by_role["DSS"] - better, np.nan, np.nan, np.nan]
-            yield [question, f"{measure}: {what}", "DSS minus the better", np.nan, *ours]
+            yield (question, f"{measure}: {what}", BETTER), (np.nan, by_role["DSS"] - better, *UNDEFINED)
 
 
-def _counts(data: CampaignData, runs: Sequence[CampaignData]) -> Iterator[list[object]]:
+def _counts(driven: Driven) -> Iterator[Row]:
     """What failed, and what agreement is worth: per test and per cell of the map."""
+    data = driven.data
     failed = {(one.test_id, one.simulator): one.outcome.is_failure for one in data.verdicts}
     for simulator in data.config.simulators:
         shares = [
             float(np.mean([one.outcome.is_failure for one in run.verdicts if one.simulator == simulator]))
-            for run in runs
+            for run in driven.runs
         ]
         count = sum(value for (_, name), value in failed.items() if name == simulator)
-        yield ["tests failed", simulator, np.nan, count, *over_runs(shares)]
+        yield ("counts", "tests failed", simulator), (np.nan, count, *over_runs(shares))
     twin, siblings = str(data.config.twin), data.config.siblings
     for who, wanted in (("all siblings fail", len(siblings)), ("no sibling fails", 0)):
         agreed = [
@@ -151,25 +181,24 @@ def _counts(data: CampaignData, runs: Sequence[CampaignData]) -> Iterator[list[o
             if sum(failed[test.test_id, name] for name in siblings) == wanted
         ]
         interval = jeffreys_interval(sum(agreed), len(agreed)) if agreed else (np.nan, np.nan)
-        yield [f"{who}, of {len(agreed)} tests on the twin", "fail", np.nan, sum(agreed), np.nan, *interval]
-    maps = maps_of(data)
-    merged, truth = maps[MapId.merged()].cells, maps[MapId.twin(twin)].cells
+        measure = f"{who}, of {len(agreed)} tests on the twin"
+        yield ("counts", measure, "fail"), (np.nan, sum(agreed), np.nan, *interval)
+    merged, truth = driven.maps[MapId.merged()].cells, driven.maps[MapId.twin(twin)].cells
     fails = {cell for cell, value in truth.items() if value.probability > 0}
     alarms = {cell for cell, value in merged.items() if value.probability > 0}
-    yield ["cells", "failing on the twin", np.nan, len(fails), np.nan, np.nan, np.nan]
-    yield ["cells", "on the twin", np.nan, len(truth), np.nan, np.nan, np.nan]
-    yield ["cells", "alarms", np.nan, len(alarms), np.nan, np.nan, np.nan]
-    yield ["cells", "false alarms", np.nan, len(alarms - fails), np.nan, np.nan, np.nan]
+    found = {"failing on the twin": fails, "on the twin": truth, "alarms": alarms, "false alarms": alarms - fails}
+    for who, of_these in found.items():
+        yield ("counts", "cells", who), (np.nan, len(of_these), *UNDEFINED)
 
 
-def draw_maps(networks: Mapping[str, CampaignData]) -> NDArray[np.uint8]:
+def draw_maps(networks: Mapping[str, Driven]) -> NDArray[np.uint8]:
     """Draw the failure probabilities of each network in a row: the siblings', the merged ones, the twin's."""
     scale = LinearSegmentedColormap.from_list("maps", [np.array(colour) / 255 for colour in COLOURS])
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(len(networks), 4, squeeze=False, sharex=True, sharey=True)
-        for (network, data), row in zip(networks.items(), panels, strict=True):
-            maps = maps_of(data)
+        for (network, driven), row in zip(networks.items(), panels, strict=True):
+            maps = driven.maps
             for id_, axes in zip(compared_ids(maps), row, strict=True):
                 (turns, curvature), cells = zip(*maps[id_].cells, strict=True), maps[id_].cells.values()
                 grid = np.full((max(curvature) + 1, max(turns) + 1), np.nan)
@@ -187,31 +216,79 @@ def draw_maps(networks: Mapping[str, CampaignData]) -> NDArray[np.uint8]:
     return draw_figure(WIDTH, 60 + 260 * len(networks), draw)
 
 
+def draw_claims(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[float, ...]]) -> NDArray[np.uint8]:
+    """Draw what merging gains over a sibling: a claim in each panel, a network in each row."""
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(1, len(CLAIMS), sharey=True)
+        for (question, measure, who), axes in zip(CLAIMS, panels, strict=True):
+            found = np.array([cells[network, question, measure, who] for network in networks])
+            paper, ours, _, low, high = found.T
+            places = np.arange(len(networks))
+            axes.axvline(0.0, color="black", linewidth=0.8)
+            axes.hlines(places, low, high, color=GROUPS[0], linewidth=2.0, label="over five runs, 95 %")
+            axes.plot(ours, places, "o", color=GROUPS[0], label="ours, all tests")
+            axes.plot(paper, places, "D", color=GROUPS[1], markersize=5, label="the paper")
+            title = f"{question}, {'r' if measure == 'r' else 'AUC-PRC'}"
+            axes.set(title=title, xlabel=who.replace("DSS", "merged"), yticks=places, yticklabels=networks)
+        panels[0].set_ylim(len(networks) - 0.5, -0.5)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=len(labels))
+
+    return draw_figure(WIDTH, 130 + 28 * len(networks), draw)
+
+
+def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[float, ...]]) -> Iterator[str]:
+    """Lines of the page's tables of claims and of scores."""
+
+    def number(value: float, sign: str = "") -> str:
+        return f"{value:{sign}.3f}".replace("-0.000", "0.000").replace("+0.000", "0.000")
+
+    for network in networks:
+        row = [f"`{network}`"]
+        for claim in CLAIMS:
+            paper, ours, _, low, high = cells[network, *claim]
+            interval = "in every run" if low == high == ours else f"{number(low)} to {number(high)}"
+            row.append(f"{number(paper, '+')}; **{number(ours, '+')}** ({interval})")
+        yield f"| {' | '.join(row)} |"
+    for network, who in product(networks, ROLES):
+        measures = list(product(QUESTIONS, Score._fields))
+        scores = {one: [cells[network, *one, role][:2] for role in ROLES] for one in measures}
+        row = [f"`{network}`, {NAMES[who]}"]
+        for ours_or_paper in (1, 0):
+            for one, of_roles in scores.items():
+                value = cells[network, *one, who][ours_or_paper]
+                best = round(value, 3) >= max(round(score[ours_or_paper], 3) for score in of_roles)
+                row.append(f"**{number(value)}**" if best else number(value))
+        yield f"| {' | '.join(row)} |"
+
+
 def main() -> None:
-    """Write the table and the picture, and print each row."""
+    """Write the table and the pictures, and print the page's tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("docs/data/replication.csv"))
-    parser.add_argument("--picture", type=Path, default=Path("docs/images/replication_maps.png"))
+    parser.add_argument("--pictures", type=Path, default=Path("docs/images"))
     arguments = parser.parse_args()
-    drawn = {}
+    drawn: dict[str, Driven] = {}
+    cells: dict[tuple[str, ...], tuple[float, ...]] = {}
     with arguments.out.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["network", "question", "measure", "who", "paper", "ours", "mean over runs", "low", "high"])
-        for table in sorted(TABLES.glob("*.parquet")):
-            data = read(table)
-            every = {run: of_runs(data, {run}) for run in range(RUNS)}
-            runs = {run: one for run, one in every.items() if is_complete(one)}
+        for network in [name for name in NETWORKS if (TABLES / f"{name}.parquet").exists()]:
+            data = read(TABLES / f"{network}.parquet")
+            runs = tuple(run for run in (of_runs(data, {number}) for number in range(RUNS)) if is_complete(run))
+            print(f"{network}: {len(runs)} of {RUNS} runs driven everywhere, {len(data.executions)} executions")
             if not runs:
-                print(f"{table.stem}: no run was driven everywhere yet ({len(data.executions)} executions)")
                 continue
-            print(f"{table.stem}: {len(runs)} of {RUNS} runs, {len(data.executions)} executions")
-            drawn[table.stem] = of_runs(data, runs)
-            for row in rows_of(table.stem, drawn[table.stem], list(runs.values())):
-                cells = [f"{value:.3f}" if isinstance(value, float) and np.isfinite(value) else value for value in row]
-                cells = ["" if isinstance(value, float) else value for value in cells]
-                writer.writerow(cells)
-                print("  ", *cells)
-    arguments.picture.write_bytes(png(draw_maps({name: drawn[name] for name in NETWORKS if name in drawn})))
+            drawn[network] = Driven(of_runs(data, {test.run for run in runs for test in run.tests}), runs)
+            cells |= (rows := dict(rows_of(network, drawn[network])))
+            for key, values in rows.items():
+                writer.writerow(
+                    [*key, *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values)]
+                )
+    (arguments.pictures / "replication_maps.png").write_bytes(png(draw_maps(drawn)))
+    (arguments.pictures / "replication_claims.png").write_bytes(png(draw_claims(list(drawn), cells)))
+    print(*page_tables(list(drawn), cells), sep="\n")
 
 
 if __name__ == "__main__":
