@@ -55,6 +55,7 @@ def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Pat
 def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Path) -> None:
     """A subscriber that is there before a run gets whole images; without one, the crop is drawn."""
     import numpy as np
+    from ds_interfaces.srv import GetSimulatorInfo
     from rclpy.node import Node
     from sensor_msgs.msg import Image
 
@@ -76,12 +77,12 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
         node = Node("viewer", context=executor.context)
         images: list[Any] = []
         node.create_subscription(Image, "/ds1/camera/image_raw", images.append, 1000)
+        # Whoever answers a client that was created after the subscription has heard of it.
+        client = node.create_client(GetSimulatorInfo, "/ds1/get_info")
         viewer = NodeThread(node)
-        deadline = time.monotonic() + 20.0
-        while node.count_publishers("/ds1/camera/image_raw") == 0 and time.monotonic() < deadline:
-            time.sleep(0.05)
-        time.sleep(1.0)  # until the simulator has discovered the viewer, too
+        assert viewer.ask(client, GetSimulatorInfo.Request(), 30.0)
         seen = executor.execute("donkey", STRAIGHT, 1)
+        deadline = time.monotonic() + 20.0
         while len(images) < len(seen.observations) and time.monotonic() < deadline:
             time.sleep(0.05)
         assert viewer.end()

@@ -24,6 +24,7 @@ from ds_driver.networks.pilot import Frame as Seen
 from ds_driver.ros.simulator_client import SimulatorClient, SimulatorInfo
 from ds_driver.sim2real.stage import Sim2RealStage
 from ds_sim.ros.conversions import pixels_of, pixels_to_message
+from ds_sim.ros.frame_publisher import FRAME_DEPTH
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import Command, SimulatorSpec
@@ -49,7 +50,7 @@ class TranslatedImages:
             SimulatorClient(node, name, Frame, partial(self._info.ask, index)) for index, name in enumerate(namespaces)
         ]
         self._publishers = [
-            node.create_publisher(Image, f"{name}/{TOPIC}" if name else TOPIC, 5) for name in namespaces
+            node.create_publisher(Image, f"{name}/{TOPIC}" if name else TOPIC, FRAME_DEPTH) for name in namespaces
         ]
 
         for index in range(len(namespaces)):

@@ -29,6 +29,11 @@ except ImportError:  # the ROS wheels on PyPI do not include it
     TFMessage = None
 
 
+FRAME_DEPTH = 600
+"""Messages of a topic kept for subscribers that lag; chosen: 30 s of a run at 20 Hz. With 50, a recorder on a busy
+machine lost a third of 75 images, driven in less than a second. At most 92 MB, if a subscriber stalls that long."""
+
+
 class TransformPublisher:
     """Publishes road -> vehicle with every frame, and vehicle -> camera once, latched.
 
@@ -45,7 +50,7 @@ class TransformPublisher:
         if TFMessage is None:
             node.get_logger().info("tf2_msgs is not installed: no /tf is published")
             return
-        self._moving = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=100))
+        self._moving = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=FRAME_DEPTH))
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._fixed = node.create_publisher(TFMessage, "/tf_static", latched)
         fixed = transform_message(camera_pose(camera), Time(), base_frame, camera_frame)
@@ -56,11 +61,6 @@ class TransformPublisher:
         if self._moving is not None and self._moving.get_subscription_count():
             transform = transform_message(body_pose(vehicle), stamp, ROAD_FRAME, self._base_frame)
             self._moving.publish(TFMessage(transforms=[transform]))
-
-
-IMAGE_DEPTH = 600
-"""Images kept for subscribers that lag; chosen: 30 s of a run at 20 Hz. With 50, a recorder on a busy machine lost a
-third of 75 images, which were driven in less than a second. At most 92 MB, if a subscriber stalls that long."""
 
 
 class FramePublisher:
@@ -78,10 +78,10 @@ class FramePublisher:
         self._base_frame = base_frame(node.get_namespace())
         self._transforms = TransformPublisher(node, spec.camera, self._camera_frame, self._base_frame)
         self._frame = node.create_publisher(Frame, "frame", 5)
-        self._image = node.create_publisher(Image, "camera/image_raw", IMAGE_DEPTH)
-        self._info = node.create_publisher(CameraInfo, "camera/camera_info", 5)
-        self._state = node.create_publisher(VehicleStateMsg, "state", 50)
-        self._odom = node.create_publisher(Odometry, "odom", 50)
+        self._image = node.create_publisher(Image, "camera/image_raw", FRAME_DEPTH)
+        self._info = node.create_publisher(CameraInfo, "camera/camera_info", FRAME_DEPTH)
+        self._state = node.create_publisher(VehicleStateMsg, "state", FRAME_DEPTH)
+        self._odom = node.create_publisher(Odometry, "odom", FRAME_DEPTH)
         self._clock = node.create_publisher(Clock, "/clock", 10) if clock else None
         # Stamps never decrease, as tf, bags and filters expect, and are above 0, so that an unset one never matches.
         self._run_start = 1.0
