@@ -41,6 +41,7 @@ NAMES = {"DS1": "bullet", "DS2": "softbody", "DSS": "merged"}
 ROLES = tuple(NAMES)
 QUESTIONS = {"RQ2": ("probability", RQ2), "RQ3": ("quality_loss", RQ3)}
 RUNS = 5
+AGREED = ("all siblings fail", "no sibling fails")
 UNDEFINED = (np.nan, np.nan, np.nan)
 Row = tuple[tuple[str, ...], tuple[float, ...]]
 """Network, question, measure and who; then the paper's value, ours, the mean over runs and its interval."""
@@ -174,15 +175,15 @@ def _counts(driven: Driven) -> Iterator[Row]:
         count = sum(value for (_, name), value in failed.items() if name == simulator)
         yield ("counts", "tests failed", simulator), (np.nan, count, *over_runs(shares))
     twin, siblings = str(data.config.twin), data.config.siblings
-    for who, wanted in (("all siblings fail", len(siblings)), ("no sibling fails", 0)):
+    for who, wanted in zip(AGREED, (len(siblings), 0), strict=True):
         agreed = [
             failed[test.test_id, twin]
             for test in data.tests
             if sum(failed[test.test_id, name] for name in siblings) == wanted
         ]
         interval = jeffreys_interval(sum(agreed), len(agreed)) if agreed else (np.nan, np.nan)
-        measure = f"{who}, of {len(agreed)} tests on the twin"
-        yield ("counts", measure, "fail"), (np.nan, sum(agreed), np.nan, *interval)
+        yield ("counts", who, "tests"), (np.nan, len(agreed), *UNDEFINED)
+        yield ("counts", who, "fail on the twin"), (np.nan, sum(agreed), np.nan, *interval)
     merged, truth = driven.maps[MapId.merged()].cells, driven.maps[MapId.twin(twin)].cells
     fails = {cell for cell, value in truth.items() if value.probability > 0}
     alarms = {cell for cell, value in merged.items() if value.probability > 0}
@@ -239,7 +240,7 @@ def draw_claims(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
 
 
 def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[float, ...]]) -> Iterator[str]:
-    """Lines of the page's tables of claims and of scores."""
+    """Lines of the page's tables: of claims, of what agreement is worth, and of scores."""
 
     def number(value: float, sign: str = "") -> str:
         return f"{value:{sign}.3f}".replace("-0.000", "0.000").replace("+0.000", "0.000")
@@ -250,6 +251,15 @@ def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
             paper, ours, _, low, high = cells[network, *claim]
             interval = "in every run" if low == high == ours else f"{number(low)} to {number(high)}"
             row.append(f"{number(paper, '+')}; **{number(ours, '+')}** ({interval})")
+        yield f"| {' | '.join(row)} |"
+    for network in networks:
+        counts = {key[2:]: values for key, values in cells.items() if key[:2] == (network, "counts")}
+        row = [f"`{network}`"]
+        for agreed in AGREED:
+            _, failing, _, low, high = counts[agreed, "fail on the twin"]
+            row.append(f"{failing} of {counts[agreed, 'tests'][1]} ({100 * low:.1f} to {100 * high:.1f} %)")
+        alarms, false, failing = (counts["cells", who][1] for who in ("alarms", "false alarms", "failing on the twin"))
+        row += [f"{alarms}, {false} false", f"{failing - alarms + false} of {failing}"]
         yield f"| {' | '.join(row)} |"
     for network, who in product(networks, ROLES):
         measures = list(product(QUESTIONS, Score._fields))
