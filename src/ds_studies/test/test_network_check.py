@@ -112,7 +112,7 @@ def kinds(path: Path, drives: list[Recording]) -> list[str]:
 def test_a_rightly_described_network_passes(made: Made, drives: list[Recording]) -> None:
     found = check_network(str(made()), drives, 1)
 
-    assert found.findings == [] and "is connected rightly" in found.verdict and found.correlation > 0.9
+    assert found.findings == [] and "is connected correctly" in found.verdict and found.correlation > 0.9
     assert [one.simulator for one in found.answers] == ["softbody", "donkey"]
     assert all(one.milliseconds > 0.0 and one.at_full_lock <= 0.1 for one in found.answers)
 

@@ -73,7 +73,7 @@ def proposal(
         )
     failed = (
         f"All {tests} drives on {where} fail, so they do not show what {config.driver} can do. If `ds check` finds it "
-        "connected rightly"
+        "connected correctly"
     )
     if search.conditions or not config.conditions.is_default:
         angles = (search.min_angle, search.max_angle)

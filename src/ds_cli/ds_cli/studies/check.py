@@ -1,4 +1,4 @@
-"""`ds check`: what a network sees, and whether it is connected rightly, before anything is driven."""
+"""`ds check`: what a network sees, and whether it is connected correctly, before anything is driven."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def check_command(
     """Show what a network sees, and say what is wrong with how it is connected.
 
     The autopilot drives, and the network is only asked about the images. For a file without description, one is
-    written beside it. Exit status: 0 nothing wrong found, 2 bad input, 3 not connected rightly.
+    written beside it. Exit status: 0 nothing wrong found, 2 bad input, 3 not connected correctly.
     """
     from rich.console import Console
     from rich.table import Table

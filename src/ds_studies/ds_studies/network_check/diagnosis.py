@@ -115,10 +115,10 @@ class NetworkCheck:
     def verdict(self) -> str:
         """One line."""
         if self.findings:
-            return f"{self.driver} is not connected rightly."
+            return f"{self.driver} is not connected correctly."
         weak = [one.simulator for one in self.answers if one.correlation < AGREES]
         but = f", but not with the road on {', '.join(weak)}" if weak else ""
-        how = "is connected rightly" if self.correlation >= FOUND else "answers with the road, but weakly"
+        how = "is connected correctly" if self.correlation >= FOUND else "answers with the road, but weakly"
         return f"{self.driver} {how}{but}: correlation {self.correlation:.2f} with the autopilot."
 
     def document(self) -> dict[str, Any]:
