@@ -52,9 +52,9 @@ class CameraDriver(Node):
         wheelbase = declare(self, "wheelbase", 0.0, "Of the vehicle, m; 0 for unknown.", low=0.0, high=100.0)
         about = "Of the vehicle's wheels at full steering, rad; 0 for unknown."
         angle = declare(self, "max_steering_angle", 0.0, about, low=0.0, high=1.5)
-        about = "Rows at the top, of the image brought to 160 rows, that the network does not see."
+        about = "Top rows, of the image resized to 160 rows, that the network does not see."
         top = declare(self, "crop_top", 0, about, low=0, high=MAX_CROP)
-        about = "Rows at the bottom, of the image brought to 160 rows, that the network does not see."
+        about = "Bottom rows, of the image resized to 160 rows, that the network does not see."
         bottom = declare(self, "crop_bottom", 0, about, low=0, high=MAX_CROP)
         vehicle = Geometry(wheelbase, angle) if wheelbase and angle else None
         self._output = CommandOutput(self, output, vehicle, max_speed)

@@ -44,7 +44,7 @@ class OrchestratorNode(Node):
 
     def __init__(self) -> None:
         super().__init__("orchestrator")
-        self._root = Path(declare(self, "root", ".", "Folder below which the folders of goals are."))
+        self._root = Path(declare(self, "root", ".", "Folder that contains the goals' folders."))
         self._trusted = declare(self, "trust", [""], "Names in goals that may run code of their own, as module:Class.")
         confirm(self._trusted)
         self._jobs: SimpleQueue[Job] = SimpleQueue()
