@@ -304,6 +304,21 @@ def test_what_is_read_beside_a_running_campaign_is_of_one_moment(tmp_path: Path)
     reader.close()
 
 
+def test_a_copy_that_sqlite_made_is_read_while_it_is_continued(campaign: Path, tmp_path: Path) -> None:
+    """VACUUM INTO leaves out the write-ahead log, without which a writer turns readers away."""
+    copy = tmp_path / "copy" / "campaign.sqlite"
+    copy.parent.mkdir()
+    db = sqlite3.connect(campaign / "campaign.sqlite")
+    db.execute("VACUUM INTO ?", (str(copy),))
+    db.close()
+    writer = Store(copy, config=Store(copy, read_only=True).config)
+    reader = Store(copy, read_only=True)
+    writer.note("new", "fact")
+    assert len(reader.tests()) == 4
+    reader.close()
+    writer.close()
+
+
 def test_a_name_that_is_no_text_gets_one_line(tmp_path: Path, ds: Ds) -> None:
     folder = tmp_path / os.fsdecode(b"caf\xe9")
     folder.mkdir()

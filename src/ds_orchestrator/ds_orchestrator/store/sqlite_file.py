@@ -112,6 +112,7 @@ class SqliteFile:
                 pages = self.ask("PRAGMA quick_check(1)")[0][0]  # before anything is written
                 if pages != "ok":
                     raise self._refusal(sqlite3.DatabaseError(pages))
+                self.ask("PRAGMA journal_mode=WAL")  # a copy by VACUUM INTO has none, and could not be read meanwhile
             if read_only:
                 self.ask("BEGIN")  # whatever is read from now on is of one moment
         except BaseException:
