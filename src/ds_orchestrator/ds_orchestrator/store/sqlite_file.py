@@ -112,7 +112,8 @@ class SqliteFile:
                 pages = self.ask("PRAGMA quick_check(1)")[0][0]  # before anything is written
                 if pages != "ok":
                     raise self._refusal(sqlite3.DatabaseError(pages))
-                self.ask("PRAGMA journal_mode=WAL")  # a copy by VACUUM INTO has none, and could not be read meanwhile
+            if begin is not None:  # also an old one: a copy by VACUUM INTO has no log, and could not be read meanwhile
+                self.ask("PRAGMA journal_mode=WAL")
             if read_only:
                 self.ask("BEGIN")  # whatever is read from now on is of one moment
         except BaseException:
@@ -159,7 +160,6 @@ class SqliteFile:
 
     def _begin(self, facts: Mapping[str, str]) -> None:
         """Write tables, version and facts, all or nothing."""
-        self.ask("PRAGMA journal_mode=WAL")
         statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMA.split(";") if s.strip()]
         statements.append((f"PRAGMA user_version={SCHEMA_VERSION}", ()))
         self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
