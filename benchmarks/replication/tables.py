@@ -30,6 +30,7 @@ from ds_analysis.common.restoration import restore_campaign
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import check_robustness, evaluate
 from ds_analysis.paper.paper_tables import RQ2, RQ3, PaperRow, role_of
+from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
 from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
@@ -97,13 +98,13 @@ def is_complete(data: CampaignData) -> bool:
     return len(data.verdicts) == expected
 
 
-def scores_of(data: CampaignData, maps: Mapping[MapId, FeatureMap] | None = None) -> dict[str, dict[str, Score]]:
+def scores_of(maps: Mapping[MapId, FeatureMap], config: CampaignConfig) -> dict[str, dict[str, Score]]:
     """Question -> role -> score."""
-    assert data.config.twin
-    found = evaluate(maps or maps_of(data), data.config.siblings, data.config.twin)
+    assert config.twin
+    found = evaluate(maps, config.siblings, config.twin)
     return {
         question: {
-            role_of(one.map.simulator, data.config.siblings): Score(
+            role_of(one.map.simulator, config.siblings): Score(
                 np.nan if one.r is None else one.r, np.nan if one.auc is None else one.auc
             )
             for one in found
@@ -125,7 +126,8 @@ def over_runs(values: Sequence[float]) -> tuple[float, float, float]:
 def rows_of(network: str, driven: Driven) -> Iterator[Row]:
     """Rows of the CSV: network, question, measure, who, paper, ours, mean over runs, its interval."""
     architecture, _, real = network.partition("_")
-    whole, each = scores_of(driven.data, driven.maps), [scores_of(run) for run in driven.runs]
+    whole = scores_of(driven.maps, driven.data.config)
+    each = [scores_of(maps_of(run), run.config) for run in driven.runs]
     for question, (_, published) in QUESTIONS.items():
         paper: dict[str, PaperRow] = published[architecture, "real" if real else "sim"]
         for measure in Score._fields:
@@ -153,7 +155,8 @@ def _computed_otherwise(driven: Driven, main: dict[str, dict[str, Score]]) -> It
             if check.against == MapId.twin(data.config.twin) and score is not None:
                 role = role_of(check.map.simulator, data.config.siblings)
                 found.setdefault((question, measure, check.what), {})[role] = score
-    elites = scores_of(replace(data, config=data.config.model_copy(update={"migration": "elites"})))
+    only_elites = data.config.model_copy(update={"migration": "elites"})
+    elites = scores_of(maps_of(replace(data, config=only_elites)), only_elites)
     for question, measure in product(QUESTIONS, Score._fields):
         by_role = {role: getattr(elites[question][role], measure) for role in ROLES}
         found[question, measure, "only the elites of each run (maxitwo)"] = by_role

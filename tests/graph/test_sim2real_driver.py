@@ -23,6 +23,7 @@ STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
 
 
 def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(tmp_path: Path) -> None:
+    from rcl_interfaces.srv import GetParameters
     from rclpy.node import Node
     from sensor_msgs.msg import Image
 
@@ -45,13 +46,11 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
     with running_graph({"donkey": "/ds1"}, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         node = Node("viewer", context=executor.context)
         images: list[Any] = []
-        topic = "/ds1/sim2real/image_raw"
-        node.create_subscription(Image, topic, images.append, 1000)
+        node.create_subscription(Image, "/ds1/sim2real/image_raw", images.append, 1000)
         viewer = NodeThread(node)
-        deadline = time.monotonic() + 20.0
-        while node.count_publishers(topic) == 0 and time.monotonic() < deadline:
-            time.sleep(0.05)
-        time.sleep(1.0)  # until the driver has discovered the viewer, too
+        # The driver has discovered the subscription once it answers a client that was made after it.
+        client = node.create_client(GetParameters, "/ds1/driver/get_parameters")
+        assert viewer.ask(client, GetParameters.Request(names=["use_sim_time"]), 20.0)
         there = executor.execute("donkey", STRAIGHT, 1)
         deadline = time.monotonic() + 10.0
         while len(images) < len(there.commands) and time.monotonic() < deadline:
