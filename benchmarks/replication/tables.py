@@ -55,6 +55,18 @@ CLAIMS = (
     ("RQ3", "auc", BETTER),
 )
 """Question, measure and comparison of what the paper claims of the merged map."""
+OTHERWISE = (
+    ("RQ2", "r"),
+    ("RQ2", "r: all cells of the bounds, empty ones as -2 (maxitwo)"),
+    ("RQ2", "r: only cells above 0 in both (maxitwo)"),
+    ("RQ2", "r: only the elites of each run (maxitwo)"),
+    ("RQ2", "r: merged by mean", "r: merged by maximum"),
+    ("RQ2", "auc"),
+    ("RQ2", "auc: AUC-PRC by trapezoids", "auc: AUC of ROC (maxitwo)"),
+    ("RQ3", "r"),
+    ("RQ3", "r: quality as mean over a union's tests (maxitwo)"),
+)
+"""Question and ways of computing in each row of the page's table of deviations."""
 
 
 class Score(NamedTuple):
@@ -243,9 +255,11 @@ def draw_claims(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
 
 
 def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[float, ...]]) -> Iterator[str]:
-    """Lines of the page's tables: of claims, of what agreement is worth, and of scores."""
+    """Lines of the page's tables: of claims, of what agreement is worth, of scores, and of deviations."""
 
     def number(value: float, sign: str = "") -> str:
+        if np.isnan(value):
+            return "undefined"
         return f"{value:{sign}.3f}".replace("-0.000", "0.000").replace("+0.000", "0.000")
 
     for network in networks:
@@ -273,6 +287,12 @@ def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
                 value = cells[network, *one, who][ours_or_paper]
                 best = round(value, 3) >= max(round(score[ours_or_paper], 3) for score in of_roles)
                 row.append(f"**{number(value)}**" if best else number(value))
+        yield f"| {' | '.join(row)} |"
+    for question, *ways in OTHERWISE:
+        row = [f"{question}, {'; '.join(ways)}"]
+        for network in networks:
+            values = (cells.get((network, question, way, BETTER), (np.nan, np.nan))[1] for way in ways)
+            row.append("; ".join(number(value, "+") for value in values))
         yield f"| {' | '.join(row)} |"
 
 

@@ -1,0 +1,46 @@
+"""Drives the tests of each campaign's first run on `panda`, too, and keeps all outcomes as a campaign of three.
+
+`nice -n 19 python -m benchmarks.replication.third_sibling FOLDER` from the root of the repository; it resumes from
+FOLDER. Then `ds campaign import docs/data/replication/dave2_panda.parquet --out three` and `ds evaluate three`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.replication.drive import NETWORKS, TABLES
+from benchmarks.replication.tables import of_runs, read
+
+from ds_analysis.common.parquet import write_tables
+from ds_cli.progress import ScreenListener
+from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+
+THIRD = "panda"
+RUN = 0
+"""The run whose tests are driven; chosen: whole searches, so that its maps can be compared with those of any run."""
+
+
+def main() -> None:
+    """Drive, and write a table beside each campaign's."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="drives, one folder per network")
+    parser.add_argument("--networks", nargs="+", choices=NETWORKS, default=NETWORKS[:3])
+    parser.add_argument("--workers", type=int, default=1)
+    arguments = parser.parse_args()
+    for network in arguments.networks:
+        data = of_runs(read(TABLES / f"{network}.parquet"), {RUN})
+        here = data.config.model_copy(update={"engine": "local", "workers": arguments.workers})
+        settings = replace(here.drive_settings(), siblings=(THIRD,), twin=None)
+        progress = Progress(listen=ScreenListener, say=print)
+        found = drive_tests(settings, {THIRD: data.tests}, arguments.folder / network, progress)
+        config = here.model_copy(update={"siblings": [*here.siblings, THIRD]})
+        driven = replace(data, config=config, executions=(*data.executions, *found.executions.values()))
+        (written,) = write_tables(driven, arguments.folder / network / "tables")
+        written.rename(TABLES / f"{network}_{THIRD}.parquet")
+        print(f"{network}: {len(found.executions)} of {len(data.tests)} tests driven on {THIRD}")
+
+
+if __name__ == "__main__":
+    main()
