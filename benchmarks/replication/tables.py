@@ -267,6 +267,7 @@ def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
         for claim in CLAIMS:
             paper, ours, _, low, high = cells[network, *claim]
             interval = "in every run" if low == high == ours else f"{number(low)} to {number(high)}"
+            interval = "no interval" if np.isnan(low) else interval
             row.append(f"{number(paper, '+')}; **{number(ours, '+')}** ({interval})")
         yield f"| {' | '.join(row)} |"
     for network in networks:
