@@ -110,6 +110,21 @@ def is_complete(data: CampaignData) -> bool:
     return len(data.verdicts) == expected
 
 
+def first_runs() -> Iterator[tuple[str, Driven]]:
+    """Runs that a third sibling drove, too (`benchmarks.replication.third_sibling`): without it, then with it."""
+    for network in NETWORKS:
+        if not (table := TABLES / f"{network}_panda.parquet").exists():
+            continue
+        three = read(table)
+        *two, third = three.config.siblings
+        without = replace(
+            three, config=three.config.model_copy(update={"siblings": two}),
+            executions=tuple(one for one in three.executions if one.simulator != third),
+        )  # fmt: skip
+        yield f"{network}, first run", Driven(without, (without,))
+        yield f"{network}, with {third}", Driven(three, (three,))
+
+
 def scores_of(maps: Mapping[MapId, FeatureMap], config: CampaignConfig) -> dict[str, dict[str, Score]]:
     """Question -> role -> score."""
     assert config.twin
@@ -270,7 +285,7 @@ def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
             interval = "no interval" if np.isnan(low) else interval
             row.append(f"{number(paper, '+')}; **{number(ours, '+')}** ({interval})")
         yield f"| {' | '.join(row)} |"
-    for network in networks:
+    for network in dict.fromkeys(key[0] for key in cells):
         counts = {key[2:]: values for key, values in cells.items() if key[:2] == (network, "counts")}
         row = [f"`{network}`"]
         for agreed in AGREED:
@@ -315,11 +330,13 @@ def main() -> None:
             if not runs:
                 continue
             drawn[network] = Driven(of_runs(data, {test.run for run in runs for test in run.tests}), runs)
-            cells |= (rows := dict(rows_of(network, drawn[network])))
-            for key, values in rows.items():
-                writer.writerow(
-                    [*key, *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values)]
-                )
+            cells |= dict(rows_of(network, drawn[network]))
+        for name, driven in first_runs():
+            cells |= {(name, *key): values for key, values in _counts(driven)}
+        for key, values in cells.items():
+            writer.writerow(
+                [*key, *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values)]
+            )
     (arguments.pictures / "replication_maps.png").write_bytes(png(draw_maps(drawn)))
     (arguments.pictures / "replication_claims.png").write_bytes(png(draw_claims(list(drawn), cells)))
     print(*page_tables(list(drawn), cells), sep="\n")
