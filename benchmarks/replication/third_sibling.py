@@ -7,6 +7,7 @@ FOLDER. Then `ds campaign import docs/data/replication/dave2_panda.parquet --out
 from __future__ import annotations
 
 import argparse
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,10 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
     for network in arguments.networks:
+        table = TABLES / f"{network}_{THIRD}.parquet"
+        if table.exists():
+            print(f"{network}: {table} is there; remove it to drive again")
+            continue
         data = of_runs(read(TABLES / f"{network}.parquet"), {RUN})
         here = data.config.model_copy(update={"engine": "local", "workers": arguments.workers})
         settings = replace(here.drive_settings(), siblings=(THIRD,), twin=None)
@@ -38,7 +43,7 @@ def main() -> None:
         config = here.model_copy(update={"siblings": [*here.siblings, THIRD]})
         driven = replace(data, config=config, executions=(*data.executions, *found.executions.values()))
         (written,) = write_tables(driven, arguments.folder / network / "tables")
-        written.rename(TABLES / f"{network}_{THIRD}.parquet")
+        shutil.move(written, table)
         print(f"{network}: {len(found.executions)} of {len(data.tests)} tests driven on {THIRD}")
 
 
