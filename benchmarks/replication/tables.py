@@ -42,6 +42,9 @@ NAMES = {"DS1": "bullet", "DS2": "softbody", "DSS": "merged"}
 ROLES = tuple(NAMES)
 QUESTIONS = {"RQ2": ("probability", RQ2), "RQ3": ("quality_loss", RQ3)}
 RUNS = 5
+THIRD = "panda"
+THIRD_RUN = 0
+"""Run whose tests a third sibling drives, too; chosen: whole searches, so that its maps are like those of any run."""
 AGREED = ("all siblings fail", "no sibling fails")
 UNDEFINED = (np.nan, np.nan, np.nan)
 Row = tuple[tuple[str, ...], tuple[float, ...]]
@@ -97,6 +100,11 @@ class Driven:
         return maps_of(self.data)
 
 
+def third_table(network: str) -> Path:
+    """Where `benchmarks.replication.third_sibling` keeps a network's outcomes on three siblings."""
+    return TABLES / f"{network}_{THIRD}.parquet"
+
+
 def of_runs(data: CampaignData, runs: Collection[int]) -> CampaignData:
     """The tests of some runs of every sibling's search."""
     tests = tuple(test for test in data.tests if test.run in runs)
@@ -108,21 +116,6 @@ def is_complete(data: CampaignData) -> bool:
     """Whether every test of the run was driven everywhere."""
     expected = len(data.config.siblings) * data.config.settings.budget * len(data.config.simulators)
     return len(data.verdicts) == expected
-
-
-def first_runs() -> Iterator[tuple[str, Driven]]:
-    """Runs that a third sibling drove, too (`benchmarks.replication.third_sibling`): without it, then with it."""
-    for network in NETWORKS:
-        if not (table := TABLES / f"{network}_panda.parquet").exists():
-            continue
-        three = read(table)
-        *two, third = three.config.siblings
-        without = replace(
-            three, config=three.config.model_copy(update={"siblings": two}),
-            executions=tuple(one for one in three.executions if one.simulator != third),
-        )  # fmt: skip
-        yield f"{network}, first run", Driven(without, (without,))
-        yield f"{network}, with {third}", Driven(three, (three,))
 
 
 def scores_of(maps: Mapping[MapId, FeatureMap], config: CampaignConfig) -> dict[str, dict[str, Score]]:
@@ -331,8 +324,11 @@ def main() -> None:
                 continue
             drawn[network] = Driven(of_runs(data, {test.run for run in runs for test in run.tests}), runs)
             cells |= dict(rows_of(network, drawn[network]))
-        for name, driven in first_runs():
-            cells |= {(name, *key): values for key, values in _counts(driven)}
+        for network, driven in drawn.items():
+            if (table := third_table(network)).exists():
+                three, two = read(table), of_runs(driven.data, {THIRD_RUN})
+                for name, run in ((f"{network}, first run", two), (f"{network}, with {THIRD}", three)):
+                    cells |= {(name, *key): values for key, values in _counts(Driven(run, (run,)))}
         for key, values in cells.items():
             writer.writerow(
                 [*key, *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values)]

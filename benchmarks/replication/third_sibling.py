@@ -12,15 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.replication.drive import NETWORKS, TABLES
-from benchmarks.replication.tables import of_runs, read
+from benchmarks.replication.tables import THIRD, THIRD_RUN, of_runs, read, third_table
 
 from ds_analysis.common.parquet import write_tables
 from ds_cli.progress import ScreenListener
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
-
-THIRD = "panda"
-RUN = 0
-"""The run whose tests are driven; chosen: whole searches, so that its maps can be compared with those of any run."""
 
 
 def main() -> None:
@@ -31,11 +27,11 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
     for network in arguments.networks:
-        table = TABLES / f"{network}_{THIRD}.parquet"
+        table = third_table(network)
         if table.exists():
             print(f"{network}: {table} is there; remove it to drive again")
             continue
-        data = of_runs(read(TABLES / f"{network}.parquet"), {RUN})
+        data = of_runs(read(TABLES / f"{network}.parquet"), {THIRD_RUN})
         here = data.config.model_copy(update={"engine": "local", "workers": arguments.workers})
         settings = replace(here.drive_settings(), siblings=(THIRD,), twin=None)
         progress = Progress(listen=ScreenListener, say=print)
