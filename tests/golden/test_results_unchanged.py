@@ -91,8 +91,13 @@ def test_the_search_asks_for_the_same_roads(sibling: str) -> None:
     (seed,) = [row[3] for row in DEMO["searches"] if row[0] == sibling]
     search = SEARCHES[CONFIG.search.method](CONFIG.settings, np.random.default_rng(seed))
     outcome = {e.test_id: e for e in demo_executions() if e.simulator == sibling}
+    known: set[str] = set()
     for test in (test for test in demo_tests() if test.sibling == sibling):
         road = search.ask()
+        if test.road.road_id in known:  # version 0.1.0 drove this road twice; from here on the searches differ
+            assert test.test_id == "softbody-0-0018" and road.road_id not in known
+            return
+        known.add(test.road.road_id)
         assert np.allclose(road.control_points, test.road.control_points, atol=1e-9), test.test_id
         assert probe() != PROBE or road.road_id == test.road.road_id, test.test_id
         done = outcome[test.test_id]

@@ -142,6 +142,42 @@ def test_every_search_is_replayed_by_its_seed_and_outcomes(kind: type[Search]) -
     assert all(road.validity.valid for road in roads) and len(roads) == SETTINGS.budget
 
 
+CROWDED = SearchSettings(population=1, iterations=200, extent=1)
+"""A road has 12 neighbours at most, so that mutants often repeat a road."""
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", SEARCHES.values())
+def test_no_search_asks_for_a_road_twice(kind: type[Search], seed: int) -> None:
+    _, roads = replayed(kind, CROWDED, seed)
+    assert len({road.road_id for road in roads}) == len(roads) == CROWDED.budget
+
+
+def test_a_road_comes_again_only_under_other_conditions() -> None:
+    searched = ConditionSpace([SearchedCondition(name="visibility", low=20.0, high=200.0)])
+    search = DeepHyperion(dataclasses.replace(CROWDED, conditions=searched), np.random.default_rng(1))
+    asked = []
+    while not search.done:
+        asked.append(search.ask_test())
+        search.tell(fitness_of(asked[-1].road))
+    assert len({(one.road.road_id, one.conditions) for one in asked}) == len(asked)
+    assert len({one.road.road_id for one in asked}) < len(asked)
+
+
+def test_a_search_as_in_maxitwo_repeats_roads_as_maxitwo_does() -> None:
+    _, roads = replayed(DeepHyperion, dataclasses.replace(CROWDED, maxitwo_compatible=True), 0)
+    assert len({road.road_id for road in roads}) < len(roads)
+
+
+def test_a_search_whose_mutants_are_all_known_draws_random_roads() -> None:
+    class Stuck(DeepHyperion):
+        def _next(self) -> Candidate:
+            return Candidate(next(iter(self.archive.values())).road)
+
+    _, roads = replayed(Stuck, dataclasses.replace(CROWDED, iterations=5), 0)
+    assert len({road.road_id for road in roads}) == 6
+
+
 def test_every_search_begins_with_the_same_random_roads() -> None:
     """The baseline differs from the others after the initial population, not in how roads are drawn."""
     begun = [replayed(kind, SETTINGS, 5)[1][: SETTINGS.population] for kind in SEARCHES.values()]

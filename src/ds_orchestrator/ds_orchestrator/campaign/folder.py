@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import get_args
@@ -19,6 +19,7 @@ from ds_orchestrator.store.folder_files import check_name, make_folder, read_fil
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
+from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import Gate
 from ds_sim.installation import versions
 
@@ -183,6 +184,28 @@ class CampaignData:
     def verdicts(self) -> tuple[Execution, ...]:
         """Executions that ended in a verdict on the driver."""
         return tuple(e for e in self.executions if e.outcome.is_verdict)
+
+    @cached_property
+    def distinct(self) -> CampaignData:
+        """The same campaign with every scenario once: of tests of one road and conditions, the first alone.
+
+        Everything that counts or infers counts these. Seeds do not make a scenario: every test of a campaign has its
+        own. The paper's maps, and how far a campaign is, take all tests.
+        """
+        first: dict[tuple[str, Conditions], Test] = {}
+        for test in self.tests:
+            first.setdefault((test.road.road_id, test.conditions), test)
+        if len(first) == len(self.tests):
+            return self
+        ids = {test.test_id for test in first.values()}
+        return replace(
+            self,
+            tests=tuple(first.values()),
+            executions=tuple(one for one in self.executions if one.test_id in ids),
+            gates={key: gate for key, gate in self.gates.items() if key[0] in ids},
+            errors=tuple(error for error in self.errors if error[0] in ids),
+            given_up=self.given_up & ids,
+        )
 
     @cached_property
     def excluded(self) -> dict[tuple[str, str], Gate]:

@@ -20,6 +20,9 @@ from ds_sim.extension import ExtensionError, is_extension, load_extension
 STEP = 0.2
 """Largest mutation of a condition, as a share of its range; chosen: about what 6 m, the largest move of a
 control point, are of the 25 m between two of them."""
+TRIES = 50
+"""Mutants that repeat an earlier test before a random test is drawn instead; chosen: a road has 72 neighbours, so that
+many repeats in a row mean that there is hardly a new one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,8 +213,9 @@ class Search(ABC):
     """Base class of searches with an ask/tell interface, as in pyribs and Optuna.
 
     `ask` returns the next road (`ask_test` the next road with its conditions), the caller drives it in any way, and
-    `tell` reports its fitness. The search owns no simulator: what it asks for depends on its settings, the generator's
-    seed and the reported outcomes alone. `archive` maps each cell of the feature map to its elite.
+    `tell` reports its fitness. No test is asked for twice. The search owns no simulator: what it asks for depends on
+    its settings, the generator's seed and the reported outcomes alone. `archive` maps each cell of the feature map to
+    its elite.
 
     A search with a synthetic fitness:
 
@@ -242,6 +246,7 @@ class Search(ABC):
         self._angles = np.arange(settings.min_angle, settings.max_angle + 1, 10)
         self._angle_weights = np.ones(len(self._angles))
         self._asked = 0
+        self._known: set[tuple[str, Conditions]] = set()
         self._pending: Candidate | None = None
         self._parent: Cell | None = None
         self.archive = Archive()
@@ -276,11 +281,21 @@ class Search(ABC):
             raise RuntimeError("tell the fitness of the last road before asking for another one")
         if self._asked == self.budget:
             raise RuntimeError("the search is done: its budget is spent")
-        self._parent = None
-        starting = self._asked < self._settings.population or not self.archive
-        self._pending = self._random() if starting else self._next()
+        self._pending = self._new_test()
+        self._known.add((self._pending.road.road_id, self._pending.conditions))
         self._asked += 1
         return self._pending
+
+    def _new_test(self) -> Candidate:
+        """Return a test that is not known yet: a random one where `TRIES` give none. As in maxitwo, any will do."""
+        starting = self._asked < self._settings.population or not self.archive
+        for _ in range(TRIES):
+            self._parent = None
+            found = self._random() if starting else self._next()
+            if self._settings.maxitwo_compatible or (found.road.road_id, found.conditions) not in self._known:
+                return found
+        self._parent = None
+        return self._random()
 
     def tell(self, fitness: float | None, *, failed: bool = False, cell: Cell | None = None) -> None:
         """Report the outcome of the last test.

@@ -1,0 +1,33 @@
+"""A campaign counts a road under the same conditions once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_road import generate
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.simulator import Outcome
+
+FOG = Conditions(visibility=50.0)
+
+
+def test_a_repeated_scenario_is_left_out_with_its_drives() -> None:
+    one, other = (generate(np.random.default_rng(seed)) for seed in (1, 2))
+    tests = tuple(
+        Test(test_id=f"bullet-0-{k:04d}", sibling="bullet", run=0, number=k, road=road, seed=k, conditions=under)
+        for k, (road, under) in enumerate([(one, DEFAULT), (other, DEFAULT), (one, DEFAULT), (one, FOG), (one, FOG)])
+    )
+    executions = tuple(
+        Execution(
+            test_id=test.test_id, simulator="bullet", outcome=Outcome.COMPLETED, message="", fitness=1.0,
+            max_lateral_position=1.0, steps=1, simulated_seconds=0.05, trajectory_sha256="", drive=NO_DRIVE,
+        )
+        for test in tests
+    )  # fmt: skip
+    data = CampaignData(config=CampaignConfig(), tests=tests, executions=executions, given_up=frozenset({"x"}))
+    assert [test.number for test in data.distinct.tests] == [0, 1, 3]
+    assert [one.test_id[-1] for one in data.distinct.verdicts] == ["0", "1", "3"]
+    assert data.distinct.distinct is data.distinct and not data.distinct.given_up
