@@ -1,0 +1,39 @@
+"""The study of when to merge: its analysis computes the paper's numbers, and its plan is whole."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.replication.tables import of_runs, read, third_table
+from benchmarks.when_to_merge.analysis import cases_of, load
+from benchmarks.when_to_merge.plan import PARTS, SIBLINGS, Part
+
+from ds_analysis.paper.campaign_contents import maps_of
+from ds_analysis.paper.correlation import evaluate
+from ds_orchestrator.maps.feature_map import MapId
+
+
+def test_maps_of_the_study_have_the_papers_r_and_auc_prc(tmp_path: Path) -> None:
+    data = read(third_table("epoch"))  # outcomes that were known before the study
+    maps = maps_of(of_runs(data, {0}))
+    block = load("epoch", False, tmp_path)
+    # Any of the simulators as the twin: the study's own are driven later.
+    first, second, twin = SIBLINGS
+    (case,) = cases_of({"epoch": block}, [(twin, (first, second))], 1, with_auc=True)
+    truth = {MapId.twin(twin): maps[MapId.union(twin)]}
+    merged = maps_of(of_runs(read(third_table("epoch").with_name("epoch.parquet")), {0}))[MapId.merged()]
+    unions = {MapId.union(one): maps[MapId.union(one)] for one in (first, second)}
+    found = evaluate({**unions, MapId.merged(): merged, **truth}, [first, second], twin)
+    by_r = [one.r or 0.0 for one in found if one.value == "probability"]
+    by_auc = [one.auc or 0.0 for one in found if one.value == "probability"]
+    assert [case.r[name] for name in ("first", "second", "product")] == pytest.approx(by_r)
+    assert case.gain_auc[0] == pytest.approx(by_auc[2] - max(by_auc[:2]))
+    assert case.gain[0] == pytest.approx(by_r[2] - max(by_r[:2]))
+    assert np.isfinite(case.gain).all()
+
+
+def test_the_plan_drives_what_the_page_says() -> None:
+    assert sum(part.expected for part in PARTS) == 29_320
+    assert len({part.name for part in PARTS}) == len(PARTS)
+    assert Part("A", "residual", "bullet").expected == Part("A", "residual", "bullet", searches=True).expected == 170
+    assert Part("A", "dave2", "easier").expected == 340 and Part("C", "dave2", "nominal").expected == 240
