@@ -13,6 +13,7 @@ from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.loading import load
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import format_conditions, from_json, parse_conditions, to_json
+from ds_sim.conditions.words import PHRASES, Side, in_words
 from ds_sim.registry import make_simulator, simulator_of_process, spec_of
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
 from ds_sim.session import Session
@@ -178,3 +179,44 @@ def test_a_kept_simulator_draws_all_rows_again() -> None:
     assert not kept.load(STRAIGHT, seed=1).image[1:].any()
     assert simulator_of_process("bullet") is kept
     assert kept.load(STRAIGHT, seed=1).image[-1].any()
+
+
+def test_every_condition_has_a_phrase_with_its_code_name() -> None:
+    assert set(PHRASES) == set(FIELDS)
+    for name, field in FIELDS.items():
+        text = in_words(name, field.low, side="or less")
+        assert text.count(name) == 1 and text.endswith(")") and "or " in text
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "side", "said"),
+    [
+        ("line_cover", 0.26, "or more", "where a quarter or more of the line paint is missing (line_cover 0.26)"),
+        ("line_cover", 0.3, "or more", "where 30 % or more of the line paint is missing (line_cover 0.3)"),
+        ("visibility", 80.0, "or less", "in fog or haze with a visibility of 80 m or less (visibility)"),
+        (
+            "camera_yaw",
+            -0.1,
+            "or less",
+            "with the camera turned 5.7 degrees or more to the right (camera_yaw -0.1 rad)",
+        ),
+        (
+            "camera_yaw",
+            -0.1,
+            "or more",
+            "with the camera turned 5.7 degrees or less to the right (camera_yaw -0.1 rad)",
+        ),
+    ],
+)
+def test_conditions_in_the_words_of_a_driver(name: str, value: float, side: Side, said: str) -> None:
+    assert in_words(name, value, side=side) == said
+
+
+def test_ranges_of_conditions_in_words() -> None:
+    assert (
+        in_words("line_contrast", 0.2, 0.5)
+        == "where lines keep 20 to 50 % of new paint's contrast (line_contrast 0.2 to 0.5)"
+    )
+    assert in_words("camera_pitch", -0.1, -0.05) == (
+        "with the camera tilted 2.9 to 5.7 degrees up (camera_pitch -0.1 to -0.05 rad)"
+    )

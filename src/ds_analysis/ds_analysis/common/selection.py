@@ -1,0 +1,182 @@
+"""For whoever chooses among many things, and then reports on the same data: is the choice chance, and how good is it?
+
+The unit is the family of tests (`ds_analysis.common.statistics.families_of`): mutants of a road have nearly its shape,
+and mostly end as it does. Rules, fixed before they were applied to any campaign:
+
+1. A split of tests at a threshold is stated only if its Youden index could hardly have been found by chance. Each
+   family is placed at its mean on every axis, and the families' outcomes (how many tests fail, how many pass) are
+   permuted among these places; p is the share of permutations, the observed one among them, whose largest index over
+   all axes and thresholds is as large. Sizes differ, and move with the outcomes, so that p is exact.
+2. Failure shares beside it are measured on tests that did not choose it: each family is divided by the split that all
+   other families choose. Intervals are Korn and Graubard's (Survey Methodology 24, 1998), for tests in clusters.
+3. The best of several candidates is named only if its lead survives random signs of the families' differences. p is
+   that of the largest lead over all candidates (Westfall and Young 1993).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta, t
+
+from ds_analysis.common.statistics import Array, Bools, Indices, Interval, splits_of
+from ds_orchestrator.maps.algebra import LEVEL
+
+PERMUTATIONS = 199
+"""Permutations of a test of a split; chosen: p is a multiple of 0.005."""
+SIGNS = 1999
+"""Random signs of a test of a lead; chosen: Holm's adjustment of p for ten simulators still has room."""
+ALPHA = 1.0 - LEVEL
+"""p up to which a choice is stated."""
+MOST_PARTS = 100
+"""Parts of the families, each of which is divided by a split that the others choose; chosen: takes 0.1 s."""
+SEED = 55
+"""Seed of permutations, signs and parts; any number does."""
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Share:
+    """Failures of a group of tests.
+
+    Attributes:
+        failures: number of failing tests.
+        tests: number of tests, at least 1.
+        interval: 95 % interval of the failure probability.
+    """
+
+    failures: int
+    tests: int
+    interval: Interval
+
+    @classmethod
+    def of(cls, failed: Bools, families: Indices) -> Share:
+        """Count (tests,) outcomes of (tests,) families; the interval takes whole families as drawn at random."""
+        tests, failures = len(failed), int(failed.sum())
+        members = np.unique(families, return_inverse=True)[1]
+        size, rate = float(members.max() + 1), failures / tests
+        if 0 < failures < tests and size < tests:
+            spread = np.bincount(members, failed - rate)
+            variance = size / (size - 1.0) * float(spread @ spread) / tests**2 if size > 1 else 0.0
+            worth = rate * (1.0 - rate) / variance if variance > 0.0 else float(tests)
+            # The variance is itself an estimate, from few families.
+            normal, student = t.ppf((1.0 + LEVEL) / 2.0, (np.inf, max(size - 1.0, 1.0)))
+            size = min(worth, float(tests)) * (normal / student) ** 2
+        return cls(failures=failures, tests=tests, interval=_clopper_pearson(rate * size, size))
+
+
+def _clopper_pearson(failures: float, tests: float) -> Interval:
+    """95 % interval of a probability (Biometrika 26, 1934), also of effective numbers that are not whole."""
+    tail, passes = ALPHA / 2.0, tests - failures
+    low = float(beta.ppf(tail, failures, passes + 1.0)) if failures > _ROUNDING else 0.0
+    high = float(beta.ppf(1.0 - tail, failures + 1.0, passes)) if passes > _ROUNDING else 1.0
+    return low, high
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChosenSplit:
+    """The split of tests with the largest Youden index over all axes and thresholds.
+
+    Attributes:
+        axis: row of the values.
+        threshold: value of the harder tests that is nearest to the others.
+        harder: (tests,) whether a test has the threshold or more.
+        p: of rule 1.
+        apart: of rule 2: failures of the tests that splits of other families call harder, and of those that they call
+            gentler; None where one side has no test.
+    """
+
+    axis: int
+    threshold: float
+    harder: Bools
+    p: float
+    apart: tuple[Share, Share] | None
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it may be stated."""
+        return self.p <= ALPHA and self.apart is not None
+
+
+def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random.Generator) -> ChosenSplit | None:
+    """Choose a split of tests, and say how far the choice can be trusted.
+
+    Args:
+        values: (axes, tests) larger where a test is harder; among equal splits the first axis counts, and on it the
+            hardest threshold.
+        failed: (tests,) outcomes.
+        families: (tests,) number of the family, from 0.
+        rng: draws the permutations.
+
+    Returns:
+        None if all tests end alike, or no axis has two values.
+    """
+    gains, ranked = _gains(failed), _Ranked(values)
+    if failed.all() or not failed.any() or not ranked.ends.any():
+        return None
+    axis, threshold, _ = ranked.best(gains)
+    size = np.bincount(families)
+    places = _Ranked(np.stack([np.bincount(families, of) / size for of in values]))
+    of_family = np.asarray(np.bincount(families, gains), np.float64)
+    found = [places.best(of_family)[2], *(places.best(rng.permutation(of_family))[2] for _ in range(PERMUTATIONS))]
+    called_harder = np.zeros(len(failed), np.bool_)
+    for chosen_by, divided in splits_of(families, MOST_PARTS, SEED):
+        seen = np.zeros(len(failed))
+        seen[chosen_by] = _gains(failed[chosen_by])
+        if seen.any():
+            k, least, _ = ranked.best(seen)
+            called_harder[divided] = values[k, divided] >= least
+        else:  # all others end alike, and say the same of these
+            called_harder[divided] = failed[chosen_by].any()
+    sides = [(failed[side], families[side]) for side in (called_harder, ~called_harder) if side.any()]
+    return ChosenSplit(
+        axis=axis,
+        threshold=threshold,
+        harder=np.asarray(values[axis] >= threshold),
+        p=float(np.mean(np.array(found) >= found[0])),
+        apart=(Share.of(*sides[0]), Share.of(*sides[1])) if len(sides) == 2 else None,
+    )
+
+
+def _gains(failed: Bools) -> Array:
+    """What each test adds to the Youden index of the tests called harder: whole numbers, so that ties are exact."""
+    failures = int(failed.sum())
+    return np.where(failed, float(len(failed) - failures), -float(failures))
+
+
+class _Ranked:
+    """Places on several axes, the hardest first, and where in that order a threshold may lie.
+
+    Args:
+        values: (axes, places).
+    """
+
+    def __init__(self, values: Array) -> None:
+        self.order = np.argsort(-values, axis=1, kind="stable")
+        self.values = np.take_along_axis(values, self.order, axis=1)
+        self.ends = np.diff(self.values, axis=1) != 0.0
+
+    def best(self, gains: Array) -> tuple[int, float, float]:
+        """Axis and threshold of the harder places with the largest sum of (places,) gains, and that sum."""
+        sums = np.where(self.ends, gains[self.order].cumsum(axis=1)[:, :-1], -np.inf)
+        axis, last = divmod(int(np.argmax(sums)), sums.shape[1])
+        return axis, float(self.values[axis, last]), float(sums[axis, last])
+
+
+def p_of_leads(leads: Array, rng: np.random.Generator) -> Array:
+    """Compute p of each candidate's lead, by rule 3; two-sided if a lead and its negative are candidates.
+
+    Args:
+        leads: (candidates, families) by how much each candidate leads in each family; by chance, either sign is alike.
+        rng: draws the signs.
+
+    Examples:
+        >>> import numpy as np
+        >>> lead = np.ones(8)
+        >>> p_of_leads(np.stack((lead, -lead)), np.random.default_rng(1)) < 0.05
+        array([ True, False])
+    """
+    signs = rng.choice((-1.0, 1.0), (SIGNS, leads.shape[1]))
+    largest = np.append((signs @ leads.T).max(axis=1), np.inf)  # the observed signs are one of the draws
+    return np.asarray((largest >= leads.sum(axis=1)[:, None] - _ROUNDING).mean(axis=1))
