@@ -3,58 +3,43 @@
 Where a driver fails is one threshold on bend radius, number of turns, or an operating condition (a decision stump). The
 rule was fixed before it was applied to any campaign:
 
-1. A road fails if it fails on the twin. Without a twin's outcomes, it fails if it fails on every sibling.
+1. A road fails if it fails on the twin. Without a twin's outcomes, it fails if it fails on every sibling. A road under
+   the same conditions counts once.
 2. For the largest curvature of a road, its turns count, and every condition that varies between tests, every threshold
    between two different values splits the tests into easier and harder ones; a condition that is hard at both ends is
    split in both directions. The split with the largest Youden index J, the share of failing tests above minus the
    share of passing tests above, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before turns
    before conditions, then the harder threshold.
    Where conditions vary, the best split of the other kind, road or conditions, is named after it.
-3. A split is reported only if the 95 % intervals (Jeffreys) of both sides' failure probabilities do not overlap,
-   since a threshold chosen from the same data always looks better than it is.
+3. A split is stated only if chance would hardly find one as good, and the percentages beside it are those of tests that
+   did not choose it: see `ds_analysis.common.selection`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from ds_analysis.common.heatmap import Value
+from ds_analysis.common.selection import SEED, ChosenSplit, Share, choose_split
+from ds_analysis.common.statistics import Indices, families_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
 from ds_driver.networks.network_driver import sees_translated
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT, FIELDS
-from ds_sim.conditions.text import three_digits
-
-
-@dataclass(frozen=True, kw_only=True)
-class Share:
-    """Failures of a group of roads.
-
-    Attributes:
-        failures: number of failing roads.
-        roads: number of roads, at least 1.
-    """
-
-    failures: int
-    roads: int
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the failure probability (Jeffreys)."""
-        return jeffreys_interval(self.failures, self.roads)
-
+from ds_sim.conditions.words import in_words
 
 Kind = Literal["road", "conditions"]
+FEW_FAMILIES = 16
+"""Random roads below which a clear difference is often not found (docs/claims.md); chosen from that simulation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,20 +50,13 @@ class Split:
         axis: `curvature`, the largest of a road in 1/m, `turns`, or the name of a condition.
         threshold: of the harder roads, the value nearest to the others.
         is_lower_bound: whether the harder roads have the threshold or more, otherwise the threshold or less.
-        harder: roads from the threshold on.
-        gentler: the other roads.
+        found: which roads are harder, and how far the choice can be trusted.
     """
 
     axis: str
     threshold: float
     is_lower_bound: bool
-    harder: Share
-    gentler: Share
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether the intervals of the two sides do not overlap."""
-        return self.harder.interval[0] > self.gentler.interval[1]
+    found: ChosenSplit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,10 +73,15 @@ class RoadOutcomes:
     tests: tuple[Test, ...]
     failed: tuple[bool, ...]
 
+    @cached_property
+    def families(self) -> Indices:
+        """For each test, the number of the random road from which it descends."""
+        return families_of([test.road for test in self.tests])
+
     @property
     def share(self) -> Share:
-        """Failures over all roads."""
-        return Share(failures=sum(self.failed), roads=len(self.tests))
+        """Failures over all roads, of which there is one at least."""
+        return Share.of(np.array(self.failed, np.bool_), self.families)
 
     @property
     def varied_conditions(self) -> tuple[str, ...]:
@@ -108,6 +91,7 @@ class RoadOutcomes:
 
 def road_outcomes(data: CampaignData) -> RoadOutcomes:
     """Decide which roads of a campaign fail, by rule 1 of this module."""
+    data = data.distinct
     config = data.config
     done = {(e.test_id, e.simulator): e.outcome.is_failure for e in data.verdicts}
     if config.twin and any(simulator == config.twin for _, simulator in done):
@@ -128,29 +112,15 @@ def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None
         outcomes: roads and which of them fail.
         kind: only axes of the road, or only conditions; None for all.
     """
-    total = outcomes.share
-    passing = total.roads - total.failures
-    if not 0 < total.failures < total.roads:
+    axes = [one for one in _axes(outcomes) if kind in (None, kind_of(one[0]))] if outcomes.tests else []
+    if not axes:
         return None
-    candidates: list[tuple[tuple[int, int], Split]] = []
-    for order, (axis, values, sign) in enumerate(_axes(outcomes)):
-        if kind not in (None, kind_of(axis)):
-            continue
-        thresholds, place = np.unique(sign * np.array(values), return_inverse=True)
-        if len(thresholds) < 2:
-            continue
-        roads, failures = (  # from each threshold but the gentlest on
-            np.bincount(place, weights)[:0:-1].cumsum()[::-1].astype(int) for weights in (None, outcomes.failed)
-        )
-        # Youden's J times the failing and the passing roads: whole numbers have no rounding errors to break ties.
-        youden = failures * passing - (roads - failures) * total.failures
-        k = int(np.flatnonzero(youden == youden.max())[-1])
-        harder = Share(failures=int(failures[k]), roads=int(roads[k]))
-        gentler = Share(failures=total.failures - harder.failures, roads=total.roads - harder.roads)
-        threshold = sign * float(thresholds[k + 1])
-        split = Split(axis=axis, threshold=threshold, is_lower_bound=sign > 0, harder=harder, gentler=gentler)
-        candidates.append(((int(youden[k]), -order), split))
-    return max(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
+    values = np.array([[sign * value for value in of] for _, of, sign in axes])
+    found = choose_split(values, np.array(outcomes.failed, np.bool_), outcomes.families, np.random.default_rng(SEED))
+    if found is None:
+        return None
+    axis, _, sign = axes[found.axis]
+    return Split(axis=axis, threshold=sign * found.threshold, is_lower_bound=sign > 0, found=found)
 
 
 def kind_of(axis: str) -> Kind:
@@ -222,7 +192,7 @@ def summarise(
     if not data.executions:
         return Findings(headline=NOTHING_DRIVEN)
     outcomes = road_outcomes(data)
-    details = [_coverage(data), _failures(data), _agreement(config, maps)]
+    details = [_coverage(data.distinct), _failures(data.distinct), _agreement(config, maps)]
     if config.twin and maps[MapId.merged()].cells:
         details.append(_predicted(config, maps))
     values: tuple[Value, ...] = ("probability", "quality_loss")
@@ -247,35 +217,50 @@ def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
         return f"No {thing} has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
     total, all_of = outcomes.share, count(len(outcomes.tests), thing)
     split = best_split(outcomes)
-    clear = split is not None and split.is_clear
+    clear = split is not None and split.found.is_clear
     conditions = _conditions(outcomes, but=split.axis if split and clear else "")
-    where = f"{outcomes.where} (all {thing}s under {listed(conditions)})" if conditions else outcomes.where
+    where = f"{outcomes.where}, all {thing}s {listed(conditions)}" if conditions else outcomes.where
     if not total.failures:
-        none = f"did not fail on the only {thing}" if total.roads == 1 else f"failed on none of {all_of}"
-        return f"{driver} {none} on {where} ({_percent(total)})."
-    if total.failures == total.roads:
-        every = f"the only {thing}" if total.roads == 1 else f"all {all_of}"
-        return f"{driver} failed on {every} on {where} ({_percent(total)}); no gentler {thing} was driven."
+        none = f"did not fail on the only {thing}" if total.tests == 1 else f"failed on none of {all_of}"
+        return f"{driver} {none} ({_percent(total)}) on {where}."
+    if total.failures == total.tests:
+        every = f"the only {thing}" if total.tests == 1 else f"all {all_of}"
+        return f"{driver} failed on {every} ({_percent(total)}) on {where}; no gentler {thing} was driven."
     if split is None or not clear:
         axes = ("the tightest bend", "the number of turns", *outcomes.varied_conditions)
         none = f"Neither {' nor '.join(axes)} separates" if len(axes) == 2 else f"None of {listed(axes)} separates"
         return (
-            f"{driver} failed on {total.failures} of {all_of} on {where} ({_percent(total)}). {none} these "
-            f"{thing}s clearly from the others."
+            f"{driver} failed on {total.failures} of {all_of} ({_percent(total)}) on {where}. {none} these "
+            f"{thing}s clearly from the others.{_few(outcomes, thing)}"
         )
-    first = f"On {where}, {driver} fails on {thing}s with {_harder_than(split)}: {_sides(split, thing)}."
+    first = f"On {where}, {driver} fails {_harder_than(split, thing)}: {_sides(split, outcomes.failed, thing)}"
     second = best_split(outcomes, "road" if kind_of(split.axis) == "conditions" else "conditions")
-    if second is None or not second.is_clear:
+    if second is None or not second.found.is_clear:
         return first
-    return f"{first} It also fails more often with {_harder_than(second)}: {_sides(second, thing)}."
+    return f"{first} It also fails more often {_harder_than(second, thing)}: {_sides(second, outcomes.failed, thing)}"
 
 
-def _sides(split: Split, thing: str) -> str:
-    """State how often the tests on both sides of a split fail."""
-    harder, gentler = split.harder, split.gentler
+def _few(outcomes: RoadOutcomes, thing: str) -> str:
+    """Say that there are too few random roads to find even a clear difference, if that is so."""
+    roots = int(outcomes.families.max()) + 1
+    if roots >= FEW_FAMILIES:
+        return ""
+    tests = f"{len(outcomes.tests)} {thing}s"
+    start = f"There are {tests}" if roots == len(outcomes.tests) else f"The {tests} vary {count(roots, 'random road')}"
     return (
-        f"{harder.failures} of {harder.roads} such {thing}s failed ({_percent(harder)}), and "
-        f"{gentler.failures or 'none'} of the {gentler.roads} others ({_percent(gentler)})"
+        f" {start}, which is few: from {FEW_FAMILIES} random roads on (`population`), a clear difference is mostly "
+        "found."
+    )
+
+
+def _sides(split: Split, failed: Sequence[bool], thing: str) -> str:
+    """State how often the tests on both sides of a split fail: counts, and what is left of them on other tests."""
+    harder, lost = split.found.harder, np.array(failed, np.bool_)
+    rates = " against ".join(_percent(share) for share in split.found.apart or ())
+    return (
+        f"{int(lost[harder].sum())} of {int(harder.sum())} such {thing}s failed, and "
+        f"{int(lost[~harder].sum()) or 'none'} of the {int((~harder).sum())} others. On {thing}s that did not choose "
+        f"this threshold, it is {rates}."
     )
 
 
@@ -289,21 +274,19 @@ def count(number: int, thing: str, plural: str = "") -> str:
     return f"{number} {thing if number == 1 else plural or thing + 's'}"
 
 
-def _harder_than(split: Split) -> str:
-    if split.axis == "turns":
-        return f"{split.threshold:.0f} turns or more"
+def _harder_than(split: Split, thing: str) -> str:
     if split.axis in FIELDS:
-        unit = f" {FIELDS[split.axis].unit}" if FIELDS[split.axis].unit else ""
-        side = "more" if split.is_lower_bound else "less"
-        meaning = re.split("[;:,(]", FIELDS[split.axis].doc)[0].strip()
-        return f"{split.axis} {three_digits(split.threshold)}{unit} or {side} ({meaning})"
-    return f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
+        return in_words(split.axis, split.threshold, side="or more" if split.is_lower_bound else "or less")
+    if split.axis == "turns":
+        return f"on {thing}s with {split.threshold:.0f} turns or more"
+    bend = f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
+    return f"on {thing}s with {bend}"
 
 
 def _percent(share: Share) -> str:
     """Write a share with its interval: `75 %, 95 % interval 28 to 97 %`."""
     low, high = (100 * end for end in share.interval)
-    return f"{100 * share.failures / share.roads:.0f} %, 95 % interval {low:.0f} to {high:.0f} %"
+    return f"{100 * share.failures / share.tests:.0f} %, 95 % interval {low:.0f} to {high:.0f} %"
 
 
 def _limits(driver: str, outcomes: RoadOutcomes) -> str:
@@ -318,24 +301,24 @@ def _limits(driver: str, outcomes: RoadOutcomes) -> str:
     conditions = f"Conditions: {', '.join(named)}." if (named := _conditions(outcomes)) else ""
     translated = TRANSLATED if conditions and sees_translated(driver) else ""
     rest = f"{conditions} {translated}{NOT_TESTED_EITHER}" if conditions else NOT_TESTED
+    roads, roots = len({test.road.road_id for test in outcomes.tests}), int(outcomes.families.max()) + 1
+    tests = f" in {count(len(outcomes.tests), 'test')}" if roads < len(outcomes.tests) else ""
     return (
-        f"Tested: {count(len(turns), 'road')} with {number}, the tightest bend of each {tightest} ({low:.3f} to "
-        f"{high:.3f} 1/m). {rest}. Intervals take the roads as independent, which mutants of one "
-        "road are not, and a threshold as given, which was chosen from the same tests."
+        f"Tested: {count(roads, 'road')}{tests} with {number}, the tightest bend of each {tightest} ({low:.3f} to "
+        f"{high:.3f} 1/m). {rest}. Intervals count mutants of one road together: there are "
+        f"{count(roots, 'family', 'families')}."
     )
 
 
 def _conditions(outcomes: RoadOutcomes, but: str = "") -> list[str]:
     """Name the conditions other than the simulators' own, with their ranges, leaving out one."""
     named = []
-    for name, field in FIELDS.items():
+    for name in FIELDS:
         values = {getattr(test.conditions, name) for test in outcomes.tests}
         known = [value for value in values if value is not None]
         if values == {getattr(DEFAULT, name)} or not known or name == but:
             continue
-        low, high = (three_digits(end) for end in (min(known), max(known)))
-        unit = f" {field.unit}" if field.unit else ""
-        named.append(f"{name} {low if low == high else f'{low} to {high}'}{unit}")
+        named.append(in_words(name, min(known), max(known)))
     return named
 
 
@@ -363,8 +346,10 @@ def _agreement(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
 def _coverage(data: CampaignData) -> str:
     config, verdicts = data.config, len(data.verdicts)
     expected = len(data.tests) * len(config.simulators)
+    roads, tests = len({test.road.road_id for test in data.tests}), count(len(data.tests), "test")
+    given = count(roads, "road") if roads == len(data.tests) else f"{tests} on {count(roads, 'road')}"
     roles = listed([*config.siblings, *([f"the twin {config.twin}"] if config.twin else [])])
-    text = f"The driver {config.driver} was given {count(len(data.tests), 'road')} to drive on {roles}"
+    text = f"The driver {config.driver} was given {given} to drive on {roles}"
     if verdicts == expected:
         return f"{text}: {count(verdicts, 'run')}, each with a verdict."
     excluded = len(data.excluded)

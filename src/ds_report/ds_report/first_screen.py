@@ -3,8 +3,9 @@
 Rules, fixed before they were applied to any campaign:
 
 1. Where it fails: see `ds_report.findings`.
-2. A sibling is to be believed where siblings disagree if it does as the twin in more than half of these tests, with a
-   95 % interval (Jeffreys) above one half; without a twin, nobody can say.
+2. A sibling is to be believed where siblings disagree if it does as the twin in more of these tests than chance allows
+   the best of the siblings (`ds_analysis.common.selection`); without a twin, nobody can say. Where they never disagree,
+   or there is one alone, the twin's failures say what their agreement is worth. A scenario counts once.
 3. What to do next, the first that applies: finish the campaign; where all drives come out alike, other tests
    (`ds_analysis.common.next_campaign`); without a twin, drives of a car; otherwise train on the failures.
 """
@@ -15,9 +16,12 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ds_analysis.common.next_campaign import proposal
+from ds_analysis.common.selection import ALPHA, SEED, p_of_leads
+from ds_analysis.common.statistics import families_of
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.store.model import Test
 from ds_report.camera_pictures import worst_first
 from ds_report.findings import NOTHING_DRIVEN, count, listed, road_outcomes, where_it_fails
@@ -49,11 +53,13 @@ def first_screen(data: CampaignData, folder: str = ".") -> FirstScreen:
         data: contents of the campaign's store.
         folder: campaign folder, as the command names it.
     """
+    step, command = _next_step(data, _failures(data), folder)
+    where = where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN
+    data = data.distinct
     failed = _failures(data)
-    step, command = _next_step(data, failed, folder)
     driven = [test for test in data.tests if any(name in failed for name in _keys(test, data.config.simulators))]
     return FirstScreen(
-        where=where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN,
+        where=where,
         believe=_believe(data, failed),
         next=step,
         command=command,
@@ -77,37 +83,50 @@ def _believe(data: CampaignData, failed: Failures) -> str:
     """State where the siblings disagree, and which of them the twin agrees with, by rule 2 of this module."""
     siblings, twin = data.config.siblings, data.config.twin
     tests = [test for test in data.tests if all(key in failed for key in _keys(test, siblings))]
-    if len(siblings) < 2 or not tests:
+    if not tests:
         return ""
     split = [test for test in tests if len({failed[key] for key in _keys(test, siblings)}) > 1]
-    judged = [test for test in split if twin and (test.test_id, twin) in failed]
+    judged = [test for test in split or tests if twin and (test.test_id, twin) in failed]
     if not split:
-        return f"{_named(siblings)} agree on {_all_of(len(tests))}{_twin_of(data, failed, tests)}."
+        return _of_agreement(siblings, twin, tests, judged, failed)
     disagree = f"{_named(siblings)} disagree on {len(split)} of {count(len(tests), 'test')}"
     if not judged:
         return f"{disagree}; only drives on a twin or on your car can say which to believe."
-    right = {name: sum(failed[t.test_id, name] == failed[t.test_id, str(twin)] for t in judged) for name in siblings}
-    believed = [name for name in siblings if jeffreys_interval(right[name], len(judged))[0] > 0.5]
-    shares = listed([f"with {name} in {right[name]}" for name in siblings])
+    right = np.array([[failed[t.test_id, name] == failed[t.test_id, str(twin)] for t in judged] for name in siblings])
+    families = families_of([test.road for test in judged])
+    leads = [np.bincount(families, np.where(of, 1.0, -1.0)) for of in right]
+    p = p_of_leads(np.array(leads, np.float64), np.random.default_rng(SEED))
+    believed = [name for name, chance in zip(siblings, p, strict=True) if chance <= ALPHA]
+    shares = listed([f"with {name} in {of.sum()}" for name, of in zip(siblings, right, strict=True)])
     of = f"of {len(judged)} of them that it drove" if len(judged) < len(split) else "there"
     verdict = (
         f"where it has not driven, believe {listed(believed)}"
         if believed
-        else "too few or too mixed to say which to believe: trust neither alone"
-        if len(siblings) == 2
-        else "too few or too mixed to say which to believe: trust none alone"
+        else f"too few or too mixed to say which to believe: trust {'neither' if len(siblings) == 2 else 'none'} alone"
     )
     return f"{disagree}; {of} the twin {twin} agrees {shares}: {verdict}."
 
 
-def _twin_of(data: CampaignData, failed: Failures, tests: Sequence[Test]) -> str:
-    """Continue a sentence on siblings that agree: on how many of these tests the twin does so, too."""
-    twin, first = data.config.twin, data.config.siblings[0]
-    judged = [test for test in tests if twin and (test.test_id, twin) in failed]
-    if not judged:
-        return ""
-    alike = sum(failed[test.test_id, first] == failed[test.test_id, str(twin)] for test in judged)
-    return f"; the twin {twin} agrees with them in {alike} of {len(judged)}"
+def _of_agreement(
+    siblings: Sequence[str], twin: str | None, tests: Sequence[Test], judged: Sequence[Test], failed: Failures
+) -> str:
+    """Say what the outcomes of siblings that never disagree, or of one alone, are worth."""
+    alone, who = len(siblings) == 1, siblings[0] if len(siblings) == 1 else "they"
+    start = "" if alone else f"{_named(siblings)} agree on {_all_of(len(tests))}: "
+    outcomes = [(failed[test.test_id, siblings[0]], failed[test.test_id, str(twin)]) for test in judged]
+    if not outcomes:
+        lost = sum(failed[test.test_id, siblings[0]] for test in tests)
+        did = f"{who} failed {lost or 'none'} of {count(len(tests), 'test')}"
+        return f"{start}{did}; only drives on a twin or on your car can say what that is worth."
+    own, theirs, both = (sum(of) for of in zip(*((a, b, a and b) for a, b in outcomes), strict=True))
+    did = f"failed {own} of {count(len(judged), 'test')}" if own else f"completed {_all_of(len(judged))}"
+    if not theirs:
+        return f"{start}{who} {did}, and the twin {twin} failed none."
+    found = f"{count(theirs, 'failure')} that the twin {twin} found"
+    if not both:
+        return f"{start}{who} {did} and missed every one of the {found}."
+    missed = f"missed {theirs - both or 'none'} of the {found}"
+    return f"{start}{who} {did}, of which the twin fails {'all' if both == own else both}, and {missed}."
 
 
 def _next_step(data: CampaignData, failed: Failures, folder: str) -> tuple[str, str]:

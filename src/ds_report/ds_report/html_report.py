@@ -14,6 +14,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from ds_analysis.common.selection import Share
+from ds_analysis.common.statistics import families_of
 from ds_analysis.common.table import Table
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines
 from ds_analysis.paper.correlation import Correlation, PairedDifference
@@ -22,7 +24,6 @@ from ds_driver.whole_files import write_whole
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import Execution
 from ds_orchestrator.store.store import seconds_of
@@ -127,7 +128,7 @@ def write_report(
         answer=answer,
         failures=failures,
         further_maps=further_maps,
-        outcomes=_outcome_table(config, executions),
+        outcomes=_outcome_table(config, data.distinct.executions),
         verdicts=_VERDICTS,
         stages=stages_of(data),
         seconds=seconds_of(notes),
@@ -201,22 +202,24 @@ def _figures(
 
 def _tiles(data: CampaignData) -> list[tuple[str, str]]:
     """Collect the key numbers of the first screen: value and caption."""
-    config = data.config
+    repeats, data = len(data.tests) - len(data.distinct.tests), data.distinct
+    config, again = data.config, f"; {repeats} more repeat them" if repeats else ""
     tiles = [
-        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each {_a_test(data)}"),
+        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each {_a_test(data)}{again}"),
         (f"{len(data.verdicts):,}", f"drive{'' if len(data.verdicts) == 1 else 's'} with a verdict"),
     ]
+    families = families_of([test.road for test in data.tests])
+    family = dict(zip((test.test_id for test in data.tests), families, strict=True))
     for name in config.simulators:
-        failed = [e.outcome.is_failure for e in data.verdicts if e.simulator == name]
+        judged = [e for e in data.verdicts if e.simulator == name]
         where = name + (" (twin)" if name == config.twin else "")
-        if not failed:
+        if not judged:
             tiles.append(("–", f"no drive on {where}"))
             continue
-        low, high = jeffreys_interval(sum(failed), len(failed))
+        failed = np.array([e.outcome.is_failure for e in judged])
+        low, high = Share.of(failed, np.array([family[e.test_id] for e in judged])).interval
         ends = f"95 %: {100 * low:.0f} to {100 * high:.0f} %"
-        tiles.append(
-            (f"{100 * sum(failed) / len(failed):.0f} %", f"{sum(failed)} of {len(failed)} fail on {where}, {ends}")
-        )
+        tiles.append((f"{100 * failed.mean():.0f} %", f"{failed.sum()} of {len(failed)} fail on {where}, {ends}"))
     return tiles
 
 

@@ -65,11 +65,13 @@ def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> l
     return made
 
 
-def make_campaign(folder: Path, config: CampaignConfig, per_sibling: int, *, bags: bool = False) -> Store:
+def make_campaign(
+    folder: Path, config: CampaignConfig, per_sibling: int, *, bags: bool = False, roads: int = 8
+) -> Store:
     """Create a store of such tests, with the name of a bag for each execution if `bags`."""
     store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
     store.note("version numpy", "1.2.3<b>")
-    for test, driven in make_tests(config, per_sibling):
+    for test, driven in make_tests(config, per_sibling, roads=roads):
         store.add_test(test)
         for execution in driven:
             bag = f"bags/{test.test_id}-on-{label_of(execution.simulator)}" if bags else ""

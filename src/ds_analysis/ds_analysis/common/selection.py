@@ -155,11 +155,11 @@ class _Ranked:
     def __init__(self, values: Array) -> None:
         self.order = np.argsort(-values, axis=1, kind="stable")
         self.values = np.take_along_axis(values, self.order, axis=1)
-        self.ends = np.diff(self.values, axis=1) != 0.0
+        self.ends = np.diff(self.values, axis=1, append=self.values[:, -1:]) != 0.0
 
     def best(self, gains: Array) -> tuple[int, float, float]:
         """Axis and threshold of the harder places with the largest sum of (places,) gains, and that sum."""
-        sums = np.where(self.ends, gains[self.order].cumsum(axis=1)[:, :-1], -np.inf)
+        sums = np.where(self.ends, gains[self.order].cumsum(axis=1), -np.inf)
         axis, last = divmod(int(np.argmax(sums)), sums.shape[1])
         return axis, float(self.values[axis, last]), float(sums[axis, last])
 

@@ -68,19 +68,19 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
     """Collect what the page shows.
 
     Keys: `state` in words, `driver`, `done` and `total` executions, `seconds_left` or None, `simulators` with failures
-    and drives, `stages`, `axes` and `maps` (cells: two bins, tests, failures), `now` (drives under way, their road's
-    edges as points and the car's place), `errors` and `excluded` as numbers.
+    and tests (each scenario once), `stages`, `axes` and `maps` (cells: two bins, tests, failures), `now` (drives under
+    way, their road's edges as points and the car's place), `errors` and `excluded` as numbers.
     """
     data, live = snapshot.data, snapshot.live
-    config = data.config
+    config, counted = data.config, data.distinct
     verdicts = data.verdicts
     stages = stages_of(data)
     drives = [stage for stage in stages if stage.failures is not None]
     total = sum(stage.expected for stage in drives if stage.expected is not None)
     if any(stage.expected is None for stage in drives):
         total = config.executions_at_most
-    failures = Counter(e.simulator for e in verdicts if e.outcome.is_failure)
-    tests = Counter(e.simulator for e in verdicts)
+    failures = Counter(e.simulator for e in counted.verdicts if e.outcome.is_failure)
+    tests = Counter(e.simulator for e in counted.verdicts)
     by_road: dict[tuple[str, int], list[Test]] = {}
     for test in data.tests:
         by_road.setdefault((test.road.road_id, test.seed), []).append(test)
@@ -94,7 +94,7 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
         "errors": len(data.errors),
         "last_error": _last_error(data.errors),
         "excluded": len(data.excluded),
-        "tests": len(data.tests),
+        "tests": len(counted.tests),
         "lane": round(data.tests[0].road.lane_width, 3) if data.tests else 4.0,
         "simulators": [
             {**row, "failures": failures[row["name"]], "tests": tests[row["name"]],

@@ -53,7 +53,7 @@ def no_constant(name: str) -> Any:
         pytest.param(TWO, [FAILS, PASSES], [0, 1], "failed on 1 of 2 roads", id="two tests"),
         pytest.param(TWO, [PASSES] * 6, list(range(6)), "failed on none of 6 roads", id="no failures"),
         pytest.param(TWO, [FAILS] * 6, list(range(6)), "failed on all 6 roads", id="all failures"),
-        pytest.param(TWO, [FAILS, PASSES] * 2, [0] * 4, "failed on 2 of 4 roads", id="one cell"),
+        pytest.param(TWO, [FAILS, PASSES] * 2, [0] * 4, "failed on the only road", id="one road"),
         pytest.param(ONE, [FAILS, PASSES, PASSES], [0, 1, 2], "failed on 1 of 3 roads", id="one sibling"),
         pytest.param(ALONE, [FAILS, PASSES, PASSES], [0, 1, 2], "failed on 1 of 3 roads", id="no twin"),
         pytest.param(TWO, [], [], "Nothing was driven yet", id="nothing"),

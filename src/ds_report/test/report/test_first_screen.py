@@ -18,8 +18,8 @@ CONFIG = CampaignConfig(siblings=["a:One", "b:Two"], twin="c:Three", seed=7)
 
 
 def with_outcomes(folder: Path, config: CampaignConfig, failing: dict[str, set[int]]) -> CampaignData:
-    """A campaign of 16 tests, in which each simulator fails exactly the given ones, by position."""
-    with closing(make_campaign(folder, config, 8)) as store:
+    """A campaign of 16 roads, in which each simulator fails exactly the given ones, by position."""
+    with closing(make_campaign(folder, config, 16 // len(config.siblings), roads=16)) as store:
         data = read_campaign(store)
     place = {test.test_id: k for k, test in enumerate(data.tests)}
     executions = tuple(
@@ -57,19 +57,74 @@ def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("failing", "where", "command"),
+    ("failing", "where", "said", "command"),
     [
-        (set(), "failed on none of 16 roads", "--min-angle 200"),
-        (set(range(16)), "failed on all 16 roads", "--max-angle 60"),
+        (
+            set(),
+            "failed on none of 16 roads",
+            "completed all 16 tests, and the twin c:Three failed none.",
+            "--min-angle 200",
+        ),
+        (
+            set(range(16)),
+            "failed on all 16 roads",
+            "failed 16 of 16 tests, of which the twin fails all, and missed none of the 16 failures",
+            "--max-angle 60",
+        ),
     ],
 )
 def test_campaigns_in_which_all_or_nothing_fails_read_as_such(
-    tmp_path: Path, failing: set[int], where: str, command: str
+    tmp_path: Path, failing: set[int], where: str, said: str, command: str
 ) -> None:
     first = first_screen(with_outcomes(tmp_path, CONFIG, dict.fromkeys(CONFIG.simulators, failing)))
 
     assert where in first.where and command in first.command
-    assert "agree on all 16 tests; the twin c:Three agrees with them in 16 of 16" in first.believe
+    assert "The siblings a:One and b:Two agree on all 16 tests: they " in first.believe and said in first.believe
+
+
+ALONE = CONFIG.model_copy(update={"siblings": ["a:One"]})
+PAIR = "The siblings a:One and b:Two agree on all 16 tests: they "
+
+
+@pytest.mark.parametrize(
+    ("config", "of_siblings", "of_twin", "said"),
+    [
+        (ALONE, set(), {1, 2, 3}, "a:One completed all 16 tests and missed every one of the 3 failures that the twin "),
+        (
+            ALONE,
+            {1, 2, 3},
+            {1, 2, 9},
+            "a:One failed 3 of 16 tests, of which the twin fails 2, and missed 1 of the 3 failures",
+        ),
+        (
+            CONFIG,
+            set(),
+            {4},
+            f"{PAIR}completed all 16 tests and missed every one of the 1 failure that the twin c:Three",
+        ),
+        (CONFIG, {4}, set(), f"{PAIR}failed 1 of 16 tests, and the twin c:Three failed none."),
+        (
+            ALONE.model_copy(update={"twin": None}),
+            {4},
+            None,
+            "a:One failed 1 of 16 tests; only drives on a twin or on your",
+        ),
+    ],
+)
+def test_siblings_that_never_disagree_are_measured_by_the_twin(
+    tmp_path: Path, config: CampaignConfig, of_siblings: set[int], of_twin: set[int] | None, said: str
+) -> None:
+    failing = dict.fromkeys(config.siblings, of_siblings) | ({} if of_twin is None else {"c:Three": of_twin})
+    assert first_screen(with_outcomes(tmp_path, config, failing)).believe.startswith(said)
+
+
+def test_a_road_that_was_driven_twice_counts_once(tmp_path: Path) -> None:
+    data = with_outcomes(tmp_path, CONFIG, {"a:One": set(range(10)), "b:Two": set(), "c:Three": set(range(9))})
+    again = replace(data.tests[0], test_id="a-0-0099", number=99)
+    drives = [replace(one, test_id="a-0-0099") for one in data.executions if one.test_id == data.tests[0].test_id]
+    repeated = replace(data, tests=(*data.tests, again), executions=(*data.executions, *drives))
+    assert first_screen(repeated).believe == first_screen(data).believe
+    assert first_screen(repeated).where == first_screen(data).where
 
 
 def test_an_unfinished_campaign_is_to_be_finished(tmp_path: Path) -> None:

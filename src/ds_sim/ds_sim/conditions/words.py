@@ -39,7 +39,7 @@ PHRASES: Mapping[str, str] = {
     "tyre_pull": "with a pull to the left worth {degrees} of steering",
     "speed_limit": "with a speed limit of {value}",
 }
-"""Condition -> phrase; `{share}` is a fraction or percentage, `{degrees}` an angle, `{value}` a number with its unit."""
+"""Condition -> phrase; `{share}` is a fraction or percentage, `{degrees}` an angle, `{value}` a number with a unit."""
 _TURNED = {" down": " up", " to the left": " to the right"}
 """Word for a positive angle -> for a negative one."""
 _OPPOSITE: Mapping[Side, Side] = {"": "", "or more": "or less", "or less": "or more"}
@@ -69,7 +69,7 @@ def in_words(name: str, low: float, high: float | None = None, side: Side = "") 
         'in fog or haze with a visibility of 40 to 50 m (visibility)'
     """
     phrase, unit = PHRASES[name], f" {FIELDS[name].unit}".rstrip()
-    ends = (low,) if high is None or high == low else (low, high)
+    ends = [low] if high is None or high == low else [low, high]
     value = " to ".join(map(three_digits, ends)) + unit
     if "{value}" in phrase:
         return f"{phrase.format(value=f'{value} {side}'.rstrip())} ({name})"
@@ -80,7 +80,7 @@ def in_words(name: str, low: float, high: float | None = None, side: Side = "") 
             share = _FRACTIONS[fraction]
         return f"{phrase.format(share=f'{share} {side}'.rstrip())} ({name} {value})"
     if max(ends) < 0.0:
-        ends, side = tuple(-end for end in reversed(ends)), _OPPOSITE[side]
+        ends, side = [-end for end in reversed(ends)], _OPPOSITE[side]
         for word, other in _TURNED.items():
             phrase = phrase.replace(word, other)
     degrees = " to ".join(f"{math.degrees(end):.1f}" for end in ends) + " degrees"
