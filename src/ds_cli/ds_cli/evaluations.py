@@ -29,15 +29,18 @@ def evaluation(
     everything: bool,
     trusted: Collection[str] = (),
 ) -> Result:
-    """The tables of a campaign: RQ2 and RQ3, and RQ1 if there is a data set.
+    """The tables of a campaign: RQ2 and RQ3, which operator suits it, and RQ1 if there is a data set.
 
     Raises:
-        ds_analysis.paper.open_loop.ErrorsError: the campaign has no twin, or the data set lacks images.
+        ds_analysis.paper.open_loop.ErrorsError: the campaign has neither twin nor car, or the data set lacks images.
+        ds_analysis.prediction.real.records.RecordError: the car's drives are damaged.
     """
     from ds_analysis.common.table import keep_tables
     from ds_analysis.paper.campaign_contents import maps_of
     from ds_analysis.paper.campaign_evaluation import correlations_of, network_of, paired_differences_of, tables_of
+    from ds_analysis.paper.merge_case import merge_case_table, merge_cases
     from ds_analysis.paper.open_loop import ErrorsError
+    from ds_analysis.prediction.real.records import read_drives
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_report.build import RQ1
     from ds_report.sections import sibling_section
@@ -45,10 +48,11 @@ def evaluation(
     with closing(open_store(folder)) as store:
         campaign = read_campaign(store)
     config, maps = campaign.config, maps_of(campaign)
-    if config.twin is None:
+    driven = {drive.test_id: drive.failed for drive in read_drives(folder)}
+    if config.twin is None and (data is not None or not driven):
         raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []
-    if data is not None:
+    if data is not None and config.twin is not None:
         from ds_driver.networks.driver_name import received_driver
 
         received_driver(config.driver, confirmed=trusted)
@@ -57,6 +61,7 @@ def evaluation(
         )
         keep_tables(tables, folder / RQ1)
     tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
+    tables += [merge_case_table(cases)] if (cases := merge_cases(campaign, driven)) else []
     tables += siblings.tables if (siblings := sibling_section(campaign)) else []
     return tables_result(tables, out or folder / "evaluation", everything=everything)
 
@@ -140,9 +145,9 @@ def evaluate_command(
 ) -> None:
     """Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).
 
-    The paper's tables, with its numbers beside those of this campaign. With --data and no campaign, RQ1 of any network:
-    its steering errors on the siblings' images against those on the twin's, without driving. With --json, CSV and
-    LaTeX, all tables.
+    The paper's tables, with its numbers next to the campaign's, and which operator suits the campaign. With --data and
+    no campaign, RQ1 of any network: its steering errors on the siblings' images against those on the twin's, without
+    driving. With --json, CSV and LaTeX, all tables.
     """
     if folder is not None:
         if given := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:

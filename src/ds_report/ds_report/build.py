@@ -65,7 +65,7 @@ def write_all(
     from ds_analysis.common.heatmap import write_maps
     from ds_report.failure_section import failure_section
     from ds_report.html_report import SHOWN_TESTS, write_report
-    from ds_report.sections import answer_section, further_map, sibling_section
+    from ds_report.sections import answer_section, further_map, merge_tables, sibling_section
 
     report = folder / "report.html"
     count, made = store.count_results(), store.results()
@@ -99,7 +99,7 @@ def write_all(
     say("stage: evaluation")
     correlations = correlations_of(data.config, maps)
     differences = paired_differences_of(data.config, maps)
-    tables = tables_of(data.config, maps, correlations, differences)
+    tables = [*tables_of(data.config, maps, correlations, differences), *merge_tables(folder, data)]
     write_correlations(folder, correlations)
     siblings = sibling_section(data)
     excluded = [excluded_table(data)] if data.excluded else []

@@ -9,6 +9,7 @@ from pathlib import Path
 from ds_analysis.common.heatmap import bounds_of, draw_map
 from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, table_of_campaign
 from ds_analysis.common.table import Table
+from ds_analysis.paper.merge_case import merge_case_table, merge_cases
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.real.records import RecordError, read_drives
 from ds_analysis.prediction.twin_prediction import span_of
@@ -110,6 +111,15 @@ def _panels(verdicts: Verdicts) -> list[AnswerPanel]:
             )
         )
     return panels
+
+
+def merge_tables(folder: Path, data: CampaignData) -> list[Table]:
+    """Tabulate which operator suits a campaign; the answer's section says if the car's drives are damaged."""
+    try:
+        driven = {drive.test_id: drive.failed for drive in read_drives(folder)}
+    except (RecordError, StoreError):
+        driven = {}
+    return [merge_case_table(cases)] if (cases := merge_cases(data, driven)) else []
 
 
 @dataclass(frozen=True, kw_only=True)
