@@ -15,7 +15,6 @@ from ds_cli.output import Interrupted, Result, answer, countdown
 
 if TYPE_CHECKING:
     from ds_analysis.common.table import Table
-    from ds_analysis.paper.paper_tables import Network
 
 app = typer.Typer()
 
@@ -33,35 +32,29 @@ def evaluation(
 
     Raises:
         ds_analysis.paper.open_loop.ErrorsError: the campaign has neither twin nor car, or the data set lacks images.
-        ds_analysis.prediction.real.records.RecordError: the car's drives are damaged.
     """
     from ds_analysis.common.table import keep_tables
     from ds_analysis.paper.campaign_contents import maps_of
-    from ds_analysis.paper.campaign_evaluation import correlations_of, network_of, paired_differences_of, tables_of
-    from ds_analysis.paper.merge_case import merge_case_table, merge_cases
+    from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
     from ds_analysis.paper.open_loop import ErrorsError
-    from ds_analysis.prediction.real.records import read_drives
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_report.build import RQ1
-    from ds_report.sections import sibling_section
+    from ds_report.sections import merge_tables, sibling_section
 
     with closing(open_store(folder)) as store:
         campaign = read_campaign(store)
     config, maps = campaign.config, maps_of(campaign)
-    driven = {drive.test_id: drive.failed for drive in read_drives(folder)}
-    if config.twin is None and (data is not None or not driven):
+    cases = merge_tables(folder, campaign)
+    if config.twin is None and (data is not None or not cases):
         raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []
     if data is not None and config.twin is not None:
         from ds_driver.networks.driver_name import received_driver
 
         received_driver(config.driver, confirmed=trusted)
-        tables += _offline_tables(
-            data, config.driver, config.siblings, config.twin, images, network_of(config), trusted
-        )
+        tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, trusted)
         keep_tables(tables, folder / RQ1)
-    tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
-    tables += [merge_case_table(cases)] if (cases := merge_cases(campaign, driven)) else []
+    tables += [*tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps)), *cases]
     tables += siblings.tables if (siblings := sibling_section(campaign)) else []
     return tables_result(tables, out or folder / "evaluation", everything=everything)
 
@@ -72,9 +65,9 @@ def _offline_tables(
     siblings: list[str] | None,
     twin: str,
     images: int | None,
-    network: Network | None,
     trusted: Collection[str],
 ) -> list[Table]:
+    from ds_analysis.paper.campaign_evaluation import network_of
     from ds_analysis.paper.open_loop import ErrorsError, predict
     from ds_analysis.paper.paper_tables import error_tables
     from ds_analysis.paper.steering_error_stats import check_error_robustness, compare_errors
@@ -90,7 +83,7 @@ def _offline_tables(
     errors = {name: found[name].absolute_errors for name in (*names, twin)}
     of_siblings = {name: errors[name] for name in names}
     compared, other_ways = compare_errors(of_siblings, errors[twin]), check_error_robustness(of_siblings, errors[twin])
-    return error_tables(compared, other_ways, errors, names, twin, network)
+    return error_tables(compared, other_ways, errors, names, twin, network_of(driver))
 
 
 def is_detail(table: Table) -> bool:
@@ -161,13 +154,7 @@ def evaluate_command(
     elif data is None:
         raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
     else:
-        from ds_analysis.paper.open_loop import architecture_of, kind_of
-        from ds_analysis.paper.paper_tables import NETWORKS
-
-        driver = driver or "dave2"
-        architecture = architecture_of(driver)
-        network: Network | None = (architecture, kind_of(driver)) if architecture in NETWORKS else None
         names = None if siblings is None else siblings.split(",")
-        tables = _offline_tables(data, driver, names, twin or "donkey", images, network, trust or [])
+        tables = _offline_tables(data, driver or "dave2", names, twin or "donkey", images, trust or [])
         found = tables_result(tables, out, everything=everything)
     answer(found, as_json)

@@ -49,8 +49,8 @@ def test_a_simulator_without_a_generator_is_noticed_before_anything_is_driven(we
 def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
     short = CampaignConfig(driver="dave2@onnx", sim2real="some/folder")  # type: ignore[arg-type]
     assert short == CampaignConfig(driver="dave2+some/folder@onnx") and short.identity() != CampaignConfig().identity()
-    assert network_of(short) == ("dave2", "real") == network_of(CampaignConfig(driver=str(weights)))
-    assert network_of(CampaignConfig()) == ("dave2", "sim") == network_of(CampaignConfig(driver="dave2+none"))
+    assert network_of(short.driver) == ("dave2", "real") == network_of(str(weights))
+    assert network_of(CampaignConfig().driver) == ("dave2", "sim") == network_of("dave2+none")
     for driver in ("autopilot", "dave2+other"):
         with pytest.raises(ValueError, match="leave sim2real out"):
             CampaignConfig(driver=driver, sim2real="some/folder")  # type: ignore[arg-type]

@@ -119,7 +119,7 @@ def write_all(
         correlations,
         paired_differences=differences,
         tables=[*of_rq1, *tables],
-        network=network_of(data.config),
+        network=network_of(data.config.driver),
         siblings=siblings,
         answer=answer_section(folder, data),
         failures=failure_section(data),

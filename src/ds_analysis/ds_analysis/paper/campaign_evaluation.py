@@ -73,10 +73,10 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
         ) from None
 
 
-def network_of(config: CampaignConfig) -> Network | None:
-    """Find the paper's heading for the configured network; None if the paper does not test it."""
-    architecture = architecture_of(config.driver)
-    return (architecture, kind_of(config.driver)) if architecture in NETWORKS else None
+def network_of(driver: str) -> Network | None:
+    """Find the paper's heading for a network; None if the paper does not test it."""
+    architecture = architecture_of(driver)
+    return (architecture, kind_of(driver)) if architecture in NETWORKS else None
 
 
 def tables_of(
@@ -89,7 +89,7 @@ def tables_of(
     if config.twin is None:
         return []
     return [
-        *correlation_tables(correlations, config.siblings, config.twin, network_of(config)),
+        *correlation_tables(correlations, config.siblings, config.twin, network_of(config.driver)),
         *([paired_difference_table(added, config.siblings)] if added else []),
         robustness_table(check_robustness(maps, config.siblings, config.twin), cautions(correlations)),
     ]

@@ -81,13 +81,7 @@ class MergeCase(NamedTuple):
 
 
 def merge_case(failed: Mapping[str, Bools], truth: str, families: Indices) -> MergeCase:
-    """Compare how often each sibling fails with how often the truth does.
-
-    Args:
-        failed: simulator -> (tests,) whether each test failed.
-        truth: name in `failed` of the twin or the car; the others are siblings.
-        families: (tests,) number of the family, whose tests resemble each other.
-    """
+    """Compare siblings with the truth, one of the names: (tests,) failures of each, and each test's family."""
     failures, siblings = {name: int(values.sum()) for name, values in failed.items()}, []
     for name in [name for name in failed if name != truth]:
         p = _p_of_equal_rates(failed[name], failed[truth], families)
@@ -105,11 +99,9 @@ def _p_of_equal_rates(one: Bools, other: Bools, families: Indices) -> float:
 
 
 def merge_cases(data: CampaignData, driven: Mapping[str, bool]) -> list[MergeCase]:
-    """Cases of a campaign against its twin and against the car; empty with a single sibling or without common tests.
+    """Cases of a campaign against its twin, and against the car by its drives (test -> whether it failed).
 
-    Args:
-        data: contents of the campaign's store.
-        driven: test -> whether the car failed on it.
+    Empty with a single sibling or without common tests. A scenario counts once.
     """
     failed: dict[str, dict[str, bool]] = {test.test_id: {} for test in data.tests}
     for execution in data.verdicts:
